@@ -1,0 +1,8 @@
+"""The one exception for what a user can put right: a file, a setting, a name."""
+
+
+class FingerflowError(Exception):
+    """Names the file or setting, the value that was found and the way out.
+
+    The command line prints it without a traceback and exits with status 2.
+    """
