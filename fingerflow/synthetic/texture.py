@@ -1,0 +1,127 @@
+"""Skin as a formula: ridges, pores and fine grain whose grey level is known at every real-valued position."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+#: Share by which one of the three undulations changes the frequency of the ridges at most.
+UNDULATION = 0.09
+
+Mapping = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
+@dataclass(frozen=True)
+class RidgeTexture:
+    """A whorl of papillary ridges in material coordinates (mm, x right, y down), infinitely differentiable.
+
+    Calling it gives a dimensionless contrast inside [-1, 1], mean close to 0 and bright on the ridges, for tensors of
+    any shape, device and floating type. It is the skin as the camera sees it: the blur of lens and pixel is part of the
+    formula, so a pixel is one evaluation at its centre. The ridges stand alone in `ridge_phase`; pores sit on their
+    crests, and plane waves over everything make every neighbourhood unique.
+
+    Spectrum: ridges run at 1.4 to 2.8 cycles/mm; with their pores and the grain all ends below 7.5 cycles/mm. At 0.0325
+    mm/px that is 0.24 cycles/px, half of the Nyquist limit.
+
+    Args:
+        centre: core of the whorl, mm.
+        period: distance between ridges, mm.
+        seed: draws the undulation of the ridges, the pores and the grain.
+        pores: depth of the pores, as contrast.
+        grain: amplitude of the sum of plane waves (wavelengths of 0.25 to 1 mm), as contrast; the ridges have the rest.
+    """
+
+    centre: tuple[float, float] = (0.0, 0.0)
+    period: float = 0.48
+    seed: int = 0
+    pores: float = 0.6
+    grain: float = 0.45
+    _undulation: list[list[float]] = field(init=False, repr=False, compare=False)
+    _pore_rows: list[list[float]] = field(init=False, repr=False, compare=False)
+    _grain: list[list[float]] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        generator = torch.Generator().manual_seed(self.seed)
+        object.__setattr__(self, "_undulation", _plane_waves([3.5, 5.0, 7.0], generator))
+        object.__setattr__(self, "_pore_rows", _pore_lattice(0.62, 0.74, generator))
+        object.__setattr__(self, "_grain", _plane_waves([0.25, 0.31, 0.39, 0.5, 0.68, 1.0], generator))
+
+    def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+        """Contrast at the material positions (x, y), in mm."""
+        return self.contrast(x, y, torch.cos(self.ridge_phase(x, y)))
+
+    def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
+        """Phase of the ridges at (x, y) in rad: 2 pi from crest to crest, so its gradient is close to 2 pi / period."""
+        across, along = x - self.centre[0], y - self.centre[1]
+        # An ellipse-like distance; the constant keeps it smooth at the core, where the innermost ridge is a small disc.
+        distance = torch.sqrt(1.14 * across.square() + 0.86 * along.square() + 0.1)
+        for wave_x, wave_y, offset in self._undulation:
+            wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))
+            distance = distance.add(wave, alpha=UNDULATION / math.hypot(wave_x, wave_y))
+        return distance * (2 * math.pi / self.period)
+
+    def contrast(self, x: Tensor, y: Tensor, ridge: Tensor) -> Tensor:
+        """The contrast at (x, y) where the cosine of the ridge phase is at hand already."""
+        (a_x, a_y, a_offset), (b_x, b_y, b_offset) = self._pore_rows
+        rows = torch.cos((a_x * x).add(y, alpha=a_y).add(a_offset))
+        crossing_rows = torch.cos((b_x * x).add(y, alpha=b_y).add(b_offset))
+        dots = ((rows + 1) * (crossing_rows + 1)).square()
+        contrast = (1 - self.grain) * ridge - (ridge + 1) * dots * (self.pores / 32)
+        for wave_x, wave_y, offset in self._grain:
+            wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))
+            contrast = contrast.add(wave, alpha=self.grain / len(self._grain))
+        return contrast
+
+
+def texture_image(
+    texture: Callable[[Tensor, Tensor], Tensor],
+    shape: tuple[int, int],
+    mm_per_px: float,
+    mapping: Mapping | None = None,
+    dtype: torch.dtype = torch.float64,
+) -> Tensor:
+    """The texture seen by a camera, evaluated at the exact material position of every pixel centre.
+
+    Args:
+        texture: contrast of a material position (x, y) in mm.
+        shape: rows and columns.
+        mm_per_px: size of a pixel; pixel (0, 0) has its centre at 0 mm.
+        mapping: material position of a position in the image, both (x, y) in mm; None where they are the same. To move
+            the picture by d, map (x, y) to (x - d_x, y - d_y).
+        dtype: of the evaluation and of the answer.
+
+    Returns:
+        (1, 1, H, W) contrast.
+    """
+    rows, columns = shape
+    y, x = torch.meshgrid(
+        torch.arange(rows, dtype=dtype) * mm_per_px, torch.arange(columns, dtype=dtype) * mm_per_px, indexing="ij"
+    )
+    if mapping is not None:
+        x, y = mapping(x, y)
+    return texture(x, y)[None, None]
+
+
+def _plane_waves(wavelengths: list[float], generator: torch.Generator) -> list[list[float]]:
+    """Wave vector (rad/mm) and phase of one wave a wavelength (mm); the directions are spread over the half circle."""
+    count = len(wavelengths)
+    angles = (torch.arange(count) * 0.618 + torch.rand(1, generator=generator)) * math.pi
+    angles = angles + 0.3 * (torch.rand(count, generator=generator) - 0.5)
+    phases = 2 * math.pi * torch.rand(count, generator=generator)
+    return [
+        [2 * math.pi / length * math.cos(angle), 2 * math.pi / length * math.sin(angle), phase]
+        for length, angle, phase in zip(wavelengths, angles.tolist(), phases.tolist(), strict=True)
+    ]
+
+
+def _pore_lattice(first: float, second: float, generator: torch.Generator) -> list[list[float]]:
+    """Two waves (wavelengths in mm) that cross at 70 degrees; a pore can be where both are at their maximum."""
+    angle = math.pi * torch.rand(1, generator=generator).item()
+    phases = (2 * math.pi * torch.rand(2, generator=generator)).tolist()
+    directions = (angle, angle + math.radians(70))
+    return [
+        [2 * math.pi / length * math.cos(direction), 2 * math.pi / length * math.sin(direction), phase]
+        for length, direction, phase in zip((first, second), directions, phases, strict=True)
+    ]

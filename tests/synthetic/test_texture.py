@@ -1,0 +1,84 @@
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.synthetic import RidgeTexture, texture_image
+
+MM_PER_PX = 0.0325
+SHAPE = (256, 320)
+
+
+def field_of_view(count: int) -> Tensor:
+    generator = torch.Generator().manual_seed(7)
+    return torch.rand(count, 2, generator=generator, dtype=torch.float64) * torch.tensor([20.8, 16.6]).double()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_spectrum_ends_below_half_of_the_nyquist_limit(seed: int) -> None:
+    image = texture_image(RidgeTexture(centre=(5.0, 4.0), seed=seed), SHAPE, MM_PER_PX)[0, 0]
+    # Blackman's side lobes fall under 1e-6 of the power, so what is left above the limit is the texture's own.
+    rows, columns = (torch.blackman_window(n, dtype=torch.float64) for n in SHAPE)
+    power = torch.fft.rfft2(image * rows[:, None] * columns).abs().square()
+    frequency = torch.hypot(
+        torch.fft.fftfreq(SHAPE[0], dtype=torch.float64)[:, None], torch.fft.rfftfreq(SHAPE[1], dtype=torch.float64)
+    )
+    assert power[frequency > 0.26].sum() < 1e-8 * power.sum()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_contrast_stays_in_its_range_and_is_textured_in_every_window(seed: int) -> None:
+    image = texture_image(RidgeTexture(centre=(5.0, 4.0), seed=seed), SHAPE, MM_PER_PX)
+    assert image.abs().max() <= 1
+    assert abs(image.mean()) < 0.1
+    down, right = torch.gradient(image[0, 0])
+    products = torch.stack((right * right, right * down, down * down))
+    xx, xy, yy = torch.nn.functional.avg_pool2d(products[:, None], 21, stride=5)[:, 0]
+    weakest = (xx + yy) / 2 - torch.sqrt(((xx - yy) / 2).square() + xy.square())
+    # Root mean square slope along the ridges: 0.01 a px is one grey level where the contrast spans +-100 levels.
+    assert weakest.min().sqrt() > 0.01
+
+
+def test_ridges_have_their_period() -> None:
+    points = field_of_view(20000)
+    points = points[(points - torch.tensor([10.4, 8.3])).norm(dim=1) > 1.5].requires_grad_()
+    phase = RidgeTexture(centre=(10.4, 8.3), period=0.5).ridge_phase(points[:, 0], points[:, 1])
+    (slope,) = torch.autograd.grad(phase.sum(), points)
+    periods = 2 * math.pi / slope.norm(dim=1)
+    assert periods.median() == pytest.approx(0.5, rel=0.05)
+    # 0.36 mm leaves a contact stripe 5.5 px wide, more than half of a 9 x 9 median window.
+    assert 0.36 < periods.min()
+    assert periods.max() < 0.8
+
+
+def test_shifted_image_is_the_texture_at_shifted_positions() -> None:
+    texture = RidgeTexture(centre=(5.0, 4.0))
+    still = texture_image(texture, SHAPE, MM_PER_PX)
+    moved = texture_image(texture, SHAPE, MM_PER_PX, lambda x, y: (x - 3 * MM_PER_PX, y + 2 * MM_PER_PX))
+    # A whole number of pixels moves the samples onto each other: only the rounding of positions differs.
+    torch.testing.assert_close(moved[..., :-2, 3:], still[..., 2:, :-3], rtol=0, atol=1e-11)
+
+
+def test_single_precision_differs_by_less_than_a_hundredth_of_a_grey_level() -> None:
+    texture = RidgeTexture(centre=(10.0, 8.0))
+    exact = texture_image(texture, (512, 640), MM_PER_PX)
+    rounded = texture_image(texture, (512, 640), MM_PER_PX, dtype=torch.float32)
+    assert rounded.dtype == torch.float32
+    assert (rounded - exact).abs().max() < 1e-4
+
+
+def test_gradient_of_the_contrast_is_available() -> None:
+    texture = RidgeTexture()
+    points = field_of_view(20)
+
+    def contrast(at: Tensor) -> Tensor:
+        return texture(at[:, 0], at[:, 1])
+
+    assert torch.autograd.gradcheck(contrast, points.requires_grad_())
+
+
+def test_seed_decides_the_skin() -> None:
+    x, y = field_of_view(100).T
+    assert torch.equal(RidgeTexture(seed=3)(x, y), RidgeTexture(seed=3)(x, y))
+    assert (RidgeTexture(seed=3)(x, y) - RidgeTexture(seed=4)(x, y)).abs().max() > 0.1
