@@ -1,0 +1,40 @@
+"""What every op on scattered points asks of its input."""
+
+import torch
+from torch import Tensor
+
+
+def check_scattered(points: Tensor, values: Tensor) -> None:
+    """Raises TypeError or ValueError unless points are (B, N, 2) and values (B, N, C), floating, with the same N.
+
+    A batch of 1 on either side serves every item of the other: reference positions are often the same for all frames.
+    """
+    for name, tensor in (("points", points), ("values", values)):
+        if not tensor.is_floating_point():
+            raise TypeError(f"{name} must be floating, found {tensor.dtype}: convert with .float() or .double()")
+    if points.dim() != 3 or points.shape[-1] != 2:
+        raise ValueError(f"points must have shape (B, N, 2), x and y last, found {tuple(points.shape)}")
+    if values.dim() != 3 or values.shape[1] != points.shape[1]:
+        raise ValueError(f"values must have shape (B, {points.shape[1]}, C) as points, found {tuple(values.shape)}")
+    check_batches(points=points, values=values)
+
+
+def check_batches(**tensors: Tensor) -> None:
+    """Raises ValueError unless the first dimensions are equal, or 1."""
+    sizes = {name: tensor.shape[0] for name, tensor in tensors.items()}
+    if len(set(sizes.values()) - {1}) > 1:
+        found = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        raise ValueError(f"batches must be equal, or 1 to serve all; found {found}")
+
+
+def working_dtype(*tensors: Tensor) -> torch.dtype:
+    """The widest type given, and at least float32: differences of half-precision positions would lose the strain."""
+    return torch.promote_types(torch.float32, result_dtype(*tensors))
+
+
+def result_dtype(*tensors: Tensor) -> torch.dtype:
+    """The widest type given."""
+    widest = tensors[0].dtype
+    for tensor in tensors[1:]:
+        widest = torch.promote_types(widest, tensor.dtype)
+    return widest

@@ -1,0 +1,119 @@
+"""From a displacement gradient to divergence, curl, shear, strain and strain energy.
+
+A gradient (..., 2, 2) has [..., i, j] = d u_i / d x_j with (u, v) and (x, y), without unit, in REFERENCE coordinates. A
+strain (..., 3) is (exx, eyy, exy) with the tensor's exy, half of the engineering shear. Everything is computed in the
+dtype given; NaN stays where it is.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+STRAIN_MEASURES = ("green_lagrange", "as_printed", "infinitesimal")
+
+
+def divergence(gradient: Tensor) -> Tensor:
+    """du/dx + dv/dy (...), without unit: relative growth of area at first order."""
+    ux, _, _, vy = _parts(gradient)
+    return ux + vy
+
+
+def curl(gradient: Tensor) -> Tensor:
+    """dv/dx - du/dy (...), in rad: twice the small rotation, positive where x turns towards y."""
+    _, uy, vx, _ = _parts(gradient)
+    return vx - uy
+
+
+def shear(gradient: Tensor) -> Tensor:
+    """The two shear parts (..., 2), without unit: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals.
+
+    With divergence d, curl c and these s, t the gradient is [[d + s, t - c], [t + c, d - s]] / 2 (Willemet et al. 2021,
+    figure S6).
+    """
+    ux, uy, vx, vy = _parts(gradient)
+    return torch.stack((ux - vy, uy + vx), dim=-1)
+
+
+def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
+    """Strain (..., 3) as (exx, eyy, exy) of a displacement gradient (..., 2, 2) taken in reference coordinates.
+
+    `measure` is one of
+        "green_lagrange": (F'F - I) / 2 with F = I + gradient; zero for every rotation;
+        "as_printed": the same but for exy = (u_y + v_x) / 2, as Willemet et al. 2021 print it in their equation 1. It
+            lacks (u_x u_y + v_x v_y) / 2, so a stretch that is also rotated gets a shear that is not there;
+        "infinitesimal": the symmetric part of the gradient; a rotation by w looks like a stretch of -w^2 / 2.
+
+    The lab's published script has dv/dx in place of dv/dy in eyy; here it is dv/dy. Raises ValueError for another
+    measure.
+    """
+    if measure not in STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    ux, uy, vx, vy = _parts(gradient)
+    exx, eyy, exy = ux, vy, (uy + vx) / 2
+    if measure != "infinitesimal":
+        exx = exx + (ux * ux + vx * vx) / 2
+        eyy = eyy + (uy * uy + vy * vy) / 2
+    if measure == "green_lagrange":
+        exy = exy + (ux * uy + vx * vy) / 2
+    return torch.stack((exx, eyy, exy), dim=-1)
+
+
+class PrincipalStrains(NamedTuple):
+    """Extremes of a strain over all directions."""
+
+    strains: Tensor  # (..., 2), the major and the minor one
+    angle: Tensor  # (...), rad in [-pi/2, pi/2], from the x axis to the major direction; NaN where the two are equal
+
+
+def principal_strains(strain: Tensor) -> PrincipalStrains:
+    """Major and minor principal strain and the direction of the major one, of (exx, eyy, exy) (..., 3).
+
+    Where the two are equal there is no direction: the angle is NaN. Their difference has a kink there, so autograd gives
+    both the gradient of their mean.
+    """
+    exx, eyy, exy = _components(strain)
+    mean, half_difference = (exx + eyy) / 2, (exx - eyy) / 2
+    equal = (half_difference == 0) & (exy == 0)
+    # Replaced before hypot and atan2, whose derivatives at the origin are NaN.
+    half_difference, exy = torch.where(equal, 1, half_difference), torch.where(equal, 0, exy)
+    radius = torch.where(equal, 0, torch.hypot(half_difference, exy))
+    angle = torch.where(equal, torch.nan, torch.atan2(exy, half_difference) / 2)
+    return PrincipalStrains(torch.stack((mean + radius, mean - radius), dim=-1), angle)
+
+
+def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
+    """Elastic energy per volume (...) in mJ/mm^3 of an isotropic linear solid in plane strain, for strain (..., 3).
+
+    E(1-nu)/(2(1+nu)(1-2nu)) (exx^2 + eyy^2) + E nu/((1+nu)(1-2nu)) exx eyy + E/(1+nu) exy^2 (Willemet et al. 2021); its
+    derivatives are the stresses sxx, syy and 2 sxy in MPa, as 1 MPa = 1 mJ/mm^3. Positive for every strain but zero.
+    float16 holds nothing under 6e-8 mJ/mm^3, a strain of 3e-4 at 1 MPa: use bfloat16 or float32.
+
+    Raises ValueError unless young_modulus_mpa > 0 and -1 < poisson_ratio < 0.5: outside, the energy is not positive.
+    """
+    if not (math.isfinite(young_modulus_mpa) and young_modulus_mpa > 0):
+        raise ValueError(f"young_modulus_mpa must be a positive number of MPa, found {young_modulus_mpa}")
+    if not -1 < poisson_ratio < 0.5:
+        raise ValueError(
+            f"poisson_ratio must lie between -1 and 0.5, both excluded, found {poisson_ratio}; "
+            "for a nearly incompressible skin take a value such as 0.49"
+        )
+    exx, eyy, exy = _components(strain)
+    scale = young_modulus_mpa / (1 + poisson_ratio)
+    direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))
+    mixed = scale * poisson_ratio / (1 - 2 * poisson_ratio)
+    return direct * (exx * exx + eyy * eyy) + mixed * exx * eyy + scale * exy * exy
+
+
+def _parts(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """du/dx, du/dy, dv/dx, dv/dy."""
+    if not gradient.is_floating_point() or gradient.shape[-2:] != (2, 2):
+        raise ValueError(f"gradient must be floating (..., 2, 2), found {gradient.dtype} {tuple(gradient.shape)}")
+    return gradient[..., 0, 0], gradient[..., 0, 1], gradient[..., 1, 0], gradient[..., 1, 1]
+
+
+def _components(strain: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    if not strain.is_floating_point() or strain.shape[-1:] != (3,):
+        raise ValueError(f"strain must be floating (..., 3), exx, eyy, exy, found {strain.dtype} {tuple(strain.shape)}")
+    return strain[..., 0], strain[..., 1], strain[..., 2]

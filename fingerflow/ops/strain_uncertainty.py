@@ -1,0 +1,45 @@
+"""Standard deviations of divergence, curl and strain from the covariance of a displacement gradient.
+
+The covariance (..., 2, 2, 2, 2) is that of `LocalFit`: [..., i, j, k, l] = cov(d u_i / d x_j, d u_k / d x_l).
+"""
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops.strain import STRAIN_MEASURES
+
+
+def divergence_deviation(covariance: Tensor) -> Tensor:
+    """Standard deviation (...) of du/dx + dv/dy."""
+    return _deviation(covariance.new_tensor([[1.0, 0.0], [0.0, 1.0]]), covariance)
+
+
+def curl_deviation(covariance: Tensor) -> Tensor:
+    """Standard deviation (...) of dv/dx - du/dy, in rad."""
+    return _deviation(covariance.new_tensor([[0.0, -1.0], [1.0, 0.0]]), covariance)
+
+
+def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
+    """Standard deviations (..., 3) of the (exx, eyy, exy) that `green_lagrange` gives for this gradient and measure.
+
+    First order in the error of the gradient, which is exact for "infinitesimal". Raises ValueError for another measure.
+    """
+    if measure not in STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    # With F = I + gradient, the derivatives of e_ij = (F_ki F_kj - delta_ij) / 2; without the squares F is I.
+    identity = torch.eye(2, dtype=gradient.dtype, device=gradient.device).expand_as(gradient)
+    direct = identity if measure == "infinitesimal" else identity + gradient
+    mixed = identity + gradient if measure == "green_lagrange" else identity
+    none = torch.zeros_like(direct[..., 0])
+    exx = torch.stack((direct[..., 0], none), dim=-1)
+    eyy = torch.stack((none, direct[..., 1]), dim=-1)
+    exy = torch.stack((mixed[..., 1], mixed[..., 0]), dim=-1) / 2
+    return _deviation(torch.stack((exx, eyy, exy), dim=-3), covariance[..., None, :, :, :, :])
+
+
+def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:
+    """sqrt of s' C s for s (..., 2, 2); rounding below zero counts as zero."""
+    variance = (sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]).sum(
+        (-4, -3, -2, -1)
+    )
+    return variance.clamp(min=0).sqrt()

@@ -1,0 +1,87 @@
+"""Sums over scattered points under a compact weight around each query: what a local fit is solved from."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+# Elements of one (batch, queries, points) matrix; about ten of them live at a time. Small enough to stay in cache.
+_CHUNK_ELEMENTS = 2**18
+
+
+class WeightedMoments(NamedTuple):
+    """Sums over the usable points, with d = point - query and weight w = (1 - (|d| / R)^2)^2 within R, 0 beyond."""
+
+    point_count: Tensor  # (B, Q), points within R
+    mass: Tensor  # (B, Q), sum w
+    first: Tensor  # (B, Q, 2), sum w d
+    second: Tensor  # (B, Q, 3), sum w dx dx, w dx dy, w dy dy
+    data: Tensor  # (B, Q, 3, C), sum w v, w dx v, w dy v
+    noise: Tensor | None  # (B, Q, 6, V), sum w^2 s times 1, dx, dy, dx dx, dx dy, dy dy
+
+
+def weighted_moments(
+    points: Tensor, queries: Tensor, usable: Tensor, values: Tensor, noise: Tensor | None, radius: float
+) -> WeightedMoments:
+    """The moments, at each query, of `values` v (B, N, C) and `noise` s (B, N, V) of the `usable` (B, N) points.
+
+    Points (B, N, 2) and queries (B, Q, 2) are finite, and values and noise are 0 where a point is not usable; batches may be 1.
+    Works through the queries in pieces of bounded size.
+    """
+    geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
+    shared = geometries == 1
+    mask = usable[..., None].to(values.dtype)
+    present = _Columns(mask, shared)
+    present_and_data = _Columns(torch.cat((mask, values), dim=-1), shared)
+    noise_columns = None if noise is None else _Columns(noise, shared)
+
+    rows = max(1, _CHUNK_ELEMENTS // max(1, geometries * points.shape[1]))
+    point_x, point_y = (coordinate[:, None, :].contiguous() for coordinate in points.unbind(-1))
+    query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
+    one, scale = points.new_ones(()), -1 / radius**2
+    pieces = []
+    for start in range(0, max(1, queries.shape[1]), rows):
+        # Differences to the query, not raw moments: the latter lose the digits of points far from the origin.
+        dx = point_x - query_x[:, start : start + rows]
+        dy = point_y - query_y[:, start : start + rows]
+        closeness = torch.addcmul(torch.addcmul(one, dx, dx, value=scale), dy, dy, value=scale).clamp(min=0)
+        weight = closeness * closeness
+        weight_x, weight_y = weight * dx, weight * dy
+        inside = torch.sign(closeness)
+        piece = [present.summed(kernel) for kernel in (inside, weight_x * dx, weight_x * dy, weight_y * dy)]
+        piece += [present_and_data.summed(kernel) for kernel in (weight, weight_x, weight_y)]
+        if noise_columns is not None:
+            piece += [noise_columns.summed(weight * kernel) for kernel in (weight, weight_x, weight_y)]
+            piece += [noise_columns.summed(weight_x * kernel) for kernel in (weight_x, weight_y)]
+            piece += [noise_columns.summed(weight_y * weight_y)]
+        pieces.append(piece)
+
+    count, xx, xy, yy, plain, along_x, along_y, *noisy = (
+        torch.cat(parts, dim=1) for parts in zip(*pieces, strict=True)
+    )
+    return WeightedMoments(
+        point_count=count[..., 0],
+        mass=plain[..., 0],
+        first=torch.stack((along_x[..., 0], along_y[..., 0]), dim=-1),
+        second=torch.cat((xx, xy, yy), dim=-1),
+        data=torch.stack((plain[..., 1:], along_x[..., 1:], along_y[..., 1:]), dim=-2),
+        noise=torch.stack(noisy, dim=-2) if noisy else None,
+    )
+
+
+class _Columns:
+    """Data (B, N, F) to be summed under a kernel (G, Q, N), giving (B, Q, F).
+
+    If one geometry serves all frames (G = 1), the frames stand side by side as columns of one matrix product.
+    """
+
+    def __init__(self, data: Tensor, shared: bool) -> None:
+        self.batch, points, self.features = data.shape
+        self.shared = shared
+        self.matrix = data.transpose(0, 1).reshape(1, points, self.batch * self.features) if shared else data
+
+    def summed(self, kernel: Tensor) -> Tensor:
+        total = kernel @ self.matrix
+        if not self.shared:
+            return total
+        return total.reshape(kernel.shape[1], self.batch, self.features).transpose(0, 1)
