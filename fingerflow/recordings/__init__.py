@@ -1,1 +1,6 @@
-""""""
+"""Frames and forces in: one reader a file, behind `open_recording` and `open_forces`."""
+
+from fingerflow.recordings.frames.opening import open_recording
+from fingerflow.recordings.frames.recording import Recording
+
+__all__ = ["Recording", "open_recording"]

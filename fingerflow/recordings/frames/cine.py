@@ -1,0 +1,307 @@
+"""Phantom `.cine` recordings (Vision Research): 8 and 16 bits a pixel, 10-bit companded and 12-bit linear packed.
+
+Source of the layout: "Cine File Format", Vision Research (fields quoted by the names they have there). Where other
+readers disagree, the file's own fields decide; the comments say which.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
+from fingerflow.recordings.frames.packing import packed_bytes, unpack_10bit, unpack_12bit
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+
+CINE_FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
+BITMAP_INFO_HEADER = struct.Struct("<IiiHHIIiiII")
+TAG_HEADER = struct.Struct("<IHH")
+TIME_ONLY, EXPOSURE_ONLY = 1002, 1003  # tagged blocks between SETUP and the image offsets
+UNCOMPRESSED, PACKED_10, PACKED_12 = 0, 256, 1024  # biCompression
+
+# SETUP grew with each software version: a field is there only if it ends within SETUP.Length.
+SETUP_FIELDS = {
+    "FrameRate16": (0, "<H"),
+    "Length": (142, "<H"),
+    "Serial": (743, "<I"),
+    "bFlipH": (756, "<i"),
+    "bFlipV": (760, "<i"),
+    "FrameRate": (768, "<I"),
+    "CameraVersion": (792, "<I"),
+    "CFA": (808, "<I"),
+    "Rotate": (884, "<i"),
+    "RealBPP": (896, "<I"),
+    "ShutterNs": (1568, "<I"),
+    "BlackLevel": (5732, "<i"),
+    "WhiteLevel": (5736, "<i"),
+    "CameraModel": (12432, "<1024s"),
+    "dFrameRate": (13472, "<d"),
+}
+
+
+def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
+    """Read the headers and the table of image offsets; no frame. Raises FingerflowError for colour and for damage."""
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(CINE_FILE_HEADER.size)
+        if len(head) < CINE_FILE_HEADER.size or head[:2] != b"CI":
+            raise FingerflowError(f"{path}: not a Phantom recording: it starts with {head[:2]!r} where b'CI' is due")
+        (_, _, compression, version, _, _, first_number, count, image_header, setup_at, offsets_at, trigger) = (
+            CINE_FILE_HEADER.unpack(head)
+        )
+        if version != 1:
+            raise FingerflowError(f"{path}: version {version} of the Cine format; only version 1 is known")
+        if offsets_at >= size:
+            raise FingerflowError(f"{path}: ends after {size} bytes, before the table of its frames; copy it again")
+        file.seek(0)
+        header = file.read(offsets_at)
+        table = np.frombuffer(file.read(8 * count), "<i8", count=-1) if count else np.empty(0, "<i8")
+    layout = _layout(path, compression, BITMAP_INFO_HEADER.unpack_from(header, image_header), _Setup(header[setup_at:]))
+    setup = _Setup(header[setup_at:])
+    blocks = _tagged_blocks(header, setup_at + (setup["Length"] or 0))
+    whole = _whole_frames(path, table, layout.image_bytes, size)
+    if whole == 0:
+        raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
+
+    warnings = [missing_frames(count - whole, count)] if whole < count else []
+    warnings += [
+        f"{name} is set: a player would turn the picture; the frames here are as the sensor recorded them"
+        for name in ("bFlipH", "bFlipV", "Rotate")
+        if setup[name]
+    ]
+    rate = setup["dFrameRate"] or setup["FrameRate"] or setup["FrameRate16"] or None
+    stamps = _seconds_from_trigger(blocks.get(TIME_ONLY), trigger)[:whole]
+    times, rate, complaints = _times(stamps, first_number, None if rate is None else float(rate))
+    start = float(first_number) if times is None or rate is None else float(times[0] * rate)
+    if len(stamps) < whole:
+        times = None
+    description = Description(
+        path=path,
+        count=whole,
+        frame_shape=layout.shape,
+        dtype=layout.dtype,
+        bit_depth=layout.bit_depth,
+        frame_rate=rate,
+        first_number=start,
+        time_stamps=times,
+        warnings=(*warnings, *complaints),
+        metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),
+    )
+    return CineRecording(description, frame_rate, table[:whole], layout)
+
+
+class CineRecording(FileRecording):
+    """Frames are found by their offset in the file, so its size does not matter."""
+
+    def __init__(
+        self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _Layout
+    ) -> None:
+        super().__init__(description, frame_rate)
+        self._offsets = offsets
+        self._layout = layout
+        self._bytes: NDArray[np.uint8] = np.memmap(description.path, np.uint8, "r")
+
+    def _read_frame(self, index: int) -> Frames:
+        # AnnotationSize counts itself, the annotation and the ImageSize that follows it.
+        start = int(self._offsets[index])
+        start += _unsigned(self._bytes[start : start + 4])
+        image_bytes = _unsigned(self._bytes[start - 4 : start])
+        if image_bytes != self._layout.image_bytes:
+            raise FingerflowError(
+                f"{self.path}: frame {index} has {image_bytes} bytes instead of {self._layout.image_bytes}"
+            )
+        return self._layout.pixels(np.asarray(self._bytes[start : start + image_bytes]))
+
+    def close(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the bytes of one image become grey values."""
+
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    bit_depth: int
+    compression: int
+    image_bytes: int
+    bottom_up: bool
+
+    def pixels(self, data: NDArray[np.uint8]) -> Frames:
+        height, width = self.shape
+        if self.compression == PACKED_10:
+            # The 10 bits are companded, not linear: light is proportional to the 12-bit value behind the table.
+            image = LINEAR_OF_COMPANDED[unpack_10bit(data, height * width)].reshape(height, width)
+        elif self.compression == PACKED_12:
+            image = unpack_12bit(data, height * width).reshape(height, width)
+        else:
+            rows = data.reshape(height, -1)[:, : width * self.dtype.itemsize]  # rows may be filled up to 4 bytes
+            image = np.ascontiguousarray(rows).view(self.dtype.newbyteorder("<")).astype(self.dtype)
+        return np.ascontiguousarray(image[::-1]) if self.bottom_up else image
+
+
+def _unsigned(data: NDArray[np.uint8]) -> int:
+    return int.from_bytes(data.tobytes(), "little")
+
+
+class _Setup:
+    """SETUP fields by name; None where this version of the software did not write the field."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._length = 144 if len(data) >= 144 else 0
+        self._length = self["Length"] or 0
+
+    def __getitem__(self, name: str) -> Any:
+        offset, code = SETUP_FIELDS[name]
+        if offset + struct.calcsize(code) > min(self._length, len(self._data)):
+            return None
+        (value,) = struct.unpack_from(code, self._data, offset)
+        return value.split(b"\0")[0].decode("latin-1") if isinstance(value, bytes) else value
+
+
+def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _Layout:
+    _, width, signed_height, _, bits, packing, image_bytes, *_ = bitmap
+    height = abs(signed_height)
+    # Compression says what the pixels are, whatever filter the sensor carries: 2 is uninterpolated colour, 1 is JPEG;
+    # 0 with 24 or 48 bits is interpolated colour, 0 with 8 or 16 bits is grey.
+    if compression == 2 or bits in (24, 48):
+        kind = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
+        raise FingerflowError(
+            f"{path}: a colour recording ({kind}, CFA = {setup['CFA']}). "
+            "Convert it to grey in the camera's software first."
+        )
+    if compression != 0 or bits not in (8, 16) or packing not in (UNCOMPRESSED, PACKED_10, PACKED_12):
+        raise FingerflowError(
+            f"{path}: Compression {compression}, biCompression {packing}, biBitCount {bits} is not known. Known grey "
+            "frames are 8 and 16 bits uncompressed (0, 0), 10 bits packed (0, 256) and 12 bits packed (0, 1024)"
+        )
+    if packing == UNCOMPRESSED:
+        row_bytes = image_bytes // height if height else 0
+        expected = width * bits // 8
+        fits = row_bytes * height == image_bytes and row_bytes in (expected, -(-expected // 4) * 4)
+        depth = setup["RealBPP"] if setup["RealBPP"] and setup["RealBPP"] <= bits else bits
+    else:
+        expected = packed_bytes(width * height, 10 if packing == PACKED_10 else 12)
+        fits = image_bytes == expected
+        depth = 12
+    if not fits or width <= 0 or height <= 0:
+        raise FingerflowError(
+            f"{path}: biSizeImage is {image_bytes} bytes, which is not a frame of {width} x {height} pixels of {bits} "
+            f"bits (biCompression {packing})"
+        )
+    return _Layout(
+        shape=(height, width),
+        dtype=np.dtype(np.uint8 if packing == UNCOMPRESSED and bits == 8 else np.uint16),
+        bit_depth=depth,
+        compression=packing,
+        image_bytes=image_bytes,
+        # An uncompressed image is a Windows bitmap: the last row comes first unless biHeight is negative. A packed
+        # image comes as the camera sends it, the first row first.
+        bottom_up=packing == UNCOMPRESSED and signed_height > 0,
+    )
+
+
+def _tagged_blocks(header: bytes, start: int) -> dict[int, bytes]:
+    blocks = {}
+    while start + TAG_HEADER.size <= len(header):
+        size, kind, _ = TAG_HEADER.unpack_from(header, start)
+        if size < TAG_HEADER.size:
+            break
+        blocks[kind] = header[start + TAG_HEADER.size : start + size]
+        start += size
+    return blocks
+
+
+def _whole_frames(path: Path, offsets: NDArray[np.int64], image_bytes: int, size: int) -> int:
+    """How many frames from the first on are in the file with all their bytes."""
+    ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > size)
+    count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
+    with open(path, "rb") as file:
+        while count:
+            file.seek(int(offsets[count - 1]))
+            (annotation_size,) = struct.unpack("<I", file.read(4))
+            if offsets[count - 1] + annotation_size + image_bytes <= size:
+                break
+            count -= 1
+    return count
+
+
+def _seconds_from_trigger(block: bytes | None, trigger: int) -> NDArray[np.float64]:
+    """TIME64 is a number of 2**-32 s since 1970; its two lowest bits carry flags. Subtracted as integers: a double
+    would round the difference to 0.2 us."""
+    if not block:
+        return np.empty(0)
+    stamps = np.frombuffer(block, "<u8", len(block) // 8)
+    return ((stamps >> 2).astype(np.int64) - (trigger >> 2)) / 2.0**30
+
+
+def _times(
+    stamps: NDArray[np.float64], first_number: int, rate: float | None
+) -> tuple[NDArray[np.float64] | None, float | None, list[str]]:
+    """Times and rate as the camera's clock tells them, and what is odd about them.
+
+    FrameRate is what the camera was set to; if frames were left out on saving, only the time stamps know. And frame
+    numbers count from the trigger, but there are cameras whose numbers and clock disagree by minutes.
+    """
+    if len(stamps) < 2 or np.any(np.diff(stamps) <= 0):
+        unusable = (
+            ["the camera's time stamps do not increase: times are from the frame rate"] if len(stamps) > 1 else []
+        )
+        return None, rate, unusable
+    warnings = []
+    steps = np.diff(stamps)
+    regular = steps <= 1.5 * np.median(steps)
+    measured = 1.0 / float(np.mean(steps[regular]))
+    if not regular.all():
+        gap = int(np.argmax(~regular))
+        warnings.append(
+            f"{int(np.sum(~regular))} gaps in the time stamps, the first of {steps[gap] * measured - 1:.0f} frames "
+            f"after frame {gap}"
+        )
+    tolerance = 0.01 + 2e-6 / float(np.sum(steps[regular]))  # the clock ticks in microseconds
+    if rate is None or abs(measured / rate - 1) > tolerance:
+        if rate is not None:
+            warnings.append(
+                f"the header says {rate:g} Hz but the time stamps are {measured:g} Hz apart; the stamps count"
+            )
+        rate = measured
+    by_number = first_number / rate
+    if abs(stamps[0]) > 86400:
+        warnings.append(
+            f"the first frame lies {stamps[0]:.0f} s from the trigger by the clock, which was reset in between; "
+            f"by its number it lies {by_number:g} s from it, and that counts"
+        )
+        return stamps - stamps[0] + by_number, rate, warnings
+    if abs(stamps[0] - by_number) > 1.5 / rate:
+        warnings.append(
+            f"the first frame lies {stamps[0]:g} s after the trigger by its time stamp, {by_number:g} s by its number "
+            f"{first_number}; the stamps count"
+        )
+    return stamps, rate, warnings
+
+
+def _metadata(setup: _Setup, layout: _Layout, first_number: int, exposures: bytes | None) -> dict[str, Any]:
+    exposure = np.frombuffer(exposures, "<u4", 1)[0] / 2.0**32 if exposures else (setup["ShutterNs"] or 0) * 1e-9
+    levels = {"black_level": setup["BlackLevel"], "white_level": setup["WhiteLevel"]}
+    if layout.compression == PACKED_10:
+        levels = {
+            name: None if level is None else int(LINEAR_OF_COMPANDED[min(max(level, 0), 1023)])
+            for name, level in levels.items()
+        }
+    packing = {UNCOMPRESSED: "none", PACKED_10: "10 bit companded", PACKED_12: "12 bit linear"}[layout.compression]
+    values = {
+        "camera": setup["CameraModel"] or (f"Phantom v{setup['CameraVersion']}" if setup["CameraVersion"] else None),
+        "serial": setup["Serial"],
+        "exposure_s": float(exposure) or None,
+        "first_frame_number": first_number,
+        "packing": packing,
+        **levels,
+    }
+    return {name: value for name, value in values.items() if value is not None}

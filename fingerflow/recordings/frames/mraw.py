@@ -1,0 +1,198 @@
+"""Photron recordings: pixels in `.mraw`, everything else in the `.cih` (text) or `.cihx` (XML) beside it.
+
+Source: the headers that Photron FASTCAM Viewer writes, keys quoted as they stand there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.packing import packed_bytes, unpack_12bit
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+
+HEADERS = (".cihx", ".cih")
+
+# The same entries under their names in the text header and at their place in the XML header.
+XML_PLACES = {
+    "Camera Type": "deviceInfo/deviceName",
+    "Record Rate(fps)": "recordInfo/recordRate",
+    "Shutter Type2(nsec)": "recordInfo/shutterSpeedNsec",
+    "Total Frame": "frameInfo/totalFrame",
+    "Start Frame": "frameInfo/startFrame",
+    "Save Step": "frameInfo/skipFrame",
+    "Image Width": "imageDataInfo/resolution/width",
+    "Image Height": "imageDataInfo/resolution/height",
+    "Color Type": "imageDataInfo/colorInfo/type",
+    "Color Bit": "imageDataInfo/colorInfo/bit",
+    "EffectiveBit Depth": "imageDataInfo/effectiveBit/depth",
+    "EffectiveBit Side": "imageDataInfo/effectiveBit/side",
+    "File Format": "imageFileInfo/fileFormat",
+}
+
+
+def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
+    """Open either file of the pair. Raises FingerflowError if the other is missing, for colour and for odd headers."""
+    if path.suffix.lower() == ".mraw":
+        pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
+    else:
+        pixels, header_path = _beside(path, (".mraw",), "its pixels, a .mraw file"), path
+    header = _Header(header_path)
+    layout = _layout(header)
+    count = header.integer("Total Frame")
+    whole = min(count, pixels.stat().st_size // layout.frame_bytes)
+    if whole == 0:
+        raise FingerflowError(
+            f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; by {header_path.name} a frame has "
+            f"{layout.frame_bytes} bytes and there are {count}"
+        )
+    # One recorded frame in "Save Step" was kept, so that is how much slower the stored frames are than "Record Rate".
+    step = header.integer("Save Step", 1) or 1
+    rate = header.number("Record Rate(fps)") / step
+    if rate <= 0:
+        raise FingerflowError(f"{header_path}: 'Record Rate(fps)' is {rate * step:g}; correct the header")
+    exposure = header.number("Shutter Type2(nsec)", 0.0) * 1e-9
+    description = Description(
+        path=path,
+        count=whole,
+        frame_shape=layout.shape,
+        dtype=layout.dtype,
+        bit_depth=layout.bit_depth,
+        frame_rate=rate,
+        first_number=header.integer("Start Frame", 0) / step,  # in recorded frames; the trigger is number 0
+        warnings=(missing_frames(count - whole, count),) if whole < count else (),
+        metadata={
+            "camera": header.text("Camera Type", "Photron"),
+            "record_rate_hz": rate * step,
+            "save_step": step,
+            "sensor_bits": layout.sensor_bits,
+            **({"exposure_s": exposure} if exposure else {}),
+        },
+    )
+    return MrawRecording(description, frame_rate, pixels, layout)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the bytes of one frame become grey values."""
+
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    stored_bits: int
+    bit_depth: int
+    sensor_bits: int
+    shift: int
+    frame_bytes: int
+
+
+class MrawRecording(FileRecording):
+    """Frames lie one behind the other without any gap."""
+
+    def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _Layout) -> None:
+        super().__init__(description, frame_rate)
+        self._layout = layout
+        self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
+
+    def _read_frame(self, index: int) -> Frames:
+        layout = self._layout
+        data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
+        if layout.stored_bits == 12:
+            return unpack_12bit(data, layout.shape[0] * layout.shape[1]).reshape(layout.shape)
+        return data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(layout.shift)
+
+    def close(self) -> None:
+        self._bytes = np.empty(0, np.uint8)
+
+
+class _Header:
+    """Entries of a `.cih` or `.cihx` file by the name that they have in the text form."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        data = path.read_bytes()
+        self._entries = _xml_entries(path, data) if path.suffix.lower() == ".cihx" else _text_entries(data)
+
+    def text(self, name: str, default: str | None = None) -> str:
+        value = self._entries.get(name) or default
+        if value is None:
+            raise FingerflowError(f"{self.path}: has no entry {name!r}; is it the header of a Photron recording?")
+        return value
+
+    def number(self, name: str, default: float | None = None) -> float:
+        value = self.text(name, None if default is None else str(default))
+        try:
+            return float(value)
+        except ValueError:
+            raise FingerflowError(f"{self.path}: {name!r} is {value!r}, which is not a number") from None
+
+    def integer(self, name: str, default: int | None = None) -> int:
+        return int(self.number(name, default))
+
+
+def _text_entries(data: bytes) -> dict[str, str]:
+    entries: dict[str, str] = {}
+    # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
+    for line in data.decode("latin-1").splitlines():
+        name, colon, value = line.partition(":")
+        if colon:
+            entries.setdefault(name.strip(), value.strip())  # later sections tell of other programs
+    return entries
+
+
+def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
+    # The XML stands between binary blocks of the camera's software.
+    start, end = data.find(b"<cih>"), data.find(b"</cih>")
+    try:
+        root = ElementTree.fromstring(data[start : end + len(b"</cih>")].decode("utf-8", "replace"))
+    except ElementTree.ParseError as error:
+        raise FingerflowError(f"{path}: no readable <cih> section ({error}); export the recording again") from None
+    return {name: root.findtext(place, "").strip() for name, place in XML_PLACES.items()}
+
+
+def _layout(header: _Header) -> _Layout:
+    path = header.path
+    colour = header.text("Color Type", "Mono")
+    bits = header.integer("Color Bit")
+    if colour.lower() not in ("mono", "raw") or bits > 16 or "-C-" in header.text("Camera Type", ""):
+        # "Raw" is what the sensor delivers: grey for a monochrome camera, a colour mosaic for a type "...-C-...".
+        raise FingerflowError(
+            f"{path}: a colour recording ({header.text('Camera Type', 'unknown')}, Color Type {colour}, {bits} bits). "
+            "Convert it to grey in the camera's software first."
+        )
+    if header.text("File Format", "MRaw").lower() != "mraw" or bits not in (8, 12, 16):
+        raise FingerflowError(
+            f"{path}: File Format {header.text('File Format')!r} with Color Bit {bits} is not known; "
+            "known is MRaw of 8, 12 or 16 bits"
+        )
+    width, height = header.integer("Image Width"), header.integer("Image Height")
+    sensor_bits = header.integer("EffectiveBit Depth", bits)
+    depth = min(sensor_bits, bits)
+    if depth < 1 or width < 1 or height < 1:
+        raise FingerflowError(f"{path}: frames of {width} x {height} pixels with {depth} bits cannot be")
+    side = header.text("EffectiveBit Side", "Lower").lower()
+    # With side "Higher", 12 bits in 16 are stored times 16. Shifted down they are the sensor's grey values again.
+    # An 8-bit file of a 12-bit sensor has lost the other four bits already.
+    shift = bits - depth if side == "higher" and bits == 16 else 0
+    return _Layout(
+        shape=(height, width),
+        dtype=np.dtype(np.uint8 if bits == 8 else np.uint16),
+        stored_bits=bits,
+        bit_depth=depth,
+        sensor_bits=sensor_bits,
+        shift=shift,
+        frame_bytes=packed_bytes(width * height, bits),
+    )
+
+
+def _beside(path: Path, suffixes: tuple[str, ...], what: str) -> Path:
+    for suffix in suffixes:
+        for candidate in path.parent.iterdir():
+            if candidate.stem == path.stem and candidate.suffix.lower() == suffix:
+                return candidate
+    raise FingerflowError(f"{path}: {what} of the same name, is not beside it in {path.parent}")

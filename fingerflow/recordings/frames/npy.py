@@ -1,0 +1,64 @@
+"""Frames in a NumPy `.npy` file: (N, H, W), or (H, W) for one frame; mapped into memory, never loaded whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.recording import (
+    Description,
+    FileRecording,
+    Frames,
+    container_bits,
+    grey_dtype,
+    missing_frames,
+)
+
+
+def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
+    """Read the header only. Raises FingerflowError for other shapes and for pixels that are not grey values."""
+    with open(path, "rb") as file:
+        try:
+            version = np.lib.format.read_magic(file)
+            read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+            shape, by_columns, dtype = read(file)
+        except (ValueError, KeyError) as error:
+            raise FingerflowError(f"{path}: not a NumPy file of plain numbers ({error})") from None
+        start = file.tell()
+    dtype = grey_dtype(dtype, path)
+    if len(shape) not in (2, 3) or 0 in shape:
+        colour = " Colour frames have to be made grey first." if len(shape) == 4 else ""
+        raise FingerflowError(f"{path}: its array is {shape}; frames are (N, H, W), or (H, W) for one.{colour}")
+    count, height, width = shape if len(shape) == 3 else (1, *shape)
+    available = (path.stat().st_size - start) // (height * width * dtype.itemsize)
+    if available == 0 or (by_columns and available < count):
+        raise FingerflowError(f"{path}: {path.stat().st_size} bytes are too few for its {count} frames; copy it again")
+    whole = min(count, available)
+    order: Literal["F", "C"] = "F" if by_columns else "C"  # the same bytes for (H, W) and (1, H, W) in either order
+    frames = np.memmap(path, dtype, "r", start, (whole, height, width), order)
+    description = Description(
+        path=path,
+        count=whole,
+        frame_shape=(height, width),
+        dtype=dtype,
+        bit_depth=container_bits(dtype),
+        warnings=(missing_frames(count - whole, count),) if whole < count else (),
+    )
+    return NpyRecording(description, frame_rate, frames)
+
+
+class NpyRecording(FileRecording):
+    """Frames copied out of a memory map one at a time."""
+
+    def __init__(self, description: Description, frame_rate: float | None, frames: np.ndarray[Any, Any]) -> None:
+        super().__init__(description, frame_rate)
+        self._frames = frames
+
+    def _read_frame(self, index: int) -> Frames:
+        return np.array(self._frames[index], self.dtype)
+
+    def close(self) -> None:
+        self._frames = np.empty((0, *self.frame_shape), self.dtype)

@@ -1,0 +1,57 @@
+"""`open_recording`: finds the reader that a path asks for."""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.recording import Recording
+
+# Readers are imported when they are needed: video and HDF5 libraries take a second to load.
+READERS = {
+    "cine": (".cine",),
+    "mraw": (".mraw", ".cih", ".cihx"),
+    "tiff": (".tif", ".tiff"),
+    "video": (".avi", ".mp4", ".mkv", ".mov"),
+    "hdf5": (".h5", ".hdf5"),
+    "npy": (".npy",),
+    "images": (".png", ".jpg", ".jpeg", ".bmp"),
+}
+_READER_OF = {suffix: reader for reader, suffixes in READERS.items() for suffix in suffixes}
+
+
+def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -> Recording:
+    """Open frames without reading them.
+
+    path: a Phantom `.cine`, either file of a Photron `.mraw` / `.cih` pair, a TIFF stack, a video, an HDF5 file
+        (`file.h5` or `file.h5::/group/data set`), a `.npy`, a folder of images, or one image: a recording of one frame.
+    frame_rate: Hz; replaces the rate and the time stamps of the file. Without it, a file that states no rate has none.
+
+    Raises FingerflowError for a file that is missing, of an unknown kind, damaged beyond its header, or in colour. A
+    file that merely ends too early opens with the frames that are whole and a sentence in `warnings`.
+    """
+    if frame_rate is not None and not (math.isfinite(frame_rate) and frame_rate > 0):
+        raise FingerflowError(
+            f"{path}: frame_rate={frame_rate} was given; it must be a positive number of frames per second"
+        )
+    file, _, inside = str(path).partition("::")
+    location = Path(file)
+    if not location.exists():
+        raise FingerflowError(f"{location}: there is no such file or folder (looked in {Path.cwd()})")
+    if location.is_dir():
+        reader = "images"
+    elif location.suffix.lower() in _READER_OF:
+        reader = _READER_OF[location.suffix.lower()]
+    else:
+        raise FingerflowError(
+            f"{location}: {location.suffix or 'a file without suffix'} is not a recording. Known are a folder of "
+            f"images and {', '.join(_READER_OF)}"
+        )
+    if inside and reader != "hdf5":
+        raise FingerflowError(f"{path}: only an HDF5 file has something after '::'")
+    module = import_module(f"fingerflow.recordings.frames.{reader}")
+    recording: Recording = module.open_frames(location, frame_rate, **({"dataset": inside} if inside else {}))
+    return recording

@@ -1,0 +1,218 @@
+"""What every recording can do, whatever file it comes from: lazy access to frames and the time of each."""
+
+from __future__ import annotations
+
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+
+Frames = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a reader finds in a file's header, before it reads any frame.
+
+    `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
+    `first_number`: the number of the first frame where the trigger is number 0, or 0 if the file knows no trigger.
+    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced.
+    """
+
+    path: Path
+    count: int
+    frame_shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    bit_depth: int | None
+    frame_rate: float | None = None
+    first_number: float = 0.0
+    time_stamps: NDArray[np.float64] | None = None
+    warnings: tuple[str, ...] = ()
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+class Recording(ABC):
+    """Grey frames that are read when they are asked for, never before.
+
+    `recording[3]` is an array (H, W); `recording[10:0:-2]` and `recording[[3, 1, 2]]` are recordings again, as lazy as
+    this one; `read()` gives all frames as (N, H, W) and `batches(n)` a few at a time.
+
+    Attributes: `path`; `frame_shape` (H, W); `dtype` (unsigned integer or float); `bit_depth` (integer grey values lie
+    in 0 .. 2**bit_depth - 1: the true depth where the file states it, else that of the container; never guessed from
+    the values; None for float); `frame_rate` in Hz, None where nobody states it; `times`, float64, s, one a frame, 0 at
+    the trigger where the file has one, else at the first frame, None without a rate; `warnings`, sentences that a
+    user should read; `metadata`, what else the file says (camera, exposure, levels).
+    """
+
+    path: Path
+    frame_shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    bit_depth: int | None
+    frame_rate: float | None
+    times: NDArray[np.float64] | None
+    warnings: tuple[str, ...]
+    metadata: dict[str, Any]
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Number of frames that are there whole."""
+
+    @abstractmethod
+    def _read_frame(self, index: int) -> Frames:
+        """Frame number `index` (0 <= index < len) as (H, W): the one place where a reader touches pixels."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the file. Reading afterwards is an error."""
+
+    @overload
+    def __getitem__(self, key: int) -> Frames: ...
+
+    @overload
+    def __getitem__(self, key: slice | Sequence[int] | NDArray[np.integer[Any]]) -> Recording: ...
+
+    def __getitem__(self, key: int | slice | Sequence[int] | NDArray[np.integer[Any]]) -> Frames | Recording:
+        if isinstance(key, slice):
+            return self._view(range(len(self))[key])
+        if isinstance(key, (list, tuple, range)) or (isinstance(key, np.ndarray) and key.ndim == 1):
+            if isinstance(key, np.ndarray) and key.dtype.kind not in "iu":
+                raise TypeError(f"frames are chosen by whole numbers, not by {key.dtype}; try np.flatnonzero(mask)")
+            return self._view([self._within(operator.index(number)) for number in key])
+        return self._read_frame(self._within(operator.index(key)))  # type: ignore[arg-type]
+
+    def __iter__(self) -> Iterator[Frames]:
+        for index in range(len(self)):
+            yield self._read_frame(index)
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        height, width = self.frame_shape
+        rate = "rate unknown" if self.frame_rate is None else f"{self.frame_rate:g} Hz"
+        depth = "" if self.bit_depth is None else f", {self.bit_depth} bit"
+        return f"<Recording {self.path.name}: {len(self)} frames of {height} x {width}, {self.dtype}{depth}, {rate}>"
+
+    def read(self) -> Frames:
+        """All frames as one array (N, H, W). Take a slice first if they do not fit into memory."""
+        frames = np.empty((len(self), *self.frame_shape), self.dtype)
+        for index in range(len(self)):
+            frames[index] = self._read_frame(index)
+        return frames
+
+    def batches(self, size: int) -> Iterator[Frames]:
+        """Arrays (n, H, W) with n = `size`, the last one shorter if need be; one is in memory at a time."""
+        if size < 1:
+            raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
+        for start in range(0, len(self), size):
+            yield self[start : start + size].read()
+
+    def _view(self, indices: Sequence[int]) -> Recording:
+        return _View(self, indices)
+
+    def _within(self, index: int) -> int:
+        count = len(self)
+        if not -count <= index < count:
+            raise IndexError(f"{self.path.name} has {count} frames: frame {index} is not among them")
+        return index % count
+
+
+class FileRecording(Recording):
+    """A recording as it stands in a file. Readers add `_read_frame`.
+
+    A `frame_rate` given by the user replaces whatever the file says, time stamps included: frame i then lies at
+    (first number + i) / frame_rate, so that the trigger keeps its place.
+    """
+
+    def __init__(self, description: Description, frame_rate: float | None = None) -> None:
+        self.path = description.path
+        self.frame_shape = description.frame_shape
+        self.dtype = description.dtype.newbyteorder("=")
+        self.bit_depth = description.bit_depth
+        self.warnings = description.warnings
+        self.metadata = description.metadata
+        self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
+        self._count = description.count
+        if frame_rate is None and description.time_stamps is not None:
+            self.times = description.time_stamps
+        elif self.frame_rate is not None:
+            self.times = np.asarray((description.first_number + np.arange(description.count)) / self.frame_rate)
+        else:
+            self.times = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    def close(self) -> None:
+        """Nothing to let go of, unless a reader keeps the file open."""
+
+
+class _View(Recording):
+    """Some frames of a file, in any order."""
+
+    def __init__(self, file: Recording, indices: Sequence[int]) -> None:
+        self._file = file
+        self._indices = indices
+        self.path = file.path
+        self.frame_shape = file.frame_shape
+        self.dtype = file.dtype
+        self.bit_depth = file.bit_depth
+        self.warnings = file.warnings
+        self.metadata = file.metadata
+        self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
+        self.frame_rate = _rate_of_view(file.frame_rate, indices)
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def _read_frame(self, index: int) -> Frames:
+        return self._file._read_frame(self._indices[index])
+
+    def _view(self, indices: Sequence[int]) -> Recording:
+        # A view of a view points to the file at once, so that a chain of slices stays as fast as one.
+        return _View(self._file, [self._indices[index] for index in indices])
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
+    """Every second frame of 300 Hz is 150 Hz; frames picked unevenly have no rate."""
+    if rate is None or len(indices) < 2:
+        return rate
+    steps = np.abs(np.diff(np.asarray(indices)))
+    return rate / int(steps[0]) if steps[0] > 0 and np.all(steps == steps[0]) else None
+
+
+def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
+    """The dtype itself if frames may have it.
+
+    Raises FingerflowError for signed integers, logical and complex values: what their zero means is not for a reader
+    to decide.
+    """
+    if dtype.kind == "f" or (dtype.kind == "u" and dtype.itemsize <= 4):
+        return dtype
+    raise FingerflowError(
+        f"{path}: pixels are {dtype}, but frames are unsigned integers of 8 to 32 bits or floating point. "
+        "Save them as uint8, uint16 or float32."
+    )
+
+
+def container_bits(dtype: np.dtype[Any]) -> int | None:
+    """Bit depth where the file states none: that of the container. A guess from the values would change with them."""
+    return None if dtype.kind == "f" else 8 * dtype.itemsize
+
+
+def missing_frames(missing: int, expected: int) -> str:
+    """The sentence that goes into `warnings` of a file that ends too early."""
+    return f"truncated: {missing} of {expected} frames are missing at the end of the file"

@@ -1,0 +1,248 @@
+"""AVI, MP4, MKV and MOV files, decoded by FFmpeg (PyAV); any frame in any order, exactly, in bounded memory.
+
+Grey is kept as it is, more than 8 bits included. Of a YUV video the luma plane is taken as stored, no range is
+stretched. RGB is accepted where the three channels are equal, which is how many programs save grey without loss; a
+frame with real colour is refused when it is read.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+
+CACHE_BYTES = 128 * 2**20
+PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
+LUMA_RANGE = {1: "limited", 2: "full"}
+
+
+def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
+    """Find where each frame is, without decoding one. Raises FingerflowError for what FFmpeg cannot read.
+
+    Formats with a full index (AVI, MP4, MOV without reordered frames) give it at once; the packets of the others are
+    listed by going through the file.
+    """
+    container = _open(path)
+    with container:
+        if not container.streams.video:
+            raise FingerflowError(f"{path}: has no video stream")
+        stream = container.streams.video[0]
+        pixels = _pixels(path, stream.codec_context.pix_fmt, stream.codec_context.height, stream.codec_context.width)
+        promised, rate, tick = stream.frames, stream.average_rate, stream.time_base
+        luma_range = LUMA_RANGE.get(int(stream.codec_context.color_range), "not stated")
+        codec = stream.codec_context.name
+        container_seconds = (container.duration or 0) / av.time_base
+        index = _index(path, container, stream)
+    if not index.count:
+        raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
+    warnings = [missing_frames(promised - index.count, promised)] if promised > index.count else []
+    lasting = container_seconds * float(rate or 0)
+    if not promised and lasting - index.count > 1.5:  # MKV states no number of frames but how long they last
+        warnings.append(missing_frames(round(lasting) - index.count, round(lasting)))
+    if pixels.is_luma:
+        warnings.append(
+            f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
+            "its colour is dropped"
+        )
+    hertz = float(rate) if rate else None
+    stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
+    if hertz is not None and stamps is not None:
+        # Containers round time stamps to a tick (MKV: 1 ms); what is even up to that rounding is even.
+        if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
+            stamps = None
+        else:
+            warnings.append(f"frames are not evenly spaced; {hertz:g} Hz is their average rate")
+    description = Description(
+        path=path,
+        count=index.count,
+        frame_shape=pixels.shape,
+        dtype=pixels.dtype,
+        bit_depth=pixels.bits,
+        frame_rate=hertz,
+        time_stamps=stamps if hertz is not None else None,
+        warnings=tuple(warnings),
+        metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
+    )
+    return VideoRecording(description, frame_rate, pixels, index)
+
+
+class VideoRecording(FileRecording):
+    """Decodes from the key frame before the wanted one and keeps the last frames, so that reading backwards decodes
+    each group of pictures once if it fits into `CACHE_BYTES`."""
+
+    def __init__(self, description: Description, frame_rate: float | None, pixels: _Pixels, index: _Index) -> None:
+        super().__init__(description, frame_rate)
+        self._pixels = pixels
+        self._index = index
+        self._container: Any = None
+        self._decoded: Iterator[tuple[int, Any]] = iter(())
+        self._next = -1  # the frame that the decoder is about to give; -1 for none
+        self._cache: OrderedDict[int, Frames] = OrderedDict()
+        self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
+
+    def _read_frame(self, index: int) -> Frames:
+        if index not in self._cache:
+            self._decode_to(index)
+        return self._cache[index].copy()
+
+    def _decode_to(self, wanted: int) -> None:
+        keys = self._index.keys
+        nearest = bisect_right(keys, wanted) - 1
+        if not keys[nearest] <= self._next <= wanted:
+            self._start_at(keys[nearest])
+        if self._run_to(wanted):
+            return
+        self._start_at(0)  # a container whose seeking misses its key frames still decodes from the start
+        if not self._run_to(wanted):
+            raise FingerflowError(f"{self.path}: frame {wanted} cannot be decoded; the file is damaged there")
+
+    def _run_to(self, wanted: int) -> bool:
+        try:
+            for number, frame in self._decoded:
+                if number > wanted:
+                    return False
+                self._next = number + 1
+                self._cache[number] = self._pixels.of(frame, self.path, number)
+                while len(self._cache) > self._cached_at_most:
+                    self._cache.popitem(last=False)
+                if number == wanted:
+                    return True
+        except av.FFmpegError as error:
+            raise FingerflowError(f"{self.path}: frame {self._next} cannot be decoded ({error})") from None
+        return False
+
+    def _start_at(self, key: int) -> None:
+        if self._container is None or key == 0:
+            self.close()
+            self._container = _open(self.path)
+        stream = self._container.streams.video[0]
+        if key > 0 and self._index.stamps is not None:
+            self._container.seek(int(self._index.stamps[key]), stream=stream)
+        self._next = key
+        self._decoded = self._numbered(self._container.decode(stream), key)
+
+    def _numbered(self, frames: Iterator[Any], key: int) -> Iterator[tuple[int, Any]]:
+        """Frames with their number, from key frame `key` on: those shown before it lack what they refer to."""
+        if self._index.stamps is None:
+            yield from enumerate(frames)
+            return
+        for frame in frames:
+            number = self._index.numbers.get(frame.pts)
+            if number is not None and number >= key:
+                yield number, frame
+
+    def close(self) -> None:
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+        self._decoded, self._next = iter(()), -1
+
+
+@dataclass(frozen=True)
+class _Index:
+    """`stamps`: ticks in the order in which frames are shown, None if the file has no useful ones (then decoding always
+    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order."""
+
+    count: int
+    stamps: NDArray[np.int64] | None
+    keys: list[int]
+    numbers: dict[int, int]
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """How a decoded picture becomes grey values."""
+
+    name: str
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    bits: int
+    shift: int
+    stored: np.dtype[Any]
+    is_rgb: bool
+    is_luma: bool
+
+    def of(self, frame: Any, path: Path, number: int) -> Frames:
+        if (frame.height, frame.width) != self.shape or frame.format.name != self.name:
+            raise FingerflowError(
+                f"{path}: frame {number} is {frame.height} x {frame.width} {frame.format.name}, the header says "
+                f"{self.shape[0]} x {self.shape[1]} {self.name}"
+            )
+        if self.is_rgb:
+            rgb = frame.to_ndarray(format="rgb24")
+            if np.any(rgb[..., 1:] != rgb[..., :1]):
+                raise FingerflowError(f"{path}: frame {number} has real colour ({self.name}); convert it to grey first")
+            return np.ascontiguousarray(rgb[..., 0])
+        plane = frame.planes[0]
+        values = np.frombuffer(plane, self.stored).reshape(self.shape[0], -1)
+        if self.name in PACKED_LUMA:
+            values = values[:, PACKED_LUMA[self.name]]
+        return (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
+
+
+def _open(path: Path) -> Any:
+    try:
+        return av.open(str(path))
+    except (av.FFmpegError, OSError) as error:
+        raise FingerflowError(f"{path}: cannot be read as video, it is of another kind or damaged ({error})") from None
+
+
+def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
+    if name is None or height == 0 or width == 0:
+        raise FingerflowError(f"{path}: its header is damaged: no pixel format or size can be found")
+    layout = av.VideoFormat(name)
+    bits = [component.bits for component in layout.components]
+    is_rgb = layout.is_rgb or layout.has_palette
+    grey = layout.is_planar or len(bits) == 1 or name in PACKED_LUMA
+    unknown = name.startswith("bayer") or layout.is_bit_stream or not (grey or is_rgb)
+    if unknown or max(bits) > (8 if is_rgb else 16):
+        raise FingerflowError(
+            f"{path}: pixel format {name} is not grey; known are grey and YUV of 8 to 16 bits, and RGB of 8 bits with "
+            "equal channels. Convert the video, for example to FFV1 with gray or gray16le."
+        )
+    stored = np.dtype(np.uint8 if bits[0] <= 8 else (">u2" if layout.is_big_endian else "<u2"))
+    return _Pixels(
+        name=name,
+        shape=(height, width),
+        dtype=np.dtype(np.uint8 if bits[0] <= 8 else np.uint16),
+        bits=8 if is_rgb else bits[0],
+        shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and its kin fill 16 bits from the top
+        stored=stored,
+        is_rgb=is_rgb,
+        is_luma=not is_rgb and len(bits) > 1,
+    )
+
+
+def _index(path: Path, container: Any, stream: Any) -> _Index:
+    size = path.stat().st_size
+    entries = list(stream.index_entries)
+    if entries and len(entries) == stream.frames and not stream.codec_context.has_b_frames:
+        packets = [(entry.timestamp, entry.is_keyframe) for entry in entries if entry.pos + entry.size <= size]
+    else:
+        try:
+            packets = [
+                (packet.pts, packet.is_keyframe)
+                for packet in container.demux(stream)
+                if packet.size and not packet.is_discard and not packet.is_corrupt
+            ]
+        except av.FFmpegError as error:
+            raise FingerflowError(f"{path}: cannot be read to its end ({error})") from None
+    stamps = [stamp for stamp, _ in packets]
+    # AVI has no order of display: what FFmpeg makes up for reordered frames is not what the decoder gives later.
+    unordered = container.format.name == "avi" and stream.codec_context.has_b_frames
+    if unordered or None in stamps or len(set(stamps)) < len(stamps):
+        return _Index(len(packets), None, [0], {})
+    packets.sort()
+    keys = [number for number, (_, is_key) in enumerate(packets) if is_key]
+    numbers = {stamp: number for number, (stamp, _) in enumerate(packets)}
+    return _Index(len(packets), np.array(sorted(stamps), np.int64), sorted({0, *keys}), numbers)
