@@ -1,0 +1,104 @@
+"""Exhaustive search for windows that moved further than Lucas-Kanade can follow."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from fingerflow.ops.windows import cut_windows
+
+# The template of the search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more than one
+# of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them apart.
+_WIDENING = 3
+_CHUNK = 128  # points a pass, which bounds the memory of the transforms
+
+
+def search_windows(
+    template_images: Tensor,
+    images: Tensor,
+    image_index: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    window: int,
+    radius: int,
+) -> Tensor:
+    """The place of highest normalised cross-correlation (ZNCC) within ``radius`` px of ``guess`` in x and y.
+
+    Works on the images at half resolution through the Fourier transform, so it serves as the start of
+    :func:`~fingerflow.ops.tracking.track_points`, not in its place: the answer is good to about a pixel.
+
+    A pyramid of Lucas-Kanade would be cheaper, but does not work on skin: ridges are a narrow band of frequencies, the levels that
+    could bridge 50 px contain none of them, and what remains there is the illumination, which does not move.
+
+    Args:
+        template_images, images: (B, 1, H, W) floating.
+        image_index: (P,) int64.
+        points: (P, 2) px in ``template_images``.
+        guess: (P, 2) px in ``images``.
+        window: side of the tracking window, px.
+        radius: px.
+
+    Returns:
+        (P, 2) px; ``guess`` where it is not finite or nothing correlates.
+    """
+    coarse_templates, coarse_images = F.avg_pool2d(template_images, 2), F.avg_pool2d(images, 2)
+    found = [
+        _search_coarse(coarse_templates, coarse_images, *part, window, radius)
+        for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
+    ]
+    return torch.cat(found) if found else guess
+
+
+def _search_coarse(
+    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, window: int, radius: int
+) -> Tensor:
+    half = _WIDENING * window // 4
+    size = 2 * half + 1
+    reach = (radius + 1) // 2
+    span = 2 * reach + 1
+    finite = points.isfinite().all(-1) & guess.isfinite().all(-1)
+    # Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
+    start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
+    center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
+    template = cut_windows(templates, image_index, start.long() - half, size).nan_to_num(0.0, 0.0, 0.0)
+    patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1).nan_to_num(0.0, 0.0, 0.0)
+    template = template - template.mean((-1, -2), keepdim=True)
+    patch = patch - patch.mean((-1, -2), keepdim=True)
+    shape = patch.shape[-2:]
+    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj()
+    product = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
+    deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
+    # A window without contrast correlates with nothing; the bound keeps rounding from making one win.
+    least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(patch.dtype).tiny
+    score = torch.where(deviation > least, product / deviation.clamp_min(least).sqrt(), -torch.inf)
+    peak, best = score.flatten(1).max(1)
+    row, column = best // span, best % span
+    point = torch.arange(len(best), device=best.device)
+    subpixel = torch.stack(
+        (
+            _vertex(
+                score[point, row, (column - 1).clamp_min(0)], peak, score[point, row, (column + 1).clamp_max(span - 1)]
+            ),
+            _vertex(
+                score[point, (row - 1).clamp_min(0), column], peak, score[point, (row + 1).clamp_max(span - 1), column]
+            ),
+        ),
+        dim=-1,
+    )
+    moved = torch.stack((column, row), dim=-1) - reach + subpixel
+    # The motion of the template's pixel, carried over to the point itself.
+    result = points + 2 * (center + moved - start)
+    return torch.where((finite & (peak > 0))[:, None], result, guess)
+
+
+def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
+    """Where the parabola through three neighbouring scores has its maximum, in -1/2 .. 1/2 from the middle one."""
+    curvature = before - 2 * peak + after
+    return torch.where(curvature < 0, (before - after) / (2 * curvature), 0.0).nan_to_num(0.0).clamp(-0.5, 0.5)
+
+
+def _box_sum(x: Tensor, size: int) -> Tensor:
+    """Sums over size x size windows of (P, h, w), by running sums along each axis in float64 (differences of long sums)."""
+    total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
+    total = total[:, size:] - total[:, :-size]
+    total = F.pad(total.cumsum(2), (1, 0))
+    return (total[:, :, size:] - total[:, :, :-size]).to(x.dtype)

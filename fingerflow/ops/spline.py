@@ -1,0 +1,70 @@
+"""The interpolant of tracking: uniform B-splines of order 1 or 3 on binomially smoothed samples.
+
+An image is represented as S(x, y) = sum_kl c[l, k] b(x - k) b(y - l), b the centred B-spline. The coefficients c are the
+samples smoothed once by [1 2 1]/4 in x and y; there is no inverse filter, so S is the image seen through one fixed
+low-pass. Both images of a pair are seen through the same one, therefore their shift is unchanged, and two things
+are gained over an exact interpolant (measured in ``bench``, suite ``interpolant``):
+
+- With exact cubic interpolation the noise of the template and of its own gradient correlate at fractional positions. That
+  pulls the estimate: 0.03 px at noise of 2 grey levels, 0.18 px at 5 on ridge texture. The low-pass removes it.
+- The gradient carries 1/30 of the noise, so the estimate stays at the Cramer-Rao bound at 5 grey levels, and no
+  recursive filter has to run over the frame.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def spline_coefficients(images: Tensor) -> Tensor:
+    """Spline coefficients of ``images``, for both orders.
+
+    Args:
+        images: (B, 1, H, W), any real dtype; H and W at least 2. Beyond the border the image is mirrored about its edge pixels.
+
+    Returns:
+        (B, 1, H, W), float64 for float64 images, else float32.
+    """
+    x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
+    x = F.pad(x, (1, 1, 1, 1), mode="reflect") if x.shape[0] else x.new_zeros((0, 1, x.shape[2] + 2, x.shape[3] + 2))
+    x = x[..., :-2, :] + 2 * x[..., 1:-1, :] + x[..., 2:, :]
+    return (x[..., :-2] + 2 * x[..., 1:-1] + x[..., 2:]) / 16
+
+
+def spline_basis(x: Tensor, order: int) -> Tensor:
+    """The centred B-spline of ``order`` 1 or 3 at ``x`` (any shape, px); zero beyond ``(order + 1) / 2`` px."""
+    distance = x.abs()
+    if order == 1:
+        return (1 - distance).clamp_min(0)
+    # In truncated powers: b3(r) = ((2 - r)+^3 - 4 (1 - r)+^3) / 6.
+    return ((2 - distance).clamp_min(0) ** 3 - 4 * (1 - distance).clamp_min(0) ** 3) / 6
+
+
+def spline_basis_derivative(x: Tensor, order: int) -> Tensor:
+    """The derivative of :func:`spline_basis` (1/px); for order 1 the mean of both slopes at the knots."""
+    distance = x.abs()
+    if order == 1:
+        return -torch.sign(x) * ((distance < 1).to(x.dtype) + 0.5 * (distance == 1).to(x.dtype))
+    return torch.sign(x) * (4 * (1 - distance).clamp_min(0) ** 2 - (2 - distance).clamp_min(0) ** 2) / 2
+
+
+def spline_weights(fraction: Tensor, order: int) -> tuple[Tensor, Tensor]:
+    """Weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
+
+    Args:
+        fraction: position minus its floor, any shape, in [0, 1).
+        order: 1 or 3.
+
+    Returns:
+        Two tensors ``fraction.shape + (order + 1,)``; the first coefficient is ``floor - (order - 1) / 2``.
+    """
+    first = (1 - order) // 2
+    taps = torch.arange(first, first + order + 1, device=fraction.device, dtype=fraction.dtype)
+    distance = fraction.unsqueeze(-1) - taps
+    value = spline_basis(distance, order)
+    if order == 1:
+        # The slope between the two samples, also on the left knot, where the basis itself has a kink.
+        derivative = torch.stack((-torch.ones_like(fraction), torch.ones_like(fraction)), dim=-1)
+    else:
+        derivative = spline_basis_derivative(distance, order)
+    return value, derivative

@@ -1,0 +1,116 @@
+"""Square windows around points: cut from the pixel grid, or sampled from the spline at fractional and warped positions.
+
+Everything here is flat: P points of any mixture of images, each with the index of its image.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from fingerflow.ops.spline import spline_basis, spline_basis_derivative, spline_weights
+
+
+def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
+    """Windows of ``size`` x ``size`` pixels.
+
+    Args:
+        images: (B, 1, H, W).
+        image_index: (P,) int64, which image a point lies in.
+        corner: (P, 2) int64 (x, y) of the first pixel. Pixels beyond the border repeat the border.
+
+    Returns:
+        (P, size, size) as (row, column).
+    """
+    height, width = images.shape[-2:]
+    steps = torch.arange(size, device=images.device)
+    row = (corner[:, 1, None] + steps).clamp(0, height - 1)
+    if not images.requires_grad:
+        # A row of a window lies in one piece: copying rows is several times faster than gathering pixels.
+        pieces = F.pad(images, (size, size, 0, 0), mode="replicate").unfold(3, size, 1)
+        return pieces[image_index[:, None], 0, row, (corner[:, 0, None] + size).clamp(0, width + size)]
+    # The derivative of that view would be ``size`` times as large as the image.
+    column = (corner[:, 0, None] + steps).clamp(0, width - 1)
+    return images.reshape(-1)[((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :]]
+
+
+def sample_windows(
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """The spline and its gradient on a window around each point.
+
+    Args:
+        coefficients: (B, 1, H, W) from :func:`~fingerflow.ops.spline.spline_coefficients`.
+        image_index: (P,) int64.
+        points: (P, 2) (x, y) in px, finite.
+        size: odd number of samples a side.
+        order: spline order, 1 or 3.
+        warp: (P, 2, 2) A; samples lie at ``point + A w`` instead of ``point + w``, w the integer window offsets.
+
+    Returns:
+        Values (P, size, size) and gradients with respect to w (P, 2, size, size), as (d/dx, d/dy).
+    """
+    if warp is not None:
+        return _sample_warped(coefficients, image_index, points, size, order, warp)
+    whole = points.detach().floor()
+    weights, slopes = spline_weights(points - whole, order)
+    patch = cut_windows(coefficients, image_index, whole.long() - size // 2 - (order - 1) // 2, size + order)
+    rows = _convolve(patch, weights[:, 1], size, dim=1)
+    rows_slope = _convolve(patch, slopes[:, 1], size, dim=1)
+    value = _convolve(rows, weights[:, 0], size, dim=2)
+    gradient = torch.stack(
+        (_convolve(rows, slopes[:, 0], size, dim=2), _convolve(rows_slope, weights[:, 0], size, dim=2)), dim=1
+    )
+    return value, gradient
+
+
+def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
+    """``size`` weighted sums of neighbours along ``dim``; weights (P, taps) differ from point to point."""
+    taps = weights[:, :, None, None].unbind(1)
+    total = taps[0] * patch.narrow(dim, 0, size)
+    for k in range(1, len(taps)):
+        total = torch.addcmul(total, taps[k], patch.narrow(dim, k, size))
+    return total
+
+
+def _sample_warped(
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions that do not form a pixel grid have no common fraction, so every sample has weights of its own."""
+    height, width = coefficients.shape[-2:]
+    half = size // 2
+    offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
+    # (P, size, size) positions; the window's rows are y, its columns x.
+    x = points[:, 0, None, None] + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
+    y = points[:, 1, None, None] + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
+    whole_x, whole_y = x.detach().floor(), y.detach().floor()
+    fraction_x, fraction_y = x - whole_x, y - whole_y
+    first = (1 - order) // 2
+    flat = coefficients.reshape(-1)
+    columns, weights_x, slopes_x = [], [], []
+    for k in range(first, first + order + 1):
+        columns.append((whole_x.long() + k).clamp(0, width - 1))
+        weights_x.append(spline_basis(fraction_x - k, order))
+        slopes_x.append(spline_basis_derivative(fraction_x - k, order))
+    value = torch.zeros_like(x)
+    along_x = torch.zeros_like(x)
+    along_y = torch.zeros_like(x)
+    for k in range(first, first + order + 1):
+        row = (whole_y.long() + k).clamp(0, height - 1) + image_index[:, None, None] * height
+        row_value, row_slope = torch.zeros_like(x), torch.zeros_like(x)
+        for column, weight, slope in zip(columns, weights_x, slopes_x, strict=True):
+            sample = flat[row * width + column]
+            row_value = torch.addcmul(row_value, weight, sample)
+            row_slope = torch.addcmul(row_slope, slope, sample)
+        weight_y = spline_basis(fraction_y - k, order)
+        value = torch.addcmul(value, weight_y, row_value)
+        along_x = torch.addcmul(along_x, weight_y, row_slope)
+        along_y = torch.addcmul(along_y, spline_basis_derivative(fraction_y - k, order), row_value)
+    # Chain rule: d/dw = A^T d/dx.
+    gradient = torch.stack(
+        (
+            warp[:, 0, 0, None, None] * along_x + warp[:, 1, 0, None, None] * along_y,
+            warp[:, 0, 1, None, None] * along_x + warp[:, 1, 1, None, None] * along_y,
+        ),
+        dim=1,
+    )
+    return value, gradient
