@@ -44,7 +44,7 @@ def local_gradients(
         queries: (B, Q, 2) places in L where the fit is wanted; the points themselves by default.
         gauge_length: diameter of the support in L. It sets the resolution: in a dense uniform cloud a sinusoid of
             wavelength w keeps 48 J3(k)/k^3 of its value and 384 J4(k)/k^4 of its slope, k = pi gauge_length / w
-            (0.86 of the slope at two gauge lengths a wave, 0.97 at four).
+            (0.88 of the slope at two gauge lengths a wave, 0.97 at four).
         variance: (B, N), the variance of each component of a value, or (B, N, C, C), its covariance, in value unit
             squared. Asks for the covariance of the gradient: A^-1 (sum w^2 s d d') A^-1, the exact covariance of this
             linear estimator for independent errors s. It does not contain the smoothing above.
@@ -56,7 +56,7 @@ def local_gradients(
     fit, which `centroid_offset` tells: 0 inside a uniform cloud, 0.15 gauge lengths on its straight border.
 
     Computed in float32 at least and from differences to the query, so the distance from the origin costs nothing but
-    the rounding of the positions. Memory is bounded by working through the queries in pieces, all of which autograd keeps.
+    the rounding of the positions. Memory is bounded by working through the queries in pieces (autograd keeps them all).
     Raises TypeError or ValueError for a wrong dtype, shape or setting.
     """
     queries = points if queries is None else queries

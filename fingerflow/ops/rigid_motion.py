@@ -14,9 +14,9 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
         displacement: (B, N, 2) in L.
         weights: (B, N), not negative; equal by default. A point of weight 0 has no part in the fit, but a residual.
 
-    The motion minimises the weighted sum of squared residuals (Procrustes, closed form in the plane). A point with a NaN
-    or infinite position or displacement has no part in the fit and a residual of NaN; one with such a weight has no part
-    either. A frame whose points do not determine the rotation (fewer than two distinct ones) is NaN throughout.
+    The motion minimises the weighted sum of squared residuals (Procrustes, closed form in the plane). A point with a
+    NaN or infinite position or displacement has no part in the fit and a residual of NaN; one with such a weight has
+    no part either. A frame whose points do not determine the rotation (fewer than two distinct ones) is NaN throughout.
     Computed in float32 at least. Raises TypeError or ValueError for a wrong dtype or shape.
     """
     check_scattered(points, displacement)
@@ -38,15 +38,16 @@ def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None 
     # Centred twice: the first mean of far coordinates is itself rounded.
     centred = _centred(_centred(positions, mass), mass)
     change = _centred(moved, mass)
-    after = centred + change
     x, y = centred.unbind(-1)
+    change_x, change_y = change.unbind(-1)
     weight = mass[..., 0]
-    along = (weight * (x * after[..., 0] + y * after[..., 1])).sum(1, keepdim=True)
-    across = (weight * (x * after[..., 1] - y * after[..., 0])).sum(1, keepdim=True)
+    # Dot and cross product of the positions before and after; the cross product of a position with itself is left out.
+    spread = (weight * (x * x + y * y)).sum(1, keepdim=True)
+    along = spread + (weight * (x * change_x + y * change_y)).sum(1, keepdim=True)
+    across = (weight * (x * change_y - y * change_x)).sum(1, keepdim=True)
 
     # Points that differ by no more than the rounding of their coordinates are one point.
     rounding = torch.finfo(dtype).eps * positions.abs().sum(-1)
-    spread = (weight * (x * x + y * y)).sum(1, keepdim=True)
     determined = (spread > (weight * rounding.square()).sum(1, keepdim=True)) & ((along != 0) | (across != 0))
     angle = torch.atan2(across, torch.where(determined, along, 1))
     # R - I by the half angle: cos(angle) - 1 would lose the digits of a small rotation.

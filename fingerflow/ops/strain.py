@@ -70,8 +70,8 @@ class PrincipalStrains(NamedTuple):
 def principal_strains(strain: Tensor) -> PrincipalStrains:
     """Major and minor principal strain and the direction of the major one, of (exx, eyy, exy) (..., 3).
 
-    Where the two are equal there is no direction: the angle is NaN. Their difference has a kink there, so autograd gives
-    both the gradient of their mean.
+    Where the two are equal there is no direction: the angle is NaN. Their difference has a kink there, so autograd
+    gives both the gradient of their mean.
     """
     exx, eyy, exy = _components(strain)
     mean, half_difference = (exx + eyy) / 2, (exx - eyy) / 2

@@ -25,8 +25,8 @@ def weighted_moments(
 ) -> WeightedMoments:
     """The moments, at each query, of `values` v (B, N, C) and `noise` s (B, N, V) of the `usable` (B, N) points.
 
-    Points (B, N, 2) and queries (B, Q, 2) are finite, and values and noise are 0 where a point is not usable; batches may be 1.
-    Works through the queries in pieces of bounded size.
+    Points (B, N, 2) and queries (B, Q, 2) are finite, and values and noise are 0 where a point is not usable; batches
+    may be 1. Works through the queries in pieces of bounded size.
     """
     geometries = torch.broadcast_shapes(points.shape[:1], queries.shape[:1])[0]
     shared = geometries == 1

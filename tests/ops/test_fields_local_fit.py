@@ -1,0 +1,335 @@
+"""The local linear fit against linear, quadratic and sinusoidal fields, and against the same fit done one by one."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad
+from scipy.special import jv
+from torch import Tensor
+
+from fingerflow.ops import weighted_moments
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.strain import curl, divergence
+
+GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
+GAUGE = 2.0
+
+
+def cloud(batch: int = 1, count: int = 200, size: float = 6.0, seed: int = 5) -> Tensor:
+    """Points (batch, count, 2), uniform over a square of `size`: 14 a support of diameter 2 inside."""
+    generator = torch.Generator().manual_seed(seed)
+    return size * torch.rand(batch, count, 2, generator=generator, dtype=torch.float64)
+
+
+def inner_queries(count: int) -> Tensor:
+    """Queries (1, count, 2) that the cloud surrounds."""
+    return 1 + cloud(count=count, size=4.0, seed=7)
+
+
+def noise_like(tensor: Tensor, seed: int = 6) -> Tensor:
+    return torch.randn(tensor.shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def dense_lattice(spacing: float, radius: float) -> Tensor:
+    """A square lattice (1, N, 2) around the origin that fills the support of this radius."""
+    axis = torch.arange(-radius, radius + spacing / 2, spacing, dtype=torch.float64)
+    return torch.cartesian_prod(axis, axis)[None]
+
+
+def fit_one_by_one(points: Tensor, values: Tensor, query: Tensor, gauge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (3, C) of the plane at the query, and the matrix (3, N) that gives them, by NumPy least squares."""
+    offsets = (points - query).numpy()
+    weight = np.clip(1 - (offsets**2).sum(-1) / (gauge / 2) ** 2, 0, None) ** 2
+    design = np.column_stack((np.ones(len(offsets)), offsets))
+    root = np.sqrt(weight)[:, None]
+    estimator = np.linalg.pinv(root * design) * root.T
+    return estimator @ values.numpy(), estimator
+
+
+def test_a_linear_field_is_exact() -> None:
+    points = cloud(3)
+    values = points @ GRADIENT.T + torch.tensor([3.0, -2.0], dtype=torch.float64)
+    fit = local_gradients(points, values, gauge_length=GAUGE)
+    known = fit.gradient.isfinite().all(-1).all(-1)
+    assert known.float().mean() > 0.95
+    # Rounding, amplified by the worst support that is let through (spread of 0.1 of the radius: factor 1e2).
+    torch.testing.assert_close(fit.gradient[known], GRADIENT.expand(int(known.sum()), 2, 2), atol=1e-12, rtol=0)
+    torch.testing.assert_close(fit.value[known], values[known], atol=1e-12, rtol=0)
+
+
+def test_the_same_as_least_squares_done_one_by_one() -> None:
+    points = cloud()
+    values = noise_like(points)
+    queries = inner_queries(10)
+    fit = local_gradients(points, values, queries, gauge_length=GAUGE)
+    for index, query in enumerate(queries[0]):
+        coefficients, _ = fit_one_by_one(points[0], values[0], query, GAUGE)
+        np.testing.assert_allclose(fit.value[0, index], coefficients[0], atol=1e-12)
+        np.testing.assert_allclose(fit.gradient[0, index], coefficients[1:].T, atol=1e-12)
+        inside = int(((points[0] - query).norm(dim=-1) < GAUGE / 2).sum())
+        assert fit.point_count[0, index] == inside
+
+
+def test_a_permuted_list_of_points_gives_the_same_field() -> None:
+    """The lab's script differences along the list of points, which depends on their order."""
+    points = cloud()
+    values = torch.stack((points[..., 0].sin(), (points[..., 0] * points[..., 1]).cos()), dim=-1)
+    order = torch.randperm(points.shape[1], generator=torch.Generator().manual_seed(8))
+    fit = local_gradients(points, values, gauge_length=GAUGE)
+    shuffled = local_gradients(points[:, order], values[:, order], gauge_length=GAUGE)
+    for operator in (divergence, curl):
+        torch.testing.assert_close(
+            operator(shuffled.gradient), operator(fit.gradient)[:, order], atol=1e-12, rtol=0, equal_nan=True
+        )
+
+
+@pytest.mark.parametrize("waves_per_gauge", [0.125, 0.25, 0.5, 1.0])
+def test_a_sinusoid_is_attenuated_as_the_docstring_says(waves_per_gauge: float) -> None:
+    """Truth: the continuous fit, integrated in float64. Over y the weight integrates to (1 - x^2)^(5/2)."""
+    radius, wave_number = GAUGE / 2, 2 * math.pi * waves_per_gauge / GAUGE
+
+    def weight(x: float) -> float:
+        return (1 - x * x) ** 2.5
+
+    slope = quad(lambda x: weight(x) * x * math.sin(wave_number * radius * x), -1, 1)[0]
+    slope /= quad(lambda x: weight(x) * x * x, -1, 1)[0] * radius * wave_number
+    height = quad(lambda x: weight(x) * math.cos(wave_number * radius * x), -1, 1)[0]
+    height /= quad(weight, -1, 1)[0]
+
+    points = dense_lattice(radius / 40, radius)
+    phase = wave_number * points[..., 0]
+    values = torch.stack((phase.sin() / wave_number, phase.cos()), dim=-1)
+    fit = local_gradients(points, values, torch.zeros(1, 1, 2, dtype=torch.float64), gauge_length=GAUGE)
+    # 1e-5: the sum over 40 points a radius against the integral of a weight with two continuous derivatives.
+    assert fit.gradient[0, 0, 0, 0].item() == pytest.approx(slope, abs=1e-5)
+    assert fit.value[0, 0, 1].item() == pytest.approx(height, abs=1e-5)
+
+    argument = math.pi * waves_per_gauge
+    assert slope == pytest.approx(384 * jv(4, argument) / argument**4, abs=1e-8)
+    assert height == pytest.approx(48 * jv(3, argument) / argument**3, abs=1e-8)
+
+
+def test_a_quadratic_lifts_the_value_by_the_second_moment_and_leaves_the_slope() -> None:
+    radius = GAUGE / 2
+    points = dense_lattice(radius / 40, radius)
+    values = (points**2).sum(-1, keepdim=True) + 2 * points[..., :1]
+    fit = local_gradients(points, values, torch.zeros(1, 1, 2, dtype=torch.float64), gauge_length=GAUGE)
+    # The weighted mean of x^2 + y^2 is R^2 / 4 in a uniform cloud.
+    assert fit.value.item() == pytest.approx(radius**2 / 4, abs=1e-4)
+    np.testing.assert_allclose(fit.gradient[0, 0, 0], [2.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_missing_points_are_left_out_as_if_they_were_not_in_the_list(bad: float) -> None:
+    points, queries = cloud(), inner_queries(20)
+    values = noise_like(points)
+    spoiled_points, spoiled_values = points.clone(), values.clone()
+    spoiled_points[0, :10, 0] = bad
+    spoiled_values[0, 10:20, 1] = bad
+    fit = local_gradients(spoiled_points, spoiled_values, queries, gauge_length=GAUGE)
+    clean = local_gradients(points[:, 20:], values[:, 20:], queries, gauge_length=GAUGE)
+    assert torch.equal(fit.point_count, clean.point_count)
+    torch.testing.assert_close(fit.gradient, clean.gradient, atol=1e-12, rtol=0)
+    torch.testing.assert_close(fit.value, clean.value, atol=1e-12, rtol=0)
+
+
+def test_a_missing_query_is_nan_and_no_other() -> None:
+    points = cloud()
+    queries = torch.tensor([[[3.0, 3.0], [math.nan, 3.0], [3.0, math.inf]]], dtype=torch.float64)
+    fit = local_gradients(points, points, queries, gauge_length=GAUGE)
+    assert fit.gradient.isnan().all(-1).all(-1).tolist() == [[False, True, True]]
+    assert fit.point_count[0, 1:].tolist() == [0, 0]
+
+
+LINE = [[-0.4, -0.2], [-0.2, -0.1], [0.0, 0.0], [0.2, 0.1], [0.4, 0.2], [0.6, 0.3]]
+
+
+@pytest.mark.parametrize(
+    "support",
+    [
+        pytest.param([], id="no point"),
+        pytest.param([[0.1, 0.1]], id="one point"),
+        pytest.param([[0.1, 0.1], [-0.1, 0.2]], id="two points"),
+        pytest.param([[0.1, 0.1]] * 8, id="duplicates"),
+        pytest.param([[0.1, 0.1]] * 4 + [[-0.3, 0.2]] * 4, id="two places"),
+        pytest.param(LINE, id="collinear"),
+        pytest.param([[x, y + 1e-3 * (-1) ** i] for i, (x, y) in enumerate(LINE)], id="nearly collinear"),
+        pytest.param([[5.0, 0.0], [0.0, 5.0], [5.0, 5.0], [-5.0, 0.0], [0.0, -5.0]], id="all outside the support"),
+        pytest.param([[0.9999, 0.0], [0.0, 0.9999], *([[0.0, 0.0]] * 4)], id="spread by points of no weight"),
+    ],
+)
+@pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])
+def test_supports_that_determine_no_plane_are_nan_at_any_scale(support: list[list[float]], scale: float) -> None:
+    points = scale * torch.tensor(support, dtype=torch.float64).reshape(1, -1, 2)
+    query = torch.zeros(1, 1, 2, dtype=torch.float64)
+    fit = local_gradients(
+        points, points, query, gauge_length=GAUGE * scale, minimum_points=3, variance=points[..., 0].abs()
+    )
+    assert fit.gradient.isnan().all()
+    assert fit.value.isnan().all()
+    assert fit.centroid_offset.isnan().all()
+    assert fit.covariance is not None
+    assert fit.covariance.isnan().all()
+
+
+def test_the_number_of_points_that_is_asked_for() -> None:
+    points = torch.tensor([[[-0.3, -0.3], [0.4, -0.3], [-0.2, 0.4], [0.3, 0.3], [0.0, 0.1]]], dtype=torch.float64)
+    query = torch.zeros(1, 1, 2, dtype=torch.float64)
+    for minimum, known in ((3, True), (5, True), (6, False)):
+        fit = local_gradients(points, points, query, gauge_length=GAUGE, minimum_points=minimum)
+        assert fit.gradient.isfinite().all().item() is known
+        assert fit.point_count.item() == 5
+
+
+def test_float32_far_from_the_origin() -> None:
+    points = (cloud() + 1e5).float()  # spacing of float32 here: 0.0078
+    values = ((points.double() - 1e5) @ GRADIENT.T).float()
+    fit = local_gradients(points, values, gauge_length=GAUGE)
+    truth = local_gradients(points.double(), values.double(), gauge_length=GAUGE)
+    assert torch.equal(fit.point_count, truth.point_count)
+    assert fit.gradient.isfinite().float().mean() > 0.95
+    # eps x displacement of 0.5 over a spread of 0.1 at worst, some tens of roundings; raw moments would miss by 1e2.
+    torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=2e-5, rtol=0, equal_nan=True)
+    torch.testing.assert_close(fit.value.double(), truth.value, atol=2e-6, rtol=0, equal_nan=True)
+
+
+def test_float32_keeps_small_slopes_on_a_large_height() -> None:
+    points = cloud().float()
+    values = (1000 + points.double() @ (1e-2 * GRADIENT.T)).float()  # spacing of float32 there: 6e-5
+    fit = local_gradients(points, values, gauge_length=GAUGE)
+    truth = local_gradients(points.double(), values.double(), gauge_length=GAUGE)
+    torch.testing.assert_close(fit.gradient.double(), truth.gradient, atol=1e-6, rtol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_the_rounded_float32_answer(dtype: torch.dtype) -> None:
+    points = cloud().to(dtype)
+    values = (points.double() @ GRADIENT.T).to(dtype)
+    fit = local_gradients(points, values, gauge_length=GAUGE)
+    wide = local_gradients(points.float(), values.float(), gauge_length=GAUGE)
+    assert fit.gradient.dtype == fit.value.dtype == dtype
+    assert torch.equal(fit.gradient.nan_to_num(), wide.gradient.to(dtype).nan_to_num())
+
+
+@pytest.mark.parametrize("batch", [0, 1, 1000])
+def test_batches(batch: int) -> None:
+    points = cloud(count=8, size=1.0).expand(batch, -1, -1)
+    for reference in (points, cloud(count=8, size=1.0)):
+        fit = local_gradients(reference, points, gauge_length=3.0, variance=points[..., 0])
+        assert fit.value.shape == (batch, 8, 2)
+        assert fit.gradient.shape == (batch, 8, 2, 2)
+        assert fit.covariance is not None
+        assert fit.covariance.shape == (batch, 8, 2, 2, 2, 2)
+        assert fit.point_count.shape == fit.centroid_offset.shape == (batch, 8)
+        assert fit.gradient.isfinite().all()
+
+
+def test_no_queries_and_no_points() -> None:
+    points = cloud(2)
+    assert local_gradients(points, points, points[:, :0], gauge_length=GAUGE).gradient.shape == (2, 0, 2, 2)
+    fit = local_gradients(points[:, :0], points[:, :0], points, gauge_length=GAUGE)
+    assert fit.gradient.isnan().all()
+    assert not fit.point_count.any()
+
+
+def test_shared_positions_and_positions_of_each_frame_agree() -> None:
+    points, queries = cloud(), inner_queries(30)
+    values = noise_like(points.expand(4, -1, -1))
+    values[1, :50] = torch.nan  # a point may be lost in one frame and not in another
+    covariance = torch.eye(2, dtype=torch.float64) * (1 + torch.arange(200.0, dtype=torch.float64))[None, :, None, None]
+    covariance = covariance.repeat(4, 1, 1, 1)
+    covariance[2, :50] = torch.nan
+    shared = local_gradients(points, values, queries, gauge_length=GAUGE, variance=covariance)
+    own = local_gradients(points.repeat(4, 1, 1), values, queries, gauge_length=GAUGE, variance=covariance)
+    for left, right in zip(shared, own, strict=True):
+        torch.testing.assert_close(left, right, atol=1e-11, rtol=1e-11, equal_nan=True)
+    for frame in range(4):
+        alone = local_gradients(
+            points, values[frame : frame + 1], queries, gauge_length=GAUGE, variance=covariance[frame : frame + 1]
+        )
+        torch.testing.assert_close(shared.gradient[frame], alone.gradient[0], atol=1e-11, rtol=0, equal_nan=True)
+
+
+def test_the_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, queries = cloud(3), inner_queries(17)
+    whole = local_gradients(points, points.sin(), queries, gauge_length=GAUGE, variance=points[..., 0])
+    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 3 * 200 * 5)
+    pieces = local_gradients(points, points.sin(), queries, gauge_length=GAUGE, variance=points[..., 0])
+    for left, right in zip(whole, pieces, strict=True):
+        torch.testing.assert_close(left, right, atol=1e-12, rtol=1e-12, equal_nan=True)
+
+
+def test_the_centroid_offset_tells_the_border() -> None:
+    radius = GAUGE / 2
+    points = dense_lattice(radius / 40, radius)
+    half = points[points[..., 0] >= 0][None]
+    query = torch.zeros(1, 1, 2, dtype=torch.float64)
+    assert local_gradients(points, points, query, gauge_length=GAUGE).centroid_offset.item() == pytest.approx(
+        0, abs=1e-12
+    )
+    # (2/3 - 4/5 + 2/7) / (pi/6) = 0.291 of the radius in the continuous limit; the lattice misses by half a spacing.
+    offset = local_gradients(half, half, query, gauge_length=GAUGE).centroid_offset.item()
+    assert offset == pytest.approx(0.291 * radius, abs=radius / 60)
+
+
+def test_inputs_are_not_changed() -> None:
+    points = cloud()
+    points[0, 0] = torch.nan
+    values, variance = points.clone(), points[..., 0].clone()
+    before = points.clone()
+    local_gradients(points, values, gauge_length=GAUGE, variance=variance)
+    for tensor, expected in ((points, before), (values, before), (variance, before[..., 0])):
+        assert torch.equal(tensor.nan_to_num(), expected.nan_to_num())
+
+
+def test_autograd() -> None:
+    points = cloud(2, count=12, size=1.0).requires_grad_()
+    values = noise_like(points).requires_grad_()
+    variance = (0.1 + cloud(2, count=12, size=1.0, seed=9)[..., 0]).requires_grad_()
+    queries = cloud(2, count=3, size=1.0, seed=10).requires_grad_()
+
+    def fit(points: Tensor, values: Tensor, queries: Tensor, variance: Tensor) -> tuple[Tensor, ...]:
+        result = local_gradients(points, values, queries, gauge_length=3.0, variance=variance)
+        assert result.covariance is not None
+        return result.value, result.gradient, result.covariance
+
+    assert torch.autograd.gradcheck(fit, (points, values, queries, variance))
+    # The points as their own queries, and one geometry for two frames.
+    shared = points.detach()[:1].requires_grad_()
+    assert torch.autograd.gradcheck(lambda p, v: local_gradients(p, v, gauge_length=3.0)[:2], (shared, values))
+
+
+def test_autograd_stays_finite_beside_missing_points() -> None:
+    points = cloud(1, count=40)
+    points[0, 0] = torch.nan
+    points[0, 1] = 100.0  # alone
+    values = noise_like(points)
+    values[0, 2] = torch.nan
+    points.requires_grad_()
+    values.requires_grad_()
+    local_gradients(points, values, gauge_length=GAUGE).gradient.nansum().backward()
+    for tensor in (points, values):
+        assert tensor.grad is not None
+        assert tensor.grad.isfinite().all()
+        assert tensor.grad.abs().sum() > 0
+
+
+def test_refusals_name_what_was_found() -> None:
+    points = cloud(2)
+    for gauge in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match=f"found {gauge}"):
+            local_gradients(points, points, gauge_length=gauge)
+    with pytest.raises(ValueError, match="found 2"):
+        local_gradients(points, points, gauge_length=1.0, minimum_points=2)
+    with pytest.raises(TypeError, match="int64"):
+        local_gradients(points, points.long(), gauge_length=1.0)
+    with pytest.raises(ValueError, match=r"\(2, 5, 3\)"):
+        local_gradients(points, points, torch.zeros(2, 5, 3), gauge_length=1.0)
+    with pytest.raises(ValueError, match="queries 3"):
+        local_gradients(points, points, torch.zeros(3, 5, 2), gauge_length=1.0)
+    with pytest.raises(ValueError, match=r"\(2, 200, 2\)"):
+        local_gradients(points, points, gauge_length=1.0, variance=points)
+    with pytest.raises(ValueError, match="variance 3"):
+        local_gradients(points, points, gauge_length=1.0, variance=torch.zeros(3, 200))

@@ -1,0 +1,210 @@
+"""Gradients, areas and quality of triangles against linear fields that are known."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.ops.strain import green_lagrange
+from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_quality
+
+GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
+UNIT_TRIANGLE = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]], dtype=torch.float64)
+
+
+def lattice(side: int = 6) -> tuple[Tensor, Tensor]:
+    """A jittered lattice (1, side^2, 2) of unit spacing and its 2 (side - 1)^2 triangles, none of them flat."""
+    generator = torch.Generator().manual_seed(1)
+    rows, columns = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
+    points = torch.stack((columns, rows), dim=-1).reshape(1, -1, 2).double()
+    points = points + 0.3 * (torch.rand(points.shape, generator=generator, dtype=torch.float64) - 0.5)
+    corner = (side * rows[:-1, :-1] + columns[:-1, :-1]).reshape(-1, 1)
+    lower = corner + torch.tensor([0, 1, side])
+    upper = corner + torch.tensor([1, side + 1, side])
+    return points, torch.cat((lower, upper))
+
+
+def test_a_linear_field_is_exact() -> None:
+    points, triangles = lattice()
+    values = points @ GRADIENT.T + torch.tensor([3.0, -2.0], dtype=torch.float64)
+    gradient = triangle_gradients(points, triangles, values)
+    # Rounding only: displacements near 3, edges near 1.
+    torch.testing.assert_close(gradient, GRADIENT.expand(1, len(triangles), 2, 2), atol=1e-13, rtol=0)
+
+
+def test_the_row_is_the_component_and_the_column_the_direction() -> None:
+    values = torch.tensor([[[0.0, 0.0], [2.0, 3.0], [5.0, 7.0]]], dtype=torch.float64)
+    gradient = triangle_gradients(UNIT_TRIANGLE, torch.tensor([[0, 1, 2]]), values)
+    assert gradient[0, 0].tolist() == [[2.0, 5.0], [3.0, 7.0]]
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [1, 2, 0], [2, 1, 0], [0, 2, 1]])
+def test_orientation_and_first_vertex_do_not_matter(order: list[int]) -> None:
+    points, _ = lattice()
+    values = points @ GRADIENT.T
+    gradient = triangle_gradients(points, torch.tensor([[0, 1, 6]])[:, order], values)
+    torch.testing.assert_close(gradient[0, 0], GRADIENT, atol=1e-14, rtol=0)
+
+
+def test_any_number_of_components() -> None:
+    points, triangles = lattice()
+    slopes = torch.tensor([[1.0, 2.0], [3.0, -4.0], [0.0, 0.5]], dtype=torch.float64)
+    gradient = triangle_gradients(points, triangles, points @ slopes.T)
+    torch.testing.assert_close(gradient, slopes.expand(1, len(triangles), 3, 2), atol=1e-13, rtol=0)
+
+
+def test_one_set_of_reference_positions_serves_all_frames() -> None:
+    points, triangles = lattice()
+    values = torch.randn(4, points.shape[1], 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    shared = triangle_gradients(points, triangles, values)
+    assert torch.equal(shared, triangle_gradients(points.expand(4, -1, -1), triangles, values))
+
+
+@pytest.mark.parametrize(
+    "third",
+    [
+        pytest.param([2.0, 0.0], id="collinear"),
+        pytest.param([1.0, 0.0], id="duplicate"),
+        pytest.param([0.5, 1e-3], id="flat sliver"),
+        pytest.param([1e-3, 0.0], id="collinear, close"),
+        pytest.param([float("nan"), 1.0], id="NaN"),
+        pytest.param([float("inf"), 1.0], id="infinite"),
+    ],
+)
+def test_a_triangle_without_a_gradient_is_nan(third: list[float]) -> None:
+    points = UNIT_TRIANGLE.clone()
+    points[0, 2] = torch.tensor(third)
+    gradient = triangle_gradients(points, torch.tensor([[0, 1, 2], [0, 0, 0], [0, 1, 1]]), points.nan_to_num(0, 0, 0))
+    assert gradient.isnan().all()
+
+
+def test_collinear_points_stay_nan_when_every_sliver_is_allowed() -> None:
+    points = torch.tensor([[[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [1.0, 1.0 + 1e-6]]], dtype=torch.float64)
+    gradient = triangle_gradients(points, torch.tensor([[0, 1, 2], [0, 2, 3]]), points, minimum_quality=0.0)
+    assert gradient[0, 0].isnan().all()
+    torch.testing.assert_close(gradient[0, 1], torch.eye(2, dtype=torch.float64), atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_missing_value_spoils_its_own_triangles_only(bad: float) -> None:
+    points, triangles = lattice()
+    values = points @ GRADIENT.T
+    values[0, 7, 1] = bad
+    gradient = triangle_gradients(points, triangles, values)
+    touched = (triangles == 7).any(dim=1)
+    assert gradient[0, touched].isnan().all()
+    torch.testing.assert_close(gradient[0, ~touched], GRADIENT.expand(int((~touched).sum()), 2, 2), atol=1e-13, rtol=0)
+
+
+@pytest.mark.parametrize("index", [-1, 3, 100])
+def test_an_index_outside_the_points_is_nan_and_does_not_wrap_round(index: int) -> None:
+    triangles = torch.tensor([[0, 1, 2], [0, 1, index]])
+    gradient = triangle_gradients(UNIT_TRIANGLE, triangles, UNIT_TRIANGLE)
+    assert gradient[0, 0].isfinite().all()
+    assert gradient[0, 1].isnan().all()
+    assert triangle_areas(UNIT_TRIANGLE, triangles)[0].isnan().tolist() == [False, True]
+
+
+def test_float32_far_from_the_origin_loses_only_the_rounding_of_the_positions() -> None:
+    points, triangles = lattice()
+    far = (points + 1e5).float()  # spacing of float32 here: 0.0078
+    values = ((far.double() - 1e5) @ GRADIENT.T).float()
+    gradient = triangle_gradients(far, triangles, values)
+    # The truth uses the rounded positions: 1e-6 is eps x displacement of 0.5 over edges of 0.7, with room.
+    torch.testing.assert_close(gradient.double(), GRADIENT.expand(1, len(triangles), 2, 2), atol=1e-6, rtol=0)
+    areas = triangle_areas(far.double(), triangles)
+    torch.testing.assert_close(triangle_areas(far, triangles).double(), areas, atol=0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_the_rounded_float32_answer(dtype: torch.dtype) -> None:
+    points, triangles = lattice()
+    points, values = points.to(dtype), (points @ GRADIENT.T).to(dtype)
+    gradient = triangle_gradients(points, triangles, values)
+    assert gradient.dtype == dtype
+    assert torch.equal(gradient, triangle_gradients(points.float(), triangles, values.float()).to(dtype))
+
+
+@pytest.mark.parametrize("batch", [0, 1, 1000])
+@pytest.mark.parametrize("count", [0, 1])
+def test_batches_and_no_triangles(batch: int, count: int) -> None:
+    points = UNIT_TRIANGLE.expand(batch, -1, -1)
+    triangles = torch.tensor([[0, 1, 2]])[:count]
+    assert triangle_gradients(points, triangles, points).shape == (batch, count, 2, 2)
+    assert triangle_areas(points, triangles).shape == (batch, count)
+    assert triangle_gradients(UNIT_TRIANGLE, triangles, points).shape == (batch, count, 2, 2)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_points_give_nan(count: int) -> None:
+    points = UNIT_TRIANGLE[:, :count]
+    assert triangle_gradients(points, torch.tensor([[0, 1, 2]]), points).isnan().all()
+
+
+def test_areas_and_quality() -> None:
+    height = 3**0.5 / 2
+    points = torch.tensor([[[0, 0], [1, 0], [0.5, height], [0.5, -height], [0, 1], [2, 0]]], dtype=torch.float64)
+    triangles = torch.tensor([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [0, 0, 0]])
+    expected_areas = torch.tensor([[height / 2, height / 2, 0.5, 0.0, 0.0]], dtype=torch.float64)
+    expected_quality = torch.tensor([[1.0, 1.0, height, 0.0, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(triangle_areas(points, triangles), expected_areas)
+    torch.testing.assert_close(triangle_quality(points, triangles), expected_quality)
+    turn = torch.tensor([[0.8, -0.6], [0.6, 0.8]], dtype=torch.float64)
+    torch.testing.assert_close(triangle_quality(1e-3 * points @ turn.T + 7, triangles), expected_quality)
+
+
+def test_areas_add_up() -> None:
+    points, triangles = lattice()
+    border = points[0, [*range(0, 6), *range(11, 36, 6), *range(34, 29, -1), *range(24, 0, -6)]]
+    after = border.roll(-1, dims=0)
+    shoelace = (border[:, 0] * after[:, 1] - border[:, 1] * after[:, 0]).sum() / 2
+    torch.testing.assert_close(triangle_areas(points, triangles).sum(), shoelace)
+
+
+def test_autograd() -> None:
+    points, triangles = lattice(3)
+    values = torch.randn(points.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    points, values = points.requires_grad_(), values.requires_grad_()
+    assert torch.autograd.gradcheck(lambda p, v: triangle_gradients(p, triangles, v), (points, values))
+
+
+def test_autograd_stays_finite_beside_missing_points() -> None:
+    points, triangles = lattice(3)
+    points[0, 0] = torch.nan
+    points[0, 8] = points[0, 7]
+    values = points.detach().clone().requires_grad_()
+    points.requires_grad_()
+    triangle_gradients(points, triangles, values).nansum().backward()
+    for tensor in (points, values):
+        assert tensor.grad is not None
+        assert tensor.grad.isfinite().all()
+
+
+def test_a_known_finite_deformation_gives_its_green_lagrange_strain() -> None:
+    """On current positions, as in the lab's script, it comes out wrong: 0.095 for 0.105 even without the rotation."""
+    points, triangles = lattice()
+    deformation = torch.tensor([[1.1, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    turn = torch.tensor([[0.8, -0.6], [0.6, 0.8]], dtype=torch.float64)
+    current = points @ (turn @ deformation).T
+    strain = green_lagrange(triangle_gradients(points, triangles, current - points))
+    expected = torch.tensor([0.105, 0.0, 0.0], dtype=torch.float64).expand_as(strain)
+    torch.testing.assert_close(strain, expected, atol=1e-13, rtol=0)
+    wrong = green_lagrange(triangle_gradients(current, triangles, current - points))
+    assert (wrong - expected).abs().amin(dim=1).amax() > 1e-2
+
+
+def test_refusals_name_what_was_found() -> None:
+    points, triangles = lattice()
+    with pytest.raises(TypeError, match="int64"):
+        triangle_gradients(points.long(), triangles, points)
+    with pytest.raises(TypeError, match="float64"):
+        triangle_gradients(points, triangles.double(), points)
+    with pytest.raises(ValueError, match=r"\(36, 2\)"):
+        triangle_gradients(points[0], triangles, points)
+    with pytest.raises(ValueError, match=r"\(50, 2\)"):
+        triangle_gradients(points, triangles[:, :2], points)
+    with pytest.raises(ValueError, match=r"\(1, 35, 2\)"):
+        triangle_gradients(points, triangles, points[:, 1:])
+    with pytest.raises(ValueError, match="points 2, values 3"):
+        triangle_gradients(points.expand(2, -1, -1), triangles, points.expand(3, -1, -1))
+    with pytest.raises(ValueError, match=r"1\.5"):
+        triangle_gradients(points, triangles, points, minimum_quality=1.5)

@@ -1,0 +1,217 @@
+"""Divergence, curl, shear, strain and energy against deformations that are known, and against the printed errors."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.ops.strain import curl, divergence, green_lagrange, principal_strains, shear, strain_energy_density
+
+
+def rotation(angle: float) -> Tensor:
+    return torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]], dtype=torch.float64)
+
+
+IDENTITY = torch.eye(2, dtype=torch.float64)
+
+
+def random_gradients(count: int = 50, size: float = 0.3) -> Tensor:
+    return size * torch.randn(count, 2, 2, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+
+
+def test_divergence_and_curl_have_their_signs() -> None:
+    gradient = torch.tensor([[1.0, 10.0], [100.0, 1000.0]])
+    assert divergence(gradient).item() == 1001.0
+    assert curl(gradient).item() == 90.0
+    assert shear(gradient).tolist() == [-999.0, 110.0]
+
+
+def test_the_four_parts_rebuild_the_gradient() -> None:
+    gradient = random_gradients()
+    d, c = divergence(gradient), curl(gradient)
+    s, t = shear(gradient).unbind(-1)
+    rebuilt = torch.stack((d + s, t - c, t + c, d - s), dim=-1).reshape(gradient.shape) / 2
+    torch.testing.assert_close(rebuilt, gradient)
+
+
+def test_curl_of_a_small_rotation_is_twice_its_angle() -> None:
+    assert curl(rotation(1e-4) - IDENTITY).item() == pytest.approx(2e-4, rel=1e-7)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.5, -2.0, math.pi])
+def test_a_pure_rotation_has_no_strain(angle: float) -> None:
+    gradient = rotation(angle) - IDENTITY
+    torch.testing.assert_close(green_lagrange(gradient), torch.zeros(3, dtype=torch.float64), atol=1e-15, rtol=0)
+
+
+def test_infinitesimal_strain_takes_a_rotation_for_a_shrinkage() -> None:
+    strain = green_lagrange(rotation(0.1) - IDENTITY, "infinitesimal")
+    expected = torch.tensor([math.cos(0.1) - 1, math.cos(0.1) - 1, 0.0], dtype=torch.float64)
+    torch.testing.assert_close(strain, expected, atol=1e-15, rtol=0)
+
+
+def test_rotating_a_stretched_finger_changes_the_printed_strain_only() -> None:
+    """The printed exy lacks (u_x u_y + v_x v_y) / 2, so it depends on the rotation after the stretch."""
+    stretch = torch.tensor([[1.2, 0.0], [0.0, 0.9]], dtype=torch.float64)
+    gradient = rotation(0.3) @ stretch - IDENTITY
+    expected = torch.tensor([0.22, -0.095, 0.0], dtype=torch.float64)
+    torch.testing.assert_close(green_lagrange(gradient), expected, atol=1e-15, rtol=0)
+    printed = green_lagrange(gradient, "as_printed")
+    torch.testing.assert_close(printed[:2], expected[:2], atol=1e-15, rtol=0)
+    # (u_y + v_x) / 2 = sin(0.3) (1.2 - 0.9) / 2
+    assert printed[2].item() == pytest.approx(0.15 * math.sin(0.3), abs=1e-15)
+
+
+def test_full_strain_is_half_of_f_transposed_f_minus_identity() -> None:
+    gradient = random_gradients()
+    deformation = IDENTITY + gradient
+    tensor = (deformation.mT @ deformation - IDENTITY) / 2
+    expected = torch.stack((tensor[:, 0, 0], tensor[:, 1, 1], tensor[:, 0, 1]), dim=-1)
+    torch.testing.assert_close(green_lagrange(gradient), expected, atol=1e-15, rtol=0)
+
+
+def test_eyy_uses_dv_dy() -> None:
+    """The lab's script has dv/dx there: a stretch along y would vanish and a shear would stretch y."""
+    along_y = torch.tensor([[0.0, 0.0], [0.0, 0.1]], dtype=torch.float64)
+    sheared = torch.tensor([[0.0, 0.0], [0.1, 0.0]], dtype=torch.float64)
+    for measure, stretched in (("green_lagrange", 0.105), ("as_printed", 0.105), ("infinitesimal", 0.1)):
+        assert green_lagrange(along_y, measure)[1].item() == pytest.approx(stretched, abs=1e-15)
+        assert green_lagrange(sheared, measure)[1].item() == 0.0
+
+
+def test_simple_shear_and_uniaxial_stretch() -> None:
+    shear_by = torch.tensor([[0.0, 0.2], [0.0, 0.0]], dtype=torch.float64)
+    stretch_by = torch.tensor([[0.2, 0.0], [0.0, 0.0]], dtype=torch.float64)
+    for gradient, measure, expected in (
+        (shear_by, "green_lagrange", [0.0, 0.02, 0.1]),
+        (shear_by, "as_printed", [0.0, 0.02, 0.1]),
+        (shear_by, "infinitesimal", [0.0, 0.0, 0.1]),
+        (stretch_by, "green_lagrange", [0.22, 0.0, 0.0]),
+        (stretch_by, "infinitesimal", [0.2, 0.0, 0.0]),
+    ):
+        strain = green_lagrange(gradient, measure)
+        torch.testing.assert_close(strain, torch.tensor(expected, dtype=torch.float64), atol=1e-15, rtol=0)
+
+
+def test_an_unknown_measure_is_refused_with_the_three_that_exist() -> None:
+    with pytest.raises(ValueError, match=r"'almansi'.*green_lagrange, as_printed, infinitesimal"):
+        green_lagrange(IDENTITY, "almansi")
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16])
+def test_lower_precision_agrees_to_its_own_rounding(dtype: torch.dtype) -> None:
+    gradient = random_gradients(size=0.05).to(dtype)
+    truth = gradient.double()
+    limit = 4 * torch.finfo(dtype).eps  # a handful of roundings of numbers under 0.5
+    for low, high in (
+        (divergence(gradient), divergence(truth)),
+        (curl(gradient), curl(truth)),
+        (shear(gradient), shear(truth)),
+        (green_lagrange(gradient), green_lagrange(truth)),
+        (principal_strains(green_lagrange(gradient)).strains, principal_strains(green_lagrange(truth)).strains),
+    ):
+        assert low.dtype == dtype
+        torch.testing.assert_close(low.double(), high, atol=limit / 4, rtol=limit)
+
+
+def test_nan_stays_and_an_empty_batch_passes() -> None:
+    gradient = torch.full((2, 2, 2), torch.nan)
+    assert green_lagrange(gradient).isnan().all()
+    assert strain_energy_density(green_lagrange(gradient)).isnan().all()
+    assert principal_strains(green_lagrange(gradient)).strains.isnan().all()
+    assert principal_strains(green_lagrange(gradient)).angle.isnan().all()
+    empty = green_lagrange(torch.zeros(0, 5, 2, 2))
+    assert empty.shape == (0, 5, 3)
+    assert strain_energy_density(empty).shape == (0, 5)
+    assert principal_strains(empty).strains.shape == (0, 5, 2)
+
+
+def test_principal_strains_are_eigenvalues_and_their_direction() -> None:
+    strain = green_lagrange(random_gradients())
+    exx, eyy, exy = strain.unbind(-1)
+    tensor = torch.stack((exx, exy, exy, eyy), dim=-1).reshape(-1, 2, 2)
+    principal = principal_strains(strain)
+    torch.testing.assert_close(principal.strains, torch.linalg.eigvalsh(tensor).flip(-1), atol=1e-14, rtol=0)
+    direction = torch.stack((principal.angle.cos(), principal.angle.sin()), dim=-1)[..., None]
+    torch.testing.assert_close(tensor @ direction, principal.strains[:, :1, None] * direction, atol=1e-14, rtol=0)
+
+
+def test_equal_principal_strains_have_no_direction_and_a_finite_derivative() -> None:
+    strain = torch.tensor([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.25, 0.0]], dtype=torch.float64, requires_grad=True)
+    principal = principal_strains(strain)
+    assert principal.strains.tolist() == [[0.0, 0.0], [0.5, 0.5], [0.5, 0.25]]
+    assert principal.angle.isnan().tolist() == [True, True, False]
+    (principal.strains.sum() + principal.angle.nansum()).backward()
+    assert strain.grad is not None
+    assert strain.grad.isfinite().all()
+
+
+def test_tiny_strains_keep_their_direction_in_half_precision() -> None:
+    """The squares of 1e-4 vanish in float16; the principal strains must not."""
+    principal = principal_strains(torch.tensor([1e-4, -1e-4, 0.0], dtype=torch.float16))
+    torch.testing.assert_close(principal.strains, torch.tensor([1e-4, -1e-4], dtype=torch.float16), atol=0, rtol=2e-3)
+
+
+def hooke_plane_strain(strain: Tensor, young: float, poisson: float) -> Tensor:
+    """sxx, syy, sxy by Lame's constants, another route than the energy formula."""
+    first = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    second = young / (2 * (1 + poisson))
+    exx, eyy, exy = strain.unbind(-1)
+    volume = first * (exx + eyy)
+    return torch.stack((volume + 2 * second * exx, volume + 2 * second * eyy, 2 * second * exy), dim=-1)
+
+
+@pytest.mark.parametrize(("young", "poisson"), [(1.0, 0.4), (1.54, 0.0), (0.025, 0.49), (2.0, -0.7)])
+def test_the_energy_derives_into_hookes_stress(young: float, poisson: float) -> None:
+    strain = green_lagrange(random_gradients()).requires_grad_()
+    energy = strain_energy_density(strain, young, poisson)
+    (derivative,) = torch.autograd.grad(energy.sum(), strain)
+    stress = hooke_plane_strain(strain.detach(), young, poisson)
+    work = torch.tensor([1.0, 1.0, 2.0], dtype=torch.float64)  # exy counts twice in stress : strain
+    torch.testing.assert_close(derivative, stress * work)
+    torch.testing.assert_close(energy.detach(), (stress * work * strain.detach()).sum(-1) / 2)
+
+
+def test_the_energy_of_one_strain_by_hand() -> None:
+    # E = 1 MPa, nu = 0.4: 0.6 / (2 x 1.4 x 0.2) = 15/14, 0.4 / (1.4 x 0.2) = 10/7, 1 / 1.4 = 5/7
+    energy = strain_energy_density(torch.tensor([0.1, -0.2, 0.05], dtype=torch.float64))
+    assert energy.item() == pytest.approx(15 / 14 * 0.05 - 10 / 7 * 0.02 + 5 / 7 * 0.0025, rel=1e-14)
+
+
+@pytest.mark.parametrize("poisson", [-0.99, 0.0, 0.4, 0.4999])
+def test_the_energy_is_positive_for_every_strain_but_zero(poisson: float) -> None:
+    angles = torch.linspace(0, 2 * math.pi, 721, dtype=torch.float64)
+    for exy in (0.0, 0.3):
+        strain = torch.stack((angles.cos(), angles.sin(), torch.full_like(angles, exy)), dim=-1)
+        assert (strain_energy_density(strain, 1.0, poisson) > 0).all()
+    assert strain_energy_density(torch.zeros(3)).item() == 0.0
+
+
+@pytest.mark.parametrize("poisson", [0.5, 0.7, -1.0, -2.0, math.nan])
+def test_poisson_ratios_without_a_positive_energy_are_refused(poisson: float) -> None:
+    with pytest.raises(ValueError, match=f"found {poisson}"):
+        strain_energy_density(torch.zeros(3), 1.0, poisson)
+
+
+@pytest.mark.parametrize("young", [0.0, -1.0, math.inf, math.nan])
+def test_young_moduli_that_are_none_are_refused(young: float) -> None:
+    with pytest.raises(ValueError, match=f"found {young}"):
+        strain_energy_density(torch.zeros(3), young)
+
+
+def test_wrong_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(3, 2\)"):
+        divergence(torch.zeros(3, 2))
+    with pytest.raises(ValueError, match=r"\(4, 2\)"):
+        strain_energy_density(torch.zeros(4, 2))
+
+
+def test_autograd() -> None:
+    gradient = random_gradients(5).requires_grad_()
+
+    def everything(gradient: Tensor) -> tuple[Tensor, ...]:
+        strain = green_lagrange(gradient)
+        return divergence(gradient), curl(gradient), *principal_strains(strain), strain_energy_density(strain)
+
+    assert torch.autograd.gradcheck(everything, (gradient,))

@@ -1,0 +1,120 @@
+"""What remains after the best rigid motion: nothing for a rigid one, and what was added otherwise."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+from torch import Tensor
+
+from fingerflow.ops.rigid_motion import rigid_residual
+
+
+def cloud(batch: int = 1, count: int = 30) -> Tensor:
+    return 10 * torch.rand(batch, count, 2, generator=torch.Generator().manual_seed(15), dtype=torch.float64)
+
+
+def rigid_displacement(points: Tensor, angle: float, shift: tuple[float, float] = (3.0, -2.0)) -> Tensor:
+    turn = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]], dtype=torch.float64)
+    return points @ turn.T + torch.tensor(shift, dtype=torch.float64) - points
+
+
+def wobble(points: Tensor, size: float) -> Tensor:
+    return size * torch.randn(points.shape, generator=torch.Generator().manual_seed(16), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.2, -2.0, math.pi])
+def test_a_rigid_motion_leaves_nothing(angle: float) -> None:
+    points = cloud(3)
+    residual = rigid_residual(points, rigid_displacement(points, angle))
+    torch.testing.assert_close(residual, torch.zeros_like(points), atol=1e-13, rtol=0)
+
+
+def test_it_is_the_least_squares_minimum() -> None:
+    points = cloud()
+    displacement = rigid_displacement(points, 0.3) + wobble(points, 1.0)
+    weights = 0.1 + torch.rand(1, 30, generator=torch.Generator().manual_seed(17), dtype=torch.float64)
+
+    def residual_of(motion: np.ndarray) -> np.ndarray:
+        turned = rigid_displacement(points, motion[0], (motion[1], motion[2]))
+        return (displacement - turned).numpy()[0]
+
+    def cost(motion: np.ndarray) -> float:
+        return float((weights.numpy()[0, :, None] * residual_of(motion) ** 2).sum())
+
+    best = minimize(cost, np.zeros(3), tol=1e-14)
+    # The minimiser stops at the square root of its precision.
+    np.testing.assert_allclose(rigid_residual(points, displacement, weights)[0], residual_of(best.x), atol=1e-5)
+
+
+def test_slipping_points_show_their_slip_when_the_weights_name_the_stuck_ones() -> None:
+    points = cloud()
+    slip = torch.zeros_like(points)
+    slip[0, 20:, 0] = 0.05
+    weights = torch.ones(1, 30, dtype=torch.float64)
+    weights[0, 20:] = 0
+    residual = rigid_residual(points, rigid_displacement(points, 0.1) + slip, weights)
+    torch.testing.assert_close(residual, slip, atol=1e-13, rtol=0)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_missing_points_have_no_part(bad: float) -> None:
+    points = cloud()
+    displacement = rigid_displacement(points, 0.1) + wobble(points, 0.1)
+    clean = rigid_residual(points[:, 3:], displacement[:, 3:])
+    points[0, 0, 0], displacement[0, 1, 1] = bad, bad
+    weights = torch.ones(1, 30, dtype=torch.float64)
+    weights[0, 2] = bad
+    residual = rigid_residual(points, displacement, weights)
+    torch.testing.assert_close(residual[:, 3:], clean, atol=1e-13, rtol=0)
+    assert residual[0, :2].isnan().all()
+    assert residual[0, 2].isfinite().all()
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_one_place_determines_no_rotation(count: int, dtype: torch.dtype, offset: float) -> None:
+    points = torch.tensor([0.1, 0.7], dtype=dtype).expand(1, count, 2) + offset
+    assert rigid_residual(points, wobble(points, 1.0).to(dtype)).isnan().all()
+
+
+def test_two_points_leave_the_change_of_their_distance() -> None:
+    points = torch.tensor([[[0.0, 0.0], [2.0, 0.0]]], dtype=torch.float64)
+    displacement = torch.tensor([[[0.0, 0.0], [1.0, 0.0]]], dtype=torch.float64)
+    expected = torch.tensor([[[-0.5, 0.0], [0.5, 0.0]]], dtype=torch.float64)
+    torch.testing.assert_close(rigid_residual(points, displacement), expected)
+
+
+def test_float32_far_from_the_origin() -> None:
+    points = (cloud() + 1e5).float()
+    exact = points.double() - 1e5
+    displacement = rigid_displacement(exact, 1e-3, (0.0, 0.0)) + wobble(exact, 1e-3)
+    truth = rigid_residual(exact, displacement)
+    # A few eps (6e-8) of the displacement of 0.01.
+    residual = rigid_residual(points, displacement.float()).double()
+    torch.testing.assert_close(residual, truth, atol=3e-9, rtol=0)
+
+
+@pytest.mark.parametrize("batch", [0, 1, 1000])
+def test_batches(batch: int) -> None:
+    points = cloud(count=4)
+    displacement = rigid_displacement(points, 0.1).expand(batch, -1, -1)
+    residual = rigid_residual(points, displacement)
+    torch.testing.assert_close(residual, torch.zeros(batch, 4, 2, dtype=torch.float64), atol=1e-14, rtol=0)
+
+
+def test_autograd() -> None:
+    points = cloud(2, 5).requires_grad_()
+    displacement = wobble(points, 0.5).requires_grad_()
+    weights = torch.rand(2, 5, generator=torch.Generator().manual_seed(18), dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(rigid_residual, (points, displacement, weights))
+
+
+def test_refusals_name_what_was_found() -> None:
+    points = cloud()
+    with pytest.raises(ValueError, match=r"\(1, 30, 3\)"):
+        rigid_residual(points, torch.zeros(1, 30, 3))
+    with pytest.raises(ValueError, match=r"\(1, 29\)"):
+        rigid_residual(points, points, torch.ones(1, 29))
