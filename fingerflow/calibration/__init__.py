@@ -1,0 +1,22 @@
+"""The calibration of a rig from frames of a target with discs and of a ring: scale and view-to-view transform."""
+
+from fingerflow.calibration.calibration import Calibration
+from fingerflow.calibration.discs import find_discs
+from fingerflow.calibration.edge import Disc
+from fingerflow.calibration.from_frames import calibrate
+from fingerflow.calibration.overlay import draw_overlay
+from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
+from fingerflow.calibration.ring import find_hole
+
+__all__ = [
+    "Calibration",
+    "Disc",
+    "Transform",
+    "calibrate",
+    "draw_overlay",
+    "find_discs",
+    "find_hole",
+    "fit_affine",
+    "fit_similarity",
+    "match_discs",
+]

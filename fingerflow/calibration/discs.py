@@ -1,0 +1,158 @@
+"""Dark discs in a view, wherever they are and however unevenly they are lit."""
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fingerflow.calibration.edge import Array, Disc, fit_disc
+from fingerflow.errors import FingerflowError
+
+# Radii that are looked for, as shares of the shorter side of the view. The lab's discs have 0.045 to 0.06.
+DISC_RADII = (0.015, 0.15)
+# One octave of rings in pixels; larger ones are the same rings on a reduced image.
+RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
+# Mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
+LEAST_AGREEMENT = 0.4
+MOST_CANDIDATES = 20
+# What a fit must show to be called a disc. On the lab's frames the true discs have a coverage of 0.98 to 1, an edge
+# within 0.04 of the radius and a significance of 17 to 41; texture reaches 8.
+LEAST_COVERAGE = 0.75
+LEAST_AXIS_RATIO = 0.6
+MOST_EDGE_RMS = 0.07
+LEAST_SIGNIFICANCE = 10.0
+
+
+def find_discs(view_image: ArrayLike, background: ArrayLike | None = None, count: int = 3) -> list[Disc]:
+    """The `count` most significant dark discs of a view (H, W), the best first; fewer where there are fewer.
+
+    Only the direction of the brightness gradient votes, so that a disc in the shade counts as much as one in the light
+    and no illumination needs dividing out. That is also why `background`, the view without the target, is not divided
+    by (its lamp is another one, and most of it is black): what is round and dark there as well belongs to the rig and
+    is left out. Raises FingerflowError for an image that is not (H, W) or not finite.
+    """
+    return find_dark_discs(view_image, background, DISC_RADII)[:count]
+
+
+def find_dark_discs(view_image: ArrayLike, background: ArrayLike | None, radii: tuple[float, float]) -> list[Disc]:
+    """All discs with a radius between two shares of the shorter side of the view; see `find_discs`."""
+    image = _checked(view_image, "the view")
+    empty = None if background is None else _checked(background, "the background of the view")
+    if empty is not None and empty.shape != image.shape:
+        raise FingerflowError(
+            f"the background of the view is {empty.shape} and the view is {image.shape}: crop both with the same View"
+        )
+    smallest = max(radii[0] * min(image.shape), RING_RADII_PX[0])
+    largest = radii[1] * min(image.shape)
+    found: list[Disc] = []
+    for center, radius in _candidates(image, smallest, largest):
+        disc = fit_disc(image, center, radius)
+        if disc and _is_disc(disc) and smallest <= disc.radius_px <= largest and not _is_there(empty, disc):
+            found.append(disc)
+    found.sort(key=lambda disc: -disc.significance)
+    separate: list[Disc] = []
+    for disc in found:
+        if all(_distance(disc, other) > max(disc.radius_px, other.radius_px) for other in separate):
+            separate.append(disc)
+    return separate
+
+
+def _checked(image: ArrayLike, name: str) -> Array:
+    levels = np.asarray(image, dtype=np.float64)
+    if levels.ndim != 2 or 0 in levels.shape:
+        raise FingerflowError(f"{name} has the shape {levels.shape}; one grey image (height, width) is needed")
+    if not np.isfinite(levels).all():
+        raise FingerflowError(f"{name} has {np.sum(~np.isfinite(levels))} pixels that are NaN or infinite; none may be")
+    return levels
+
+
+def _is_disc(disc: Disc) -> bool:
+    return (
+        disc.coverage >= LEAST_COVERAGE
+        and disc.axis_ratio >= LEAST_AXIS_RATIO
+        and disc.edge_rms_px <= MOST_EDGE_RMS * disc.radius_px
+        and disc.significance >= LEAST_SIGNIFICANCE
+    )
+
+
+def _is_there(background: Array | None, disc: Disc) -> bool:
+    """Whether the same disc is in the background, where there is one."""
+    if background is None:
+        return False
+    same = fit_disc(background, disc.center, disc.radius_px)
+    return (
+        same is not None
+        and _is_disc(same)
+        and _distance(same, disc) < 0.25 * disc.radius_px
+        and 0.8 < same.radius_px / disc.radius_px < 1.25
+    )
+
+
+def _distance(disc: Disc, other: Disc) -> float:
+    return float(np.hypot(disc.center[0] - other.center[0], disc.center[1] - other.center[1]))
+
+
+def _candidates(image: Array, smallest: float, largest: float) -> list[tuple[tuple[float, float], float]]:
+    """(centre, radius) px of circles across which the image gets brighter in most directions, the best first."""
+    spread = float(np.ptp(image))
+    if spread == 0:
+        return []
+    levels = ((image - image.min()) / spread).astype(np.float32)
+    votes: list[tuple[float, float, float, float]] = []
+    reduction = 1
+    while RING_RADII_PX[0] * reduction <= largest and min(image.shape) // reduction >= 2 * RING_RADII_PX[0]:
+        radii = [
+            radius
+            for radius in RING_RADII_PX
+            if smallest <= radius * reduction * 2**0.25 and radius * reduction <= largest
+        ]
+        if radii:
+            votes += _votes_of_octave(levels, reduction, radii)
+        reduction *= 2
+    # Chance agrees as well with a small circle as with a large one, but texture mostly with small ones.
+    votes.sort(key=lambda vote: -vote[0] * np.sqrt(vote[3]))
+    best: list[tuple[tuple[float, float], float]] = []
+    for _, x, y, radius in votes:
+        if len(best) == MOST_CANDIDATES:
+            break
+        if not any(
+            np.hypot(x - x2, y - y2) < 0.5 * max(radius, radius2) and 0.6 < radius / radius2 < 1.7
+            for (x2, y2), radius2 in best
+        ):
+            best.append(((x, y), radius))
+    return best
+
+
+def _votes_of_octave(levels: Array, reduction: int, radii: list[float]) -> list[tuple[float, float, float, float]]:
+    """(agreement, x, y, radius) px of the local maxima of the agreement, in the pixels of the full image."""
+    height, width = levels.shape[0] // reduction, levels.shape[1] // reduction
+    # Whole blocks only, so that a reduced pixel is the mean of reduction x reduction pixels.
+    blocks = levels[: height * reduction, : width * reduction].reshape(height, reduction, width, reduction)
+    reduced = blocks.mean(axis=(1, 3))
+    # What varies over more than the largest ring is light, not a disc.
+    image = cv2.GaussianBlur(reduced, (0, 0), 1.2) - cv2.GaussianBlur(reduced, (0, 0), RING_RADII_PX[-1])
+    slope_x, slope_y = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    steepness = np.hypot(slope_x, slope_y)
+    # The median is the slope of texture and noise: below it a direction means nothing, above it all count alike.
+    length = np.hypot(steepness, np.median(steepness)) + 1e-7
+    slope_x, slope_y = slope_x / length, slope_y / length
+    votes = []
+    for radius in radii:
+        ring_x, ring_y = _ring(radius)
+        agreement = cv2.filter2D(slope_x, -1, ring_x, borderType=cv2.BORDER_CONSTANT)
+        agreement = agreement + cv2.filter2D(slope_y, -1, ring_y, borderType=cv2.BORDER_CONSTANT)
+        highest = cv2.dilate(agreement, np.ones((7, 7), np.uint8))
+        for row, column in np.argwhere((agreement == highest) & (agreement > LEAST_AGREEMENT)):
+            x, y = ((float(index) + 0.5) * reduction - 0.5 for index in (column, row))
+            votes.append((float(agreement[row, column]), x, y, radius * reduction))
+    return votes
+
+
+def _ring(radius: float) -> tuple[Array, Array]:
+    """The outward unit vectors (x, y) of a soft ring, which add up to 1 in length; wide enough for an ellipse."""
+    width = 0.12 * radius
+    reach = int(np.ceil(radius + 3 * width))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)
+    distance = np.hypot(x, y)
+    weight = np.exp(-(((distance - radius) / width) ** 2) / 2)
+    weight /= weight.sum() * np.where(distance > 0, distance, 1)
+    return weight * x, weight * y

@@ -1,0 +1,221 @@
+"""One dark disc, to a fraction of a pixel: an ellipse fitted to its edge.
+
+The image is unwrapped along the current ellipse: a row is an angle, a column a radius. In this picture the edge is a
+straight line, so smoothing along it and across it does not pull it inwards, as smoothing the image itself would (by
+sigma^2 / 2R for a circle of radius R). The steepest point of every ray is an edge point; an ellipse goes through
+them by robust geometric least squares; the next round unwraps along that ellipse.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, map_coordinates
+
+Array = NDArray[np.float64]
+
+# Half widths of the search band as fractions of the radius: wide while the ellipse is a guess, then narrow.
+SEARCH_BANDS = (0.45, 0.3, 0.2, 0.2)
+# Edge points further off than this many robust standard deviations count for nothing (Tukey's biweight).
+TUKEY_LIMIT = 4.685
+# A ragged edge is correlated along the contour, so the number of its points says little about the error of the centre.
+# In polar form harmonic 1 is a shift of the centre and harmonic 2 the ellipse: the next ones tell what the
+# raggedness may have done to the first.
+RAGGEDNESS_HARMONICS = range(3, 9)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A dark disc in a view, seen as an ellipse. Pixels are those of the view, (x, y), integers at pixel centres.
+
+    `semi_axes_px` has the longer first, `angle` (rad, from x towards y, in [0, pi)) is its direction.
+    `center_sigma_px` is the standard deviation of the centre along its worse direction. `edge_rms_px` is over the edge
+    points that the robust fit kept, `coverage` their share of all directions. `contrast` is the step in brightness
+    over the brightness outside. `significance` is that step over its spread along the contour, times the root of the
+    radius in pixels.
+    """
+
+    center: tuple[float, float]
+    semi_axes_px: tuple[float, float]
+    angle: float
+    center_sigma_px: float
+    edge_rms_px: float
+    coverage: float
+    contrast: float
+    significance: float
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of the circle of equal area."""
+        return float(np.sqrt(self.semi_axes_px[0] * self.semi_axes_px[1]))
+
+    @property
+    def axis_ratio(self) -> float:
+        """Shorter over longer axis, at most 1."""
+        return self.semi_axes_px[1] / self.semi_axes_px[0]
+
+
+def fit_disc(image: Array, center: tuple[float, float], radius_px: float) -> Disc | None:
+    """The dark disc in an image (H, W) near a guessed circle, whose centre is in the image.
+
+    None where there is no edge around it, or the fit wanders off.
+    """
+    middle, inverse = np.asarray(center, dtype=np.float64), np.eye(2) / radius_px
+    for band in SEARCH_BANDS:
+        unwrapped = _unwrap(image, middle, inverse, band)
+        points, angles = unwrapped.edge_points()
+        fitted = _fit_ellipse(points, middle, inverse)
+        if fitted is None:
+            return None
+        middle, inverse, weights = fitted
+        radius = 1 / np.sqrt(np.linalg.det(inverse))
+        near = np.hypot(*(middle - center)) < 0.6 * radius_px and 0.5 < radius / radius_px < 2
+        if not near or (middle < 0).any() or (middle > np.array(image.shape[::-1]) - 1).any():
+            return None
+    kept = weights > 0
+    distances, jacobian = _distances(points, middle, inverse)
+    curvatures, directions = np.linalg.eigh(inverse)
+    contrast, strength = unwrapped.step()
+    return Disc(
+        center=(float(middle[0]), float(middle[1])),
+        semi_axes_px=(float(1 / curvatures[0]), float(1 / curvatures[1])),
+        angle=float(np.arctan2(directions[1, 0], directions[0, 0]) % np.pi),
+        center_sigma_px=_center_sigma(distances[kept], jacobian[kept], angles[kept]),
+        edge_rms_px=float(np.sqrt(np.mean(distances[kept] ** 2))),
+        coverage=float(kept.sum() / len(unwrapped.angles)),
+        contrast=contrast,
+        significance=float(strength * np.sqrt(radius)),
+    )
+
+
+@dataclass(frozen=True)
+class _Unwrapped:
+    """Grey levels (rays, radii) around an ellipse {p : |inverse (p - middle)| = 1}, `shape` being the other inverse.
+
+    `factors` are the radii as multiples of the ellipse's own.
+    """
+
+    levels: Array
+    inside_image: NDArray[np.bool_]
+    angles: Array
+    factors: Array
+    sigma_rays: float
+    sigma_factors: float
+    middle: Array
+    shape: Array
+
+    def edge_points(self) -> tuple[Array, Array]:
+        """The steepest point of every ray (N, 2) and its angle (N,); rays that have none are left out."""
+        along = gaussian_filter1d(self.levels, self.sigma_rays, axis=0, mode="wrap")
+        slope = gaussian_filter1d(along, self.sigma_factors, axis=1, order=1, mode="nearest")
+        slope = np.where(self.inside_image, slope, -np.inf)
+        peak = np.argmax(slope[:, 1:-1], axis=1) + 1
+        ray = np.arange(len(peak))
+        before, at, after = slope[ray, peak - 1], slope[ray, peak], slope[ray, peak + 1]
+        # A peak at the end of the band is no peak: the edge of something else lies beyond.
+        good = np.isfinite(before) & np.isfinite(after) & (at > 0) & (at >= before) & (at > after)
+        before, at, after, angle = before[good], at[good], after[good], self.angles[good]
+        offset = (before - after) / (2 * (before - 2 * at + after))
+        factor = self.factors[0] + (peak[good] + offset) * (self.factors[1] - self.factors[0])
+        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return self.middle + factor[:, None] * (circle @ self.shape), angle
+
+    def step(self) -> tuple[float, float]:
+        """The contrast (outside - inside) / outside, and the mean step over its spread from ray to ray."""
+        whole = self.inside_image.all(axis=1)
+        if not whole.any():
+            return 0.0, 0.0
+        inside = self.levels[whole][:, self.factors < 0.9].mean(axis=1)
+        outside = self.levels[whole][:, self.factors > 1.1].mean(axis=1)
+        # A ramp of light across the disc is a cosine along the contour: it is taken out of the spread.
+        angles = self.angles[whole]
+        shading = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
+        coefficients = np.linalg.lstsq(shading, outside - inside, rcond=None)[0]
+        spread = float(np.std(outside - inside - shading @ coefficients))
+        step = float(coefficients[0])
+        light = float(outside.mean())
+        # A hundredth of the step is taken as spread in any case: a noise-free drawing is not infinitely significant.
+        return step / light if light > 0 else 0.0, step / (np.hypot(spread, 0.01 * step) + 1e-300)
+
+
+def _unwrap(image: Array, middle: Array, inverse: Array, band: float) -> _Unwrapped:
+    shape = np.asarray(np.linalg.inv(inverse), dtype=np.float64)
+    radius = float(np.sqrt(np.linalg.det(shape)))
+    rays = int(np.clip(round(2 * np.pi * radius), 48, 720))
+    angles = 2 * np.pi * np.arange(rays) / rays
+    factors = np.linspace(1 - band, 1 + band, 2 * max(6, round(2 * band * radius)) + 1)  # half a pixel apart
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ shape
+    x = middle[0] + circle[:, :1] * factors
+    y = middle[1] + circle[:, 1:] * factors
+    height, width = image.shape
+    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    # The cubic spline is made of this patch alone; its memory fades by 0.27 a pixel and is gone after the margin of 12.
+    left, top = max(0, int(x.min()) - 12), max(0, int(y.min()) - 12)
+    patch = image[top : int(y.max()) + 13, left : int(x.max()) + 13]
+    sigma_px = float(np.clip(0.06 * radius, 1.0, 3.0))
+    return _Unwrapped(
+        levels=map_coordinates(patch, [y - top, x - left], order=3, mode="nearest"),
+        inside_image=inside,
+        angles=angles,
+        factors=factors,
+        sigma_rays=sigma_px * rays / (2 * np.pi * radius),
+        sigma_factors=sigma_px / radius / float(factors[1] - factors[0]),
+        middle=middle,
+        shape=shape,
+    )
+
+
+def _fit_ellipse(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array, Array] | None:
+    """Robust geometric least squares by Gauss-Newton: (middle, inverse, weights), or None where it fails."""
+    if len(points) < 12:
+        return None
+    # Few steps: the next round starts where this one ends.
+    for _ in range(6):
+        distances, jacobian = _distances(points, middle, inverse)
+        # The floor keeps a perfect edge from rejecting its own rounding.
+        scale = max(1.4826 * float(np.median(np.abs(distances))), 1e-3)
+        weights = np.clip(1 - (distances / (TUKEY_LIMIT * scale)) ** 2, 0, None) ** 2
+        root = np.sqrt(weights)
+        change, _, rank, _ = np.linalg.lstsq(jacobian * root[:, None], -distances * root, rcond=None)
+        if rank < 5:
+            return None
+        middle = middle + change[:2]
+        inverse = inverse + np.array([[change[2], change[3]], [change[3], change[4]]])
+        if np.linalg.eigvalsh(inverse)[0] <= 0:
+            return None
+        if np.hypot(*change[:2]) < 1e-4:
+            break
+    return middle, inverse, weights
+
+
+def _distances(points: Array, middle: Array, inverse: Array) -> tuple[Array, Array]:
+    """Signed distances (N,) px to the ellipse, to first order (Sampson 1982), and their Jacobian (N, 5).
+
+    The unknowns are the centre (x, y) and the symmetric inverse shape (xx, xy, yy), which, unlike axes and an angle, is
+    regular at a circle.
+    """
+    offset = points - middle
+    mapped = offset @ inverse
+    length = np.linalg.norm(mapped, axis=1, keepdims=True)
+    normal = mapped / length
+    by_middle = -normal @ inverse
+    steepness = np.linalg.norm(by_middle, axis=1, keepdims=True)
+    by_inverse = np.stack(
+        [
+            normal[:, 0] * offset[:, 0],
+            normal[:, 0] * offset[:, 1] + normal[:, 1] * offset[:, 0],
+            normal[:, 1] * offset[:, 1],
+        ],
+        axis=1,
+    )
+    return ((length - 1) / steepness)[:, 0], np.concatenate([by_middle, by_inverse], axis=1) / steepness
+
+
+def _center_sigma(distances: Array, jacobian: Array, angles: Array) -> float:
+    """Standard deviation px of the centre from the raggedness of the contour (see RAGGEDNESS_HARMONICS)."""
+    waves = np.stack([wave(k * angles) for k in RAGGEDNESS_HARMONICS for wave in (np.cos, np.sin)], axis=1)
+    amplitudes = np.linalg.lstsq(waves, distances, rcond=None)[0]
+    # White noise of variance v over N points gives every amplitude the variance 2 v / N.
+    variance = len(distances) / 2 * float(np.mean(amplitudes**2))
+    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))

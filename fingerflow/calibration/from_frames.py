@@ -1,0 +1,113 @@
+"""From frames of the registration target and the scale ring to a calibration; no coordinate is set by hand."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fingerflow.calibration.calibration import Calibration
+from fingerflow.calibration.discs import find_discs
+from fingerflow.calibration.edge import Array, Disc
+from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
+from fingerflow.calibration.ring import find_hole
+from fingerflow.errors import FingerflowError
+from fingerflow.views import View
+
+# So many more discs than the target has are looked at: stains and dust are sorted out by the shape of the target.
+SPARE_DISCS = 6
+# What is worth a warning. The lab's frames have 0.984, 0.10 px and 0.44 px.
+LEAST_HOLE_AXIS_RATIO = 0.97
+MOST_SIMILARITY_RMS_PX = 1.0
+MOST_CENTER_SIGMA_PX = 1.0
+
+
+def calibrate(
+    target: ArrayLike | None,
+    ring: ArrayLike,
+    views: Mapping[str, View],
+    hole_radius_mm: float = 2.75,
+    background: ArrayLike | None = None,
+    disc_count: int = 3,
+) -> Calibration:
+    """The calibration from a frame (H, W) of the registration target and one of the scale ring.
+
+    `views` names the parts of a frame: "contact", and "topography" where there is a target. A single-view recording has
+    no target (None) and needs the ring alone. `background` is a frame without either. `disc_count` is the number of
+    discs on the target. Raises FingerflowError where a view, a disc or the hole is missing, or the discs do not fit.
+    """
+    if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):
+        raise FingerflowError(f"the radius of the ring's hole is {hole_radius_mm} mm; it must be above 0")
+    needed = ["contact"] if target is None else ["contact", "topography"]
+    missing = [name for name in needed if name not in views]
+    if missing:
+        raise FingerflowError(
+            f"the view {missing[0]!r} is missing; views given: {', '.join(map(repr, views)) or 'none'}. A registration "
+            f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
+        )
+
+    def part(frame: ArrayLike, name: str) -> Array:
+        return views[name].crop(_grey(frame))
+
+    def empty(name: str) -> Array | None:
+        return None if background is None else part(background, name)
+
+    hole = find_hole(part(ring, "contact"), empty("contact"))
+    scale = hole_radius_mm / hole.radius_px
+    if target is None:
+        return Calibration(scale, hole_radius_mm, hole, views, warnings=_warnings(hole, (), None))
+    most = disc_count + SPARE_DISCS
+    topography = find_discs(part(target, "topography"), empty("topography"), most)
+    contact = find_discs(part(target, "contact"), empty("contact"), most)
+    if min(len(topography), len(contact)) < disc_count:
+        raise FingerflowError(
+            f"the registration target needs {disc_count} discs in each view; found in the topography view: "
+            f"{_listed(topography)}; in the contact view: {_listed(contact)}. Check the pixel ranges of the views, and "
+            f"that all discs are inside both, lit and in focus"
+        )
+    pairs = match_discs(topography, contact, disc_count)
+    from_points, to_points = ([pair[side].center for pair in pairs] for side in (0, 1))
+    similarity = fit_similarity(from_points, to_points)
+    return Calibration(
+        mm_per_px=scale,
+        hole_radius_mm=hole_radius_mm,
+        hole=hole,
+        views=views,
+        discs=tuple(pairs),
+        affine=fit_affine(from_points, to_points),
+        similarity=similarity,
+        warnings=_warnings(hole, tuple(pairs), similarity),
+    )
+
+
+def _grey(frame: ArrayLike) -> Array:
+    levels = np.asarray(frame)
+    if levels.ndim != 2:
+        raise FingerflowError(f"a calibration frame has the shape {levels.shape}; a grey one (height, width) is needed")
+    return levels
+
+
+def _listed(discs: list[Disc]) -> str:
+    places = "; ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f}) radius {disc.radius_px:.0f}" for disc in discs)
+    return f"{len(discs)} at (x, y) px {places}" if discs else "none"
+
+
+def _warnings(hole: Disc, pairs: tuple[tuple[Disc, Disc], ...], similarity: Transform | None) -> tuple[str, ...]:
+    found = []
+    if hole.axis_ratio < LEAST_HOLE_AXIS_RATIO:
+        found.append(
+            f"the hole of the ring is an ellipse, axes {hole.axis_ratio:.3f} to 1: the scale differs by direction; is "
+            f"the ring flat on the glass?"
+        )
+    if similarity is not None and similarity.rms_px > MOST_SIMILARITY_RMS_PX:
+        found.append(
+            f"the views differ by more than rotation, scale and shift: {similarity.rms_px:.2f} px remain; one of them "
+            f"is oblique or distorted"
+        )
+    for name, side in (("topography", 0), ("contact", 1)):
+        for disc in (pair[side] for pair in pairs):
+            if disc.center_sigma_px > MOST_CENTER_SIGMA_PX:
+                found.append(
+                    f"the centre of the disc at ({disc.center[0]:.0f}, {disc.center[1]:.0f}) px of the {name} view is "
+                    f"uncertain by {disc.center_sigma_px:.2f} px: its edge is ragged or blurred"
+                )
+    return tuple(found)

@@ -1,0 +1,212 @@
+"""From the discs of one view to those of another: which is which, and the transform between the two."""
+
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.calibration.edge import Array, Disc
+from fingerflow.errors import FingerflowError
+
+# Share of its size by which a triangle may differ from the other view's after the best similarity. A compression of
+# one axis to 0.8 gives 0.11, to 0.7 gives 0.18. The typical value ranks; beyond the limit it is another triangle.
+TYPICAL_DISTORTION, MOST_DISTORTION = 0.05, 0.2
+# The same for the natural logarithm of the ratio of the discs' radii to the ratio of the triangles.
+TYPICAL_SIZE_ERROR, MOST_SIZE_ERROR = 0.1, 0.3
+# Lowest height of a triangle over its longest side: below it the transform across the line is a guess.
+LEAST_HEIGHT = 0.1
+# A mirror image that fits better by this share of the size is one; an isosceles triangle is its own mirror image.
+MIRROR_MARGIN = 0.02
+# A second labelling of the same discs that is at least this good, relative to the best, makes both a guess.
+AMBIGUOUS = 0.5
+
+
+@dataclass(frozen=True)
+class Transform:
+    """`matrix` (2, 3) float64, from (x, y, 1) px to (x, y) px; `residuals_px` (N, 2), found minus transformed."""
+
+    matrix: Array
+    residuals_px: Array
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the residuals."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
+
+
+def match_discs(from_discs: list[Disc], to_discs: list[Disc], count: int = 3) -> list[tuple[Disc, Disc]]:
+    """The same `count` discs in two views, as pairs: the largest first, then clockwise as seen in the image (y down).
+
+    The labels follow from the shape alone: of all pairs of triangles the one is taken that agrees best up to a
+    similarity, in the positions and in the sizes of the discs, weighted by their significance. Discs beyond three must
+    lie where the affine of these three sends them. Raises FingerflowError where there are fewer discs than `count`, all
+    lie on a line, one view is mirrored, no triangle agrees, or two labellings agree equally well.
+    """
+    if count < 3:
+        raise FingerflowError(f"{count} discs were asked for; a transform between two views needs at least 3")
+    if min(len(from_discs), len(to_discs)) < count:
+        raise FingerflowError(
+            f"{len(from_discs)} discs in one view and {len(to_discs)} in the other; {count} in each are needed"
+        )
+    from_triples = _triangles(from_discs, [list(triple) for triple in combinations(range(len(from_discs)), 3)])
+    to_triples = _triangles(to_discs, [list(triple) for triple in permutations(range(len(to_discs)), 3)])
+    from_triple, to_triple = _best_pair(from_discs, from_triples, to_discs, to_triples)
+    pairs = [(from_discs[first], to_discs[second]) for first, second in zip(from_triple, to_triple, strict=True)]
+    if count > 3:
+        pairs = _with_further_discs(pairs, from_discs, to_discs, count)
+    return _largest_first_then_clockwise(pairs)
+
+
+def fit_affine(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
+    """The affine transform (N, 2) px to (N, 2) px: exact for three points, least squares for more.
+
+    Raises FingerflowError for fewer than three points, or points on a line.
+    """
+    source, target = _point_pairs(from_points, to_points, least=3)
+    center = source.mean(axis=0)
+    if np.linalg.matrix_rank(source - center, tol=1e-9 * (np.abs(source - center).max() + 1e-300)) < 2:
+        raise FingerflowError(f"the points {source.tolist()} lie on a line; an affine transform needs a triangle")
+    linear = np.linalg.lstsq(source - center, target - target.mean(axis=0), rcond=None)[0].T
+    return _transform(linear, source, target)
+
+
+def fit_similarity(from_points: ArrayLike, to_points: ArrayLike) -> Transform:
+    """The rotation, scale and shift (N, 2) px to (N, 2) px of least squared residuals; never a reflection.
+
+    With z and w the centred points as complex numbers it is w = s z, s = sum(conj(z) w) / sum(|z|^2).
+    Raises FingerflowError for fewer than two points, or points that coincide.
+    """
+    source, target = _point_pairs(from_points, to_points, least=2)
+    z, w = _centered_complex(source), _centered_complex(target)
+    size = np.sum(np.abs(z) ** 2)
+    if size == 0:
+        raise FingerflowError(f"the points {source.tolist()} coincide; a similarity needs two that differ")
+    factor = np.sum(np.conj(z) * w) / size
+    return _transform(np.array([[factor.real, -factor.imag], [factor.imag, factor.real]]), source, target)
+
+
+def _point_pairs(from_points: ArrayLike, to_points: ArrayLike, least: int) -> tuple[Array, Array]:
+    source, target = np.asarray(from_points, dtype=np.float64), np.asarray(to_points, dtype=np.float64)
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 2 or len(source) < least:
+        raise FingerflowError(
+            f"points of the shapes {source.shape} and {target.shape}; the same number of (x, y), at least {least}, "
+            f"is needed in both views"
+        )
+    return source, target
+
+
+def _transform(linear: Array, source: Array, target: Array) -> Transform:
+    shift = target.mean(axis=0) - linear @ source.mean(axis=0)
+    return Transform(np.column_stack([linear, shift]), target - (source @ linear.T + shift))
+
+
+def _centered_complex(points: Array) -> NDArray[np.complex128]:
+    """Points (..., N, 2) as x + iy about their mean (..., N)."""
+    centered = points - points.mean(axis=-2, keepdims=True)
+    return centered[..., 0] + 1j * centered[..., 1]
+
+
+def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
+    """The triples of discs (T, 3) that are no line."""
+    indices = np.array(triples)
+    corners = np.array([disc.center for disc in discs])[indices]
+    sides = np.roll(corners, -1, axis=1) - corners
+    double_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    longest = np.sum(sides**2, axis=2).max(axis=1)
+    tall = double_area >= LEAST_HEIGHT * longest
+    if not tall.any():
+        raise FingerflowError(
+            f"the discs at {_places(discs)} px are collinear: no triangle of them is higher than {LEAST_HEIGHT} of its "
+            f"longest side. Use a target with three discs that are not on a line"
+        )
+    return indices[tall]
+
+
+def _best_pair(
+    from_discs: list[Disc], from_triples: NDArray[np.int64], to_discs: list[Disc], to_triples: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    from_radii, from_weights = _log_radii_and_weights(from_discs)
+    to_radii, to_weights = _log_radii_and_weights(to_discs)
+    z = _centered_complex(np.array([disc.center for disc in from_discs])[from_triples])
+    w = _centered_complex(np.array([disc.center for disc in to_discs])[to_triples])
+    # All pairs of triangles at once. Of w = s z, sqrt(1 - |correlation|^2) is the residual as a share of the size of w;
+    # the conjugate of z is its mirror image.
+    norms = np.linalg.norm(z, axis=1)[:, None] * np.linalg.norm(w, axis=1)
+    proper, mirrored = (np.sqrt(np.clip(1 - (np.abs(u @ w.T) / norms) ** 2, 0, 1)) for u in (np.conj(z), z))
+    scale = np.linalg.norm(w, axis=1) / np.linalg.norm(z, axis=1)[:, None]
+    growth = to_radii[to_triples] - from_radii[from_triples][:, None]
+    size_error = np.sqrt(np.mean((growth - np.log(scale)[..., None]) ** 2, axis=2))
+    size_cost = np.where(size_error < MOST_SIZE_ERROR, (size_error / TYPICAL_SIZE_ERROR) ** 2, np.inf)
+    weight = from_weights[from_triples].mean(axis=1)[:, None] + to_weights[to_triples].mean(axis=1)
+
+    def score(distortion: Array) -> Array:
+        cost = np.where(distortion < MOST_DISTORTION, (distortion / TYPICAL_DISTORTION) ** 2, np.inf)
+        return np.exp(weight - (cost + size_cost) / 2)
+
+    proper_score, mirrored_score = score(proper), score(mirrored)
+    first, second = np.unravel_index(np.argmax(proper_score), proper_score.shape)
+    places = f"one view has discs at {_places(from_discs)}, the other at {_places(to_discs)} px"
+    mirror = np.unravel_index(np.argmax(mirrored_score), mirrored_score.shape)
+    if (
+        mirrored_score[mirror] > proper_score[first, second]
+        and mirrored[mirror] < proper[first, second] - MIRROR_MARGIN
+    ):
+        raise FingerflowError(
+            f"the target is mirrored from one view to the other ({places}). Flip one of the views, or check that both "
+            f"show the same side of the target"
+        )
+    if proper_score[first, second] == 0:
+        raise FingerflowError(
+            f"no three discs form the same triangle in both views ({places}). Check the pixel ranges of the views, and "
+            f"that the frame shows the registration target"
+        )
+    same_discs = (np.sort(to_triples, axis=1) == np.sort(to_triples[second])).all(axis=1)
+    rivals = np.delete(proper_score[first] * same_discs, second)
+    if rivals.size and rivals.max() > AMBIGUOUS * proper_score[first, second]:
+        raise FingerflowError(
+            f"the discs can be paired in more than one way ({places}): the triangle looks the same when it is turned. "
+            f"Use a target with sides or discs of different sizes"
+        )
+    return from_triples[first], to_triples[second]
+
+
+def _log_radii_and_weights(discs: list[Disc]) -> tuple[Array, Array]:
+    return np.log([disc.radius_px for disc in discs]), np.log([disc.significance for disc in discs])
+
+
+def _with_further_discs(
+    triple: list[tuple[Disc, Disc]], from_discs: list[Disc], to_discs: list[Disc], count: int
+) -> list[tuple[Disc, Disc]]:
+    """The triple and the most significant discs that lie within half a radius of where its affine sends them."""
+    matrix = fit_affine([pair[0].center for pair in triple], [pair[1].center for pair in triple]).matrix
+    scale = np.sqrt(abs(np.linalg.det(matrix[:, :2])))
+    further = []
+    for disc in from_discs:
+        place = matrix @ np.array([*disc.center, 1.0])
+        for other in to_discs:
+            near = np.hypot(*(place - other.center)) < 0.5 * other.radius_px
+            if near and abs(np.log(other.radius_px / disc.radius_px / scale)) < MOST_SIZE_ERROR:
+                further.append((disc, other))
+    further = [pair for pair in further if pair not in triple]
+    further.sort(key=lambda pair: -pair[0].significance * pair[1].significance)
+    if len(further) < count - 3:
+        raise FingerflowError(
+            f"{3 + len(further)} discs agree between the two views (one has discs at {_places(from_discs)}, the other "
+            f"at {_places(to_discs)} px); {count} were asked for"
+        )
+    return triple + further[: count - 3]
+
+
+def _largest_first_then_clockwise(pairs: list[tuple[Disc, Disc]]) -> list[tuple[Disc, Disc]]:
+    places = np.array([second.center for _, second in pairs])
+    offsets = places - places.mean(axis=0)
+    largest = int(np.argmax([first.radius_px * second.radius_px for first, second in pairs]))
+    # With y down the angle from x towards y grows clockwise.
+    angles = np.arctan2(offsets[:, 1], offsets[:, 0])
+    order = np.argsort((angles - angles[largest]) % (2 * np.pi))
+    return [pairs[index] for index in order]
+
+
+def _places(discs: list[Disc]) -> str:
+    return ", ".join(f"({disc.center[0]:.0f}, {disc.center[1]:.0f})" for disc in discs)

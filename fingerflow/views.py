@@ -1,0 +1,53 @@
+"""Where a view lies in a frame: one camera frame may hold several views of the finger side by side."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+
+
+@dataclass(frozen=True)
+class View:
+    """A rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1).
+
+    Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
+    """
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            object.__setattr__(self, name, _pixel_range(name, getattr(self, name)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) px."""
+        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
+
+    def crop(self, frame: Any) -> Any:
+        """The view's part of a frame (..., H, W), an array or a tensor, without a copy.
+
+        Raises FingerflowError where the view does not fit into the frame.
+        """
+        height, width = frame.shape[-2:]
+        if self.rows[1] > height or self.columns[1] > width:
+            raise FingerflowError(
+                f"the view rows {list(self.rows)}, columns {list(self.columns)} does not fit into a frame of "
+                f"{height} rows and {width} columns: ranges are half-open, their ends are at most {height} and {width}"
+            )
+        return frame[..., self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
+
+
+def _pixel_range(name: str, values: Any) -> tuple[int, int]:
+    try:
+        first, end = (int(value) for value in values)
+        whole = (first, end) == tuple(values)
+    except (TypeError, ValueError):
+        whole = False
+    if not whole or not 0 <= first < end:
+        raise FingerflowError(
+            f"a view's {name} are {values!r}; two whole numbers [first, end) with 0 <= first < end are needed, "
+            f"for example [0, 512]"
+        )
+    return first, end
