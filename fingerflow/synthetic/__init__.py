@@ -1,5 +1,26 @@
 """Scenes of a finger on glass with exactly known motion, contact and forces: for the demo, the tests and the bench."""
 
+from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.motion import Bump, Ellipse
+from fingerflow.synthetic.press import Press
+from fingerflow.synthetic.scenes import Forces, Scene
+from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture, texture_image
+from fingerflow.synthetic.truth import Medians, Truth
+from fingerflow.synthetic.writer import rebuild_scene, write_recording
 
-__all__ = ["RidgeTexture", "texture_image"]
+__all__ = [
+    "Bump",
+    "Camera",
+    "Ellipse",
+    "Forces",
+    "Medians",
+    "Press",
+    "RidgeTexture",
+    "Scene",
+    "Slide",
+    "Truth",
+    "rebuild_scene",
+    "texture_image",
+    "write_recording",
+]

@@ -1,0 +1,186 @@
+"""How the skin moves and touches: closed forms that give the material under every position of the glass.
+
+Only the inverse map is written down, material = phi(position, progress), so that a picture is an evaluation at its
+pixels; forward positions and all derivatives follow from it in `fingerflow.synthetic.truth`. Time enters through one
+number, the progress of the movement from 0 to 1, so that a result does not depend on how fast it happened.
+Positions are in mm on the glass, x right, y down.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """The edge of a region: centre (mm), semi-axes (mm) and the angle (rad) from x to the first axis, towards y."""
+
+    centre: tuple[float, float]
+    semi_axes: tuple[float, float]
+    angle: float = 0.0
+
+    @property
+    def area(self) -> float:
+        """mm²."""
+        return math.pi * self.semi_axes[0] * self.semi_axes[1]
+
+    def radius(self, x: Tensor, y: Tensor) -> Tensor:
+        """Distance from the centre as a share of the distance to the edge in that direction: 1 on the edge."""
+        along, across = self._principal(x, y)
+        # The summand is below the rounding of any position that matters; it gives the centre the gradient 0, not NaN.
+        return torch.sqrt(along.square() + across.square() + 1e-30)
+
+    def distance(self, x: Tensor, y: Tensor) -> Tensor:
+        """Distance to the edge in mm, positive inside: exact on the edge and of first order near it."""
+        along, across = self._principal(x, y)
+        radius = torch.sqrt(along.square() + across.square() + 1e-30)
+        slope = torch.sqrt((along / self.semi_axes[0]).square() + (across / self.semi_axes[1]).square() + 1e-30)
+        return (1 - radius) * radius / slope
+
+    def _principal(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        cosine, sine = math.cos(self.angle), math.sin(self.angle)
+        (first, second), (centre_x, centre_y) = self.semi_axes, self.centre
+        right, down = x - centre_x, y - centre_y
+        return (
+            (cosine / first * right).add(down, alpha=sine / first),
+            (-sine / second * right).add(down, alpha=cosine / second),
+        )
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A displacement that fades like a Gaussian: (shift + dilation x (position - centre)) exp(-distance² / 2 width²).
+
+    centre, width and shift are in mm; the dilation (mm per mm) adds twice itself to the divergence at the centre.
+    """
+
+    centre: tuple[float, float]
+    width: float
+    shift: tuple[float, float] = (0.0, 0.0)
+    dilation: float = 0.0
+
+    def __call__(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        right, down = x - self.centre[0], y - self.centre[1]
+        weight = torch.exp((right.square() + down.square()) * (-0.5 / self.width**2))
+        return weight * (self.shift[0] + self.dilation * right), weight * (self.shift[1] + self.dilation * down)
+
+
+class SkinMotion(Protocol):
+    """What a movement must state; x, y and progress are tensors that broadcast, float32 or float64."""
+
+    #: Into how many steps of progress the search for the onset must be cut so that each holds one entry at most.
+    entry_steps: int
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        """Material coordinates (mm) of the skin that is at (x, y)."""
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        """Positive inside the gross contact, 0 on its edge, negative outside; dimensionless."""
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        """The gross contact, or None where nothing touches."""
+
+
+@dataclass(frozen=True)
+class PressMotion:
+    """A contact that grows from a point to `contact` while the skin spreads by `field`.
+
+    Progress is the length of the contact as a share of its final length. Its area grows with the square root of the
+    force, the displacement of the skin with the force itself, so with progress⁴:
+    material = position - progress⁴ (gradient (position - centre) + shift + bumps).
+
+    Args:
+        contact: the gross contact at the end.
+        gradient: ((du/dx, du/dy), (dv/dx, dv/dy)) of the uniform part: dilation, shear and rotation.
+        shift: uniform displacement, mm.
+        bumps: what is not uniform.
+    """
+
+    contact: Ellipse
+    gradient: tuple[tuple[float, float], tuple[float, float]]
+    shift: tuple[float, float]
+    bumps: tuple[Bump, ...]
+
+    # The contact outruns the skin, so a point that is inside stays inside.
+    entry_steps = 1
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        right, down = x - self.contact.centre[0], y - self.contact.centre[1]
+        (xx, xy), (yx, yy) = self.gradient
+        field_x = (xx * right).add(down, alpha=xy).add(self.shift[0])
+        field_y = (yx * right).add(down, alpha=yy).add(self.shift[1])
+        for bump in self.bumps:
+            bump_x, bump_y = bump(x, y)
+            field_x, field_y = field_x + bump_x, field_y + bump_y
+        return x - progress**4 * field_x, y - progress**4 * field_y
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        return progress - self.contact.radius(x, y)
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        if progress <= 0:
+            return None
+        first, second = self.contact.semi_axes
+        return Ellipse(self.contact.centre, (progress * first, progress * second), self.contact.angle)
+
+
+@dataclass(frozen=True)
+class SlideMotion:
+    """A contact of constant size that is pulled along `direction`: it peels from the rim, then slides as a whole.
+
+    Until `full_slip` (a progress) the stuck ellipse, `stuck_radius` times the contact, shrinks to nothing while the
+    rim slips by up to `creep` mm; then contact and skin travel `travel` mm together. With r the relative radius in the
+    contact, material = position - direction (creep q (1 - exp(-((r - stuck_radius) / 0.6)²)) + travelled) outside the
+    stuck ellipse and = position inside it, q = progress / full_slip up to 1. The displacement has a continuous
+    gradient.
+    """
+
+    contact: Ellipse
+    direction: tuple[float, float]
+    creep: float
+    travel: float
+    full_slip: float
+
+    # Skin can enter at the rear and leave at the front: a stay shorter than 1/64 of the movement is overlooked.
+    entry_steps = 64
+
+    def stuck_radius(self, progress: Tensor) -> Tensor:
+        """Length of the stuck ellipse as a share of the contact's; its square is the relative stuck area d²."""
+        return 1 - self._peeling(progress).square()
+
+    def travelled(self, progress: Tensor) -> Tensor:
+        """How far contact and skin have gone together, mm."""
+        return self.travel * ((progress - self.full_slip) / (1 - self.full_slip)).clamp(min=0).square()
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        travelled = self.travelled(progress)
+        radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
+        beyond = (radius - self.stuck_radius(progress)).clamp(min=0) / 0.6
+        slipped = travelled - self.creep * self._peeling(progress) * torch.expm1(-beyond.square())
+        return x - slipped * self.direction[0], y - slipped * self.direction[1]
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        travelled = self.travelled(progress)
+        return 1 - self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
+
+    def ellipse(self, progress: float) -> Ellipse | None:
+        travelled = float(self.travelled(torch.tensor(progress, dtype=torch.float64)))
+        (x, y), (right, down) = self.contact.centre, self.direction
+        return Ellipse((x + travelled * right, y + travelled * down), self.contact.semi_axes, self.contact.angle)
+
+    def radius_of_displacement(self, progress: float, limit: float) -> float:
+        """Relative radius inside which the skin has moved by less than `limit` mm since the start; 0 where none has."""
+        at = torch.tensor(progress, dtype=torch.float64)
+        travelled, creep = float(self.travelled(at)), self.creep * float(self._peeling(at))
+        if travelled >= limit:
+            return 0.0
+        share = (limit - travelled) / creep if creep > 0 else math.inf
+        if share >= 1:
+            return math.inf
+        return float(self.stuck_radius(at)) + 0.6 * math.sqrt(-math.log1p(-share))
+
+    def _peeling(self, progress: Tensor) -> Tensor:
+        return (progress / self.full_slip).clamp(max=1)

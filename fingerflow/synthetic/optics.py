@@ -1,0 +1,66 @@
+"""What light makes of skin and glass: the grey levels of both views, in 8-bit levels above the camera's dark level."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fingerflow.synthetic.motion import Ellipse
+from fingerflow.synthetic.texture import RidgeTexture
+
+#: Grey levels of a surface lit in full: the mean of the skin in the grazing light, what ridges add or take there, and
+#: the glass in the bright field.
+SKIN_LEVEL, RIDGE_LEVEL, GLASS_LEVEL = 100.0, 95.0, 178.0
+#: Share of the bright field that a touching ridge takes, and the skin between the ridges.
+CONTACT_LOSS, VALLEY_LOSS = 0.5, 0.04
+#: Width (mm) of the logistic blur of an edge in focus, of the finger's outline and of the rim of the lit disc.
+#: In focus it is 0.35 px, close to a Gaussian of standard deviation 0.6 px.
+EDGE_WIDTH, OUTLINE_WIDTH, DISC_WIDTH = 0.0114, 0.4, 0.2
+
+
+@dataclass(frozen=True)
+class Lights:
+    """The lamps, fixed in space: they do not move with the skin.
+
+    Args:
+        size: width and height (mm) of what the contact view shows.
+    """
+
+    size: tuple[float, float]
+
+    def grazing(self, x: Tensor, y: Tensor) -> Tensor:
+        """Grazing light at positions in mm, 1 where it is brightest: it comes from the left and fades to the right."""
+        width, height = self.size
+        return (1 - 0.25 * (x / width)) * (0.93 + 0.07 * torch.cos(3 * (y / height - 0.45)))
+
+    def stray(self, x: Tensor, y: Tensor) -> Tensor:
+        """Grey levels of the topography view without a finger."""
+        width, height = self.size
+        return 6 + 1.5 * torch.sin(2.5 * x / width + 0.5) * torch.cos(2 * y / height)
+
+    def bright_field(self, x: Tensor, y: Tensor) -> Tensor:
+        """Grey levels of the contact view without a finger: an uneven disc that leaves the corners black."""
+        width, height = self.size
+        radius = 0.47 * height
+        disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
+        uneven = 0.93 + 0.07 * torch.cos(2.2 * (x / width - 0.55)) * torch.cos(2.6 * (y / height - 0.4))
+        return 2 + GLASS_LEVEL * uneven * torch.sigmoid(disc / DISC_WIDTH)
+
+
+def topography(texture: RidgeTexture, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
+    """Skin with material coordinates (x, y) under the grazing light, over what the glass shows without it.
+
+    The outline of the finger is in material coordinates: like the ridges it moves with the skin.
+    """
+    skin = texture(x, y).mul_(RIDGE_LEVEL).add_(SKIN_LEVEL)
+    return skin.mul_(torch.sigmoid_(outline.distance(x, y).div_(OUTLINE_WIDTH))).mul_(grazing).add_(stray)
+
+
+def contact(ridge_margin: Tensor, gross_margin: Tensor, bright_field: Tensor) -> Tensor:
+    """Bright field darkened by contact; margins are distances (mm) to the edge of ridge and gross contact, > 0 inside.
+
+    The level half-way between ridge and valley lies on the edge of the real contact.
+    """
+    touching = torch.sigmoid_(torch.minimum(ridge_margin, gross_margin).div_(EDGE_WIDTH))
+    skin = torch.sigmoid(gross_margin / EDGE_WIDTH).mul_(VALLEY_LOSS)
+    return bright_field * (1 - skin).sub_(touching.mul_(CONTACT_LOSS - VALLEY_LOSS))

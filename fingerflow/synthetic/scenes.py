@@ -1,0 +1,207 @@
+"""What every scene of a fingertip in the layout of the rig shares: pictures, forces and the truth behind them."""
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.synthetic import optics
+from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.motion import Ellipse, SkinMotion
+from fingerflow.synthetic.texture import RidgeTexture
+from fingerflow.synthetic.truth import Truth
+from fingerflow.views import View
+
+Array = NDArray[np.float64]
+
+FORCE_RATE = 10_000.0
+FORCE_NOISE = 0.005
+EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
+
+
+class Forces(NamedTuple):
+    """Samples at 10 kHz of one clock with the frames: s, N, N and the trigger in V, which rises at 0 s."""
+
+    time: Array
+    normal_force: Array
+    tangential_force: Array
+    trigger: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A movement in front of the camera. Lengths are in mm, angles in rad, times in s from the trigger, forces in N.
+
+    A frame has the topography view on its left half and the contact view on its right half. Positions are in mm on
+    the glass, 0 at the centre of the contact view's first pixel.
+
+    Args:
+        n_frames: frames of the recording.
+        frame_rate: frames a second.
+        frames_before_trigger: how many of them have a negative time.
+        frame_shape: rows and columns of a frame.
+        mm_per_px: of the contact view.
+        topography_to_contact: 2 x 3 affine map from pixels of the topography view to pixels of the contact view.
+        texture: the skin; its centre is counted from the centre of the contact.
+        contact_fraction: share of the gross contact in which ridges touch.
+        finger: semi-axes of the visible finger.
+        camera: noise and bit depth.
+    """
+
+    n_frames: int = 300
+    frame_rate: float = 300.0
+    frames_before_trigger: int = 12
+    frame_shape: tuple[int, int] = (512, 1280)
+    mm_per_px: float = 0.0325
+    topography_to_contact: tuple[tuple[float, float, float], tuple[float, float, float]] = (
+        (1.01 * math.cos(math.radians(0.5)), -1.01 * math.sin(math.radians(0.5)), 3.4),
+        (1.01 * math.sin(math.radians(0.5)), 1.01 * math.cos(math.radians(0.5)), -6.2),
+    )
+    texture: RidgeTexture = field(default_factory=lambda: RidgeTexture(centre=(0.4, -0.9)))
+    contact_fraction: float = 0.5
+    finger: tuple[float, float] = (7.6, 6.4)
+    camera: Camera = field(default_factory=Camera)
+
+    @property
+    def times(self) -> Array:
+        """Time of each frame, s: 0 at the trigger."""
+        return (np.arange(self.n_frames) - self.frames_before_trigger) / self.frame_rate
+
+    @property
+    def views(self) -> dict[str, View]:
+        """Where the "topography" and the "contact" view lie in a frame."""
+        rows, columns = self.frame_shape
+        return {
+            "topography": View(rows=(0, rows), columns=(0, columns // 2)),
+            "contact": View(rows=(0, rows), columns=(columns // 2, columns)),
+        }
+
+    @cached_property
+    def truth(self) -> Truth:
+        """What a pipeline should find."""
+        return Truth(
+            motion=self.motion,
+            progress=self.progress(self.times),
+            time_of=self.time_of,
+            touches=self._ridge_margin,
+            mm_per_px=self.mm_per_px,
+            contact_shape=self.views["contact"].shape,
+            topography_to_contact=np.array(self.topography_to_contact, dtype=np.float64),
+        )
+
+    def render(self, frame: int) -> NDArray[np.integer]:
+        """A frame (H, W) as the camera delivers it: the same whenever and in whatever order it is asked for."""
+        clean = torch.from_numpy(self.render_clean(self._checked(frame)))
+        return self.camera.read_out(clean, frame, defects=self.views["contact"])
+
+    def render_clean(self, frame: int, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
+        """A frame (H, W) in grey levels of the camera without noise and rounding."""
+        progress = torch.tensor(self.progress(self.times)[self._checked(frame)], dtype=dtype)
+        return self._picture(progress, dtype)
+
+    def empty(self, picture: int = 0) -> NDArray[np.integer]:
+        """A frame of the glass without a finger; each number has its own noise."""
+        clean = torch.from_numpy(self._picture(None, torch.float32))
+        return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
+
+    def dark(self, picture: int = 0) -> NDArray[np.integer]:
+        """A frame without light; each number has its own noise."""
+        return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
+
+    def forces(self) -> Forces:
+        """The force sensors from the first frame to the last, with a noise of 5 mN."""
+        first, last = self.times[[0, -1]]
+        time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
+        noise = np.random.default_rng(self.camera.seed).normal(scale=FORCE_NOISE, size=(2, time.size))
+        return Forces(
+            time=time,
+            normal_force=self.normal_force(time) + noise[0],
+            tangential_force=self.tangential_force(time) + noise[1],
+            trigger=np.where(time >= 0, 5.0, 0.0),
+        )
+
+    @property
+    def motion(self) -> SkinMotion:
+        """The movement as a function of its progress."""
+        raise NotImplementedError
+
+    def progress(self, time: Array) -> Array:
+        """Progress of the movement, 0 to 1, at times in s."""
+        raise NotImplementedError
+
+    def time_of(self, progress: Array) -> Array:
+        """Time in s at which a progress is reached."""
+        raise NotImplementedError
+
+    def normal_force(self, time: Array) -> Array:
+        """Force on the glass at times in s, N."""
+        raise NotImplementedError
+
+    def tangential_force(self, time: Array) -> Array:
+        """Force along the glass at times in s, N."""
+        raise NotImplementedError
+
+    @property
+    def contact_centre(self) -> tuple[float, float]:
+        """Where the contact begins, mm."""
+        rows, columns = self.views["contact"].shape
+        return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
+
+    @cached_property
+    def _skin(self) -> RidgeTexture:
+        (x, y), (right, down) = self.contact_centre, self.texture.centre
+        return replace(self.texture, centre=(x + right, y + down))
+
+    def _ridge_margin(self, x: Tensor, y: Tensor) -> Tensor:
+        """Distance (mm) to the edge of the touching part of a ridge, > 0 on it; exact in sign, else of first order."""
+        half_width = math.pi * self.contact_fraction
+        slope = 2 * math.pi / self.texture.period * math.sin(half_width)
+        return torch.cos(self._skin.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
+
+    def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
+        """A whole frame without noise; progress None is the glass without a finger."""
+        topography_planes, contact_planes = _fixed_planes(self, dtype)
+        views = self._topography(progress, *topography_planes), self._contact(progress, *contact_planes)
+        return self.camera.expose(torch.cat(views, dim=1)).numpy()
+
+    def _topography(self, progress: Tensor | None, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
+        if progress is None:
+            return stray
+        outline = Ellipse(self.contact_centre, self.finger)
+        return optics.topography(self._skin, outline, *self.motion.material(x, y, progress), grazing, stray)
+
+    def _contact(self, progress: Tensor | None, x: Tensor, y: Tensor, bright_field: Tensor) -> Tensor:
+        ellipse = None if progress is None else self.motion.ellipse(float(progress))
+        if progress is None or ellipse is None:
+            return bright_field
+        ridge_margin = self._ridge_margin(*self.motion.material(x, y, progress))
+        return optics.contact(ridge_margin, ellipse.distance(x, y), bright_field)
+
+    def _checked(self, frame: int) -> int:
+        if not 0 <= frame < self.n_frames:
+            raise IndexError(f"frame {frame} is not in this scene: its frames are 0 to {self.n_frames - 1}")
+        return frame
+
+
+@lru_cache(maxsize=4)
+def _fixed_planes(scene: Scene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """What no frame changes, (H, W) each: x, y, grazing and stray light of the topography; x, y, light of the contact.
+
+    They are worked out in float64 and rounded once.
+    """
+    rows, columns = scene.views["contact"].shape
+    lights = optics.Lights(size=(columns * scene.mm_per_px, rows * scene.mm_per_px))
+    down, right = torch.meshgrid(
+        torch.arange(rows, dtype=torch.float64), torch.arange(columns, dtype=torch.float64), indexing="ij"
+    )
+    (xx, xy, shift_x), (yx, yy, shift_y) = scene.topography_to_contact
+    x, y = (xx * right + xy * down + shift_x) * scene.mm_per_px, (yx * right + yy * down + shift_y) * scene.mm_per_px
+    topography = x, y, lights.grazing(x, y), lights.stray(x, y)
+    x, y = right * scene.mm_per_px, down * scene.mm_per_px
+    contact = x, y, lights.bright_field(x, y)
+    return tuple(plane.to(dtype) for plane in topography), tuple(plane.to(dtype) for plane in contact)

@@ -1,0 +1,83 @@
+"""A fingertip pulled over glass under a constant normal force until its contact slips as a whole."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from fingerflow.synthetic.motion import Ellipse, SlideMotion
+from fingerflow.synthetic.scenes import Array, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slide(Scene):
+    """A slide: the stuck part shrinks from the rim to nothing, then skin and contact travel together.
+
+    The contact is there from the first frame; the pull begins at the trigger. The tangential force is the one of
+    Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the relative stuck area d² of the moment.
+    Settings that all scenes share are those of `Scene`; lengths in mm, angles in rad, times in s, forces in N.
+
+    Args:
+        force: normal force.
+        static_friction: mu_s.
+        kinetic_friction: mu_k.
+        semi_axes: of the gross contact.
+        tilt: angle from x to its first semi-axis, towards y.
+        direction: angle of the pull from x, towards y.
+        creep: displacement of the skin far from the stuck part before the contact slips as a whole.
+        travel: way of the whole contact from then to the last frame.
+        full_slip: when that happens, as a share of the time from the trigger to the last frame.
+    """
+
+    force: float = 2.0
+    static_friction: float = 1.0
+    kinetic_friction: float = 0.6
+    semi_axes: tuple[float, float] = (5.0, 4.2)
+    tilt: float = 0.14
+    direction: float = 0.1
+    creep: float = 0.8
+    travel: float = 2.0
+    full_slip: float = 0.6
+
+    @cached_property
+    def motion(self) -> SlideMotion:
+        # Half of the travel lies on either side of the middle, where the light is.
+        right, down = math.cos(self.direction), math.sin(self.direction)
+        x, y = self.contact_centre
+        start = x - self.travel / 2 * right, y - self.travel / 2 * down
+        return SlideMotion(
+            Ellipse(start, self.semi_axes, self.tilt), (right, down), self.creep, self.travel, self.full_slip
+        )
+
+    def progress(self, time: Array) -> Array:
+        return np.clip(time / self.times[-1], 0, 1)
+
+    def time_of(self, progress: Array) -> Array:
+        # What is inside before the pull was so in the first frame.
+        return np.where(progress > 0, progress * self.times[-1], np.where(progress == 0, self.times[0], np.nan))
+
+    def normal_force(self, time: Array) -> Array:
+        return np.full_like(time, self.force)
+
+    def tangential_force(self, time: Array) -> Array:
+        slipping = 1 - self._stuck_share(self.progress(time))
+        mu_s, mu_k = self.static_friction, self.kinetic_friction
+        return self.force * slipping * (2 * mu_s * (1 - slipping) + mu_k * slipping)
+
+    def stuck_share(self, frame: int) -> float:
+        """Relative stuck area d²: the part of the contact that has not slipped at all."""
+        return float(self._stuck_share(self.progress(self.times[frame])))
+
+    def slow_share(self, frame: int, limit_mm: float = 0.04) -> float:
+        """Share of the contact whose skin has moved by less than a limit since the start: what a camera takes as stuck.
+
+        The paper's limit is 40 um.
+        """
+        radius = self.motion.radius_of_displacement(float(self.progress(self.times[frame])), limit_mm)
+        return min(radius, 1.0) ** 2
+
+    def _stuck_share(self, progress: Array) -> Array:
+        radius = self.motion.stuck_radius(torch.from_numpy(np.asarray(progress, dtype=np.float64)))
+        return radius.square().numpy()

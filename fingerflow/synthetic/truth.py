@@ -1,0 +1,313 @@
+"""Where the skin really is, when it really touched and how it is really deformed, in float64.
+
+Everything follows from the inverse map phi(position, progress) of a `SkinMotion`. With F = (d phi / d position)^-1:
+
+- a material point moves by d position / d progress = -F d phi / d progress;
+- its onset solves depth(position(progress), progress) = 0. Differentiating that by the material point X gives
+  grad onset = -(F^T d depth / d position) / (d depth / d progress along the point's path);
+- the place of its onset, xi = position(X, onset(X)), has d xi / dX = F + (d position / d progress) (x) grad onset at
+  the onset, because neighbours touch at another moment;
+- so the displacement u = position - xi has the gradient du / dxi = F (d xi / dX)^-1 - I.
+
+Points are arrays (..., 2) of (x, y); positions and materials are in mm, pixels are those of one view.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from fingerflow.synthetic.motion import Ellipse, SkinMotion
+
+Array = NDArray[np.float64]
+
+#: Newton's iterations end when no coordinate misses by more than this (mm); rounding at 20 mm is 4e-15 mm.
+TOLERANCE = 1e-13
+
+
+@dataclass(frozen=True)
+class Medians:
+    """Medians over the gross contact of one frame; NaN before contact.
+
+    Displacement and gradients count from the onset of each point: divergence, curl = dv/dx - du/dy and the full
+    Green-Lagrange strain (exx, eyy, exy) are dimensionless, the displacement is in mm, component by component.
+    """
+
+    divergence: float
+    curl: float
+    exx: float
+    eyy: float
+    exy: float
+    displacement_x: float
+    displacement_y: float
+
+
+class Truth:
+    """The exact answer to what a pipeline measures in a scene.
+
+    Args:
+        motion: the movement.
+        progress: of the movement at each frame, (frames,), never falling.
+        time_of: the time (s) at which a progress was reached.
+        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y).
+        mm_per_px: of the contact view.
+        contact_shape: rows and columns of the contact view.
+        topography_to_contact: 2 x 3, from pixels of the topography view to pixels of the contact view.
+    """
+
+    def __init__(
+        self,
+        motion: SkinMotion,
+        progress: Array,
+        time_of: Callable[[Array], Array],
+        touches: Callable[[Tensor, Tensor], Tensor],
+        mm_per_px: float,
+        contact_shape: tuple[int, int],
+        topography_to_contact: Array,
+    ) -> None:
+        self._motion = motion
+        self._progress = progress
+        self._time_of = time_of
+        self._touches = touches
+        self._mm_per_px = mm_per_px
+        self._contact_shape = contact_shape
+        self._matrix, self._offset = topography_to_contact[:, :2], topography_to_contact[:, 2]
+
+    # Views
+
+    def contact_pixels(self, positions: ArrayLike) -> Array:
+        """Pixels of the contact view (..., 2) that show positions (..., 2) in mm."""
+        return np.asarray(positions, dtype=np.float64) / self._mm_per_px
+
+    def contact_positions(self, pixels: ArrayLike) -> Array:
+        """Positions in mm under pixels of the contact view."""
+        return np.asarray(pixels, dtype=np.float64) * self._mm_per_px
+
+    def topography_pixels(self, positions: ArrayLike) -> Array:
+        """Pixels of the topography view (..., 2) that show positions (..., 2) in mm."""
+        return (self.contact_pixels(positions) - self._offset) @ np.linalg.inv(self._matrix).T
+
+    def topography_positions(self, pixels: ArrayLike) -> Array:
+        """Positions in mm under pixels of the topography view."""
+        return self.contact_positions(np.asarray(pixels, dtype=np.float64) @ self._matrix.T + self._offset)
+
+    # Motion
+
+    def material(self, positions: ArrayLike, frame: int) -> Array:
+        """Material coordinates (mm) of the skin at positions (..., 2) in a frame."""
+        x, y = _points(positions).unbind(-1)
+        return torch.stack(self._motion.material(x, y, self._at(frame)), dim=-1).numpy()
+
+    def positions(self, material: ArrayLike, frame: int) -> Array:
+        """Positions (mm) of material points (..., 2) in a frame."""
+        points = _points(material)
+        return self._forward(points, self._at(frame).expand(points.shape[:-1]), points).numpy()
+
+    def follow(self, topography_pixels: ArrayLike, from_frame: int, to_frame: int) -> Array:
+        """Pixels of the topography view to which the skin at given pixels has moved from one frame to another."""
+        material = self.material(self.topography_positions(topography_pixels), from_frame)
+        return self.topography_pixels(self.positions(material, to_frame))
+
+    # Contact
+
+    def ellipse(self, frame: int) -> Ellipse | None:
+        """The gross contact in mm, None before contact."""
+        return self._motion.ellipse(float(self._progress[frame]))
+
+    def gross_mask(self, frame: int) -> NDArray[np.bool_]:
+        """Whether each pixel centre of the contact view (H, W) lies in the gross contact."""
+        ellipse = self.ellipse(frame)
+        if ellipse is None:
+            return np.zeros(self._contact_shape, dtype=bool)
+        return (ellipse.distance(*self._pixel_centres()) > 0).numpy()
+
+    def contact_mask(self, frame: int) -> NDArray[np.bool_]:
+        """Whether each pixel centre of the contact view (H, W) lies on a ridge in contact."""
+        ellipse = self.ellipse(frame)
+        if ellipse is None:
+            return np.zeros(self._contact_shape, dtype=bool)
+        return (self._contact_margin(*self._pixel_centres(), frame, ellipse) > 0).numpy()
+
+    def gross_contact_area_mm2(self, frame: int) -> float:
+        """Area of the ellipse, mm²."""
+        ellipse = self.ellipse(frame)
+        return 0.0 if ellipse is None else ellipse.area
+
+    def real_contact_area_mm2(self, frame: int, samples_per_px: int = 4) -> float:
+        """Area of the ridges in contact, mm², by quadrature with samples_per_px² partly filled cells a pixel."""
+        ellipse = self.ellipse(frame)
+        if ellipse is None:
+            return 0.0
+        x, y, cell = _grid_around(ellipse, self._mm_per_px / samples_per_px)
+        filled = self._contact_margin(x, y, frame, ellipse) / cell + 0.5
+        return float(filled.clamp(0, 1).sum()) * cell**2
+
+    # Deformation since the onset
+
+    def onset_time(self, material: ArrayLike) -> Array:
+        """Time (s) at which the gross contact reached material points (..., 2); NaN where it never did."""
+        return self._time_of(self._onset(_points(material))[0].numpy())
+
+    def onset_frame(self, material: ArrayLike) -> NDArray[np.int64]:
+        """First frame that finds material points (..., 2) inside the gross contact; -1 where none does."""
+        onset = self._onset(_points(material))[0].numpy()
+        frames = np.searchsorted(self._progress, np.nan_to_num(onset, nan=np.inf), side="left")
+        return np.where(frames < len(self._progress), frames, -1)
+
+    def displacement(self, material: ArrayLike, frame: int) -> Array:
+        """Displacement (..., 2) in mm since the onset; NaN before it and where there is none."""
+        points = _points(material)
+        onset, place = self._onset(points)
+        moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place
+        return torch.where((onset <= self._at(frame))[..., None], moved, math.nan).numpy()
+
+    def gradient(self, material: ArrayLike, frame: int) -> Array:
+        """Gradient (..., 2, 2) of the displacement since the onset by the place of the onset.
+
+        [..., 0, 1] is du/dy: rows are components of the displacement, columns directions of the derivative. NaN where
+        the displacement is NaN, and for skin that crosses the edge of a contact at rest: the places of onset of such
+        neighbours lie on one line, the edge, so that there is no gradient by them.
+        """
+        points = _points(material)
+        progress = self._at(frame).expand(points.shape[:-1])
+        onset, place = self._onset(points)
+        forward, velocity = self._derivatives(place, onset)
+        slope, rate = self._depth_derivatives(place, onset)
+        closing = (slope * velocity).sum(-1) + rate
+        onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
+        # What was inside at the start has its onset there, and so have its neighbours.
+        onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
+        place_gradient = forward + velocity[..., None] * onset_gradient
+        now, _ = self._derivatives(self._forward(points, progress, points), progress)
+        gradient = now @ _inverse(place_gradient) - torch.eye(2, dtype=torch.float64)
+        defined = (onset <= progress) & (_determinant(place_gradient).abs() > 1e-9)
+        return torch.where(defined[..., None, None], gradient, math.nan).numpy()
+
+    def medians(self, frame: int, spacing_mm: float = 0.25) -> Medians:
+        """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient."""
+        ellipse = self.ellipse(frame)
+        if ellipse is None:
+            return Medians(*(math.nan,) * 7)
+        # A small contact gets as many grid points as a large one.
+        x, y, _ = _grid_around(ellipse, min(spacing_mm, min(ellipse.semi_axes) / 8))
+        material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
+        gradient, displacement = self.gradient(material, frame), self.displacement(material, frame)
+        (xx, xy), (yx, yy) = np.moveaxis(gradient, 0, -1)
+        fields = (
+            xx + yy,
+            yx - xy,
+            xx + (xx**2 + yx**2) / 2,
+            yy + (xy**2 + yy**2) / 2,
+            (xy + yx + xx * xy + yx * yy) / 2,
+            *displacement.T,
+        )
+        return Medians(*(float(np.nanmedian(field)) for field in fields))
+
+    # How it is found
+
+    def _at(self, frame: int) -> Tensor:
+        return torch.tensor(self._progress[frame], dtype=torch.float64)
+
+    def _pixel_centres(self) -> tuple[Tensor, Tensor]:
+        y, x = (torch.arange(size, dtype=torch.float64) * self._mm_per_px for size in self._contact_shape)
+        return x.expand(self._contact_shape), y[:, None].expand(self._contact_shape)
+
+    def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
+        ridge = self._touches(*self._motion.material(x, y, self._at(frame)))
+        return torch.minimum(ridge, ellipse.distance(x, y))
+
+    def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        """F (..., 2, 2) and the velocity (..., 2) by progress of the skin at positions (..., 2)."""
+        with torch.enable_grad():
+            positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
+            material = self._motion.material(positions[..., 0], positions[..., 1], progress)
+            rows = [torch.autograd.grad(part.sum(), (positions, progress), retain_graph=True) for part in material]
+        forward = _inverse(torch.stack([row for row, _ in rows], dim=-2))
+        by_progress = torch.stack([rate for _, rate in rows], dim=-1)
+        return forward, -(forward @ by_progress[..., None])[..., 0]
+
+    def _depth_derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives of the depth in the contact by position (..., 2) and by progress (...)."""
+        with torch.enable_grad():
+            positions, progress = positions.detach().requires_grad_(), progress.detach().clone().requires_grad_()
+            depth = self._motion.depth(positions[..., 0], positions[..., 1], progress)
+            slope, rate = torch.autograd.grad(depth.sum(), (positions, progress))
+        return slope, rate
+
+    def _forward(self, material: Tensor, progress: Tensor, start: Tensor) -> Tensor:
+        """Positions (..., 2) of material points at their progress (...), by Newton's method; NaN for a NaN progress."""
+        positions = start
+        for _ in range(30):
+            reached = torch.stack(self._motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
+            missing = material - reached
+            if not (missing.abs() > TOLERANCE).any():
+                return positions + 0 * missing
+            forward, _ = self._derivatives(positions, progress)
+            positions = positions + (forward @ missing[..., None])[..., 0]
+        worst = missing.abs().nan_to_num(0).max().item()
+        raise ValueError(
+            f"the motion cannot be inverted: a point is missed by {worst:.2g} mm after 30 steps of Newton's method; "
+            f"the skin folds where its displacement changes by 100 % or more, so make the displacement smaller"
+        )
+
+    def _onset(self, material: Tensor) -> tuple[Tensor, Tensor]:
+        """Progress (...) at which material points (..., 2) enter the contact, and the place (..., 2); NaN if never.
+
+        Newton's method inside the bracket that contains the entry, so it cannot run away.
+        """
+        steps = torch.linspace(0, 1, self._motion.entry_steps + 1, dtype=torch.float64)
+        points = material.expand(len(steps), *material.shape)
+        at = steps.reshape(-1, *(1,) * (material.ndim - 1)).expand(points.shape[:-1])
+        place = self._forward(points, at, points)
+        inside = self._motion.depth(place[..., 0], place[..., 1], at) > 0
+        last = torch.argmax(inside.to(torch.uint8), dim=0)
+        first = (last - 1).clamp(min=0)
+        upper = torch.where(inside.any(dim=0), steps[last], math.nan)
+        lower = torch.where(inside.any(dim=0), steps[first], math.nan)
+
+        onset = upper
+        place = torch.gather(place, 0, last[None, ..., None].expand(1, *material.shape))[0]
+        for _ in range(60):
+            place = self._forward(material, onset, place)
+            depth = self._motion.depth(place[..., 0], place[..., 1], onset)
+            upper = torch.where(depth > 0, onset, upper)
+            lower = torch.where(depth > 0, lower, onset)
+            slope, rate = self._depth_derivatives(place, onset)
+            _, velocity = self._derivatives(place, onset)
+            guess = onset - depth / ((slope * velocity).sum(-1) + rate)
+            guess = torch.where((guess < lower) | (guess > upper), (lower + upper) / 2, guess)
+            settled = not ((guess - onset).abs() > TOLERANCE).any()
+            onset = guess
+            if settled:
+                break
+        return onset, self._forward(material, onset, place)
+
+
+def _points(values: ArrayLike) -> Tensor:
+    points = torch.as_tensor(np.asarray(values, dtype=np.float64))
+    if points.shape[-1:] != (2,):
+        raise ValueError(f"points have shape {tuple(points.shape)}; the last dimension must hold x and y")
+    return points
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """Inverse of 2 x 2 matrices; NaN and infinity pass where LAPACK would stop."""
+    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
+    adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
+    return adjugate / _determinant(matrix)[..., None, None]
+
+
+def _determinant(matrix: Tensor) -> Tensor:
+    return matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+
+
+def _grid_around(ellipse: Ellipse, spacing: float) -> tuple[Tensor, Tensor, float]:
+    """Square grid of positions (mm) that covers an ellipse, symmetric about its centre."""
+    count = math.ceil(max(ellipse.semi_axes) / spacing) + 1
+    offsets = torch.arange(-count, count + 1, dtype=torch.float64) * spacing
+    y, x = torch.meshgrid(offsets + ellipse.centre[1], offsets + ellipse.centre[0], indexing="ij")
+    return x, y, spacing

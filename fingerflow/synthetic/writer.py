@@ -1,0 +1,94 @@
+"""A synthetic scene on disk, as a lab would hand it over, together with the settings that rebuild its truth."""
+
+import dataclasses
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from fingerflow.errors import FingerflowError
+from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.motion import Bump
+from fingerflow.synthetic.press import Press
+from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.slide import Slide
+from fingerflow.synthetic.texture import RidgeTexture
+
+#: What the settings of a scene are made of.
+KINDS = {kind.__name__: kind for kind in (Press, Slide, RidgeTexture, Camera, Bump)}
+REFERENCE_PICTURES = 8
+FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
+
+
+def write_recording(folder: Path, scene: Scene) -> None:
+    """Write a scene as a folder that appears only when it is complete.
+
+    frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the mean of eight
+    pictures without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; truth.json, from which
+    `rebuild_scene` gives the scene and with it the truth.
+
+    Raises FingerflowError where the folder exists already.
+    """
+    folder = Path(folder)
+    if folder.exists():
+        raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        _write_frames(unfinished / "frames.npy", scene)
+        for name, picture in (("empty", scene.empty), ("dark", scene.dark)):
+            mean = np.mean([picture(number) for number in range(REFERENCE_PICTURES)], axis=0, dtype=np.float64)
+            np.save(unfinished / f"{name}.npy", mean.astype(np.float32))
+        columns = np.stack(scene.forces(), axis=1)
+        np.savetxt(unfinished / "forces.csv", columns, fmt="%.6f", delimiter=",", header=FORCE_COLUMNS, comments="")
+        (unfinished / "truth.json").write_text(json.dumps(scene, default=_settings, indent=1), encoding="utf-8")
+        unfinished.chmod(0o755)
+        unfinished.rename(folder)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+
+
+def rebuild_scene(folder: Path) -> Scene:
+    """The scene that `write_recording` wrote into a folder, frame for frame, with its truth.
+
+    Raises FingerflowError where truth.json is missing or is not the description of a scene.
+    """
+    path = Path(folder) / "truth.json"
+    try:
+        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=_object)
+    except FileNotFoundError:
+        raise FingerflowError(f"{path} does not exist; only a synthetic recording has a truth to rebuild") from None
+    except (ValueError, TypeError, KeyError) as error:
+        raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
+    if not isinstance(scene, Scene):
+        raise FingerflowError(f"{path} describes a {type(scene).__name__}, where a Press or a Slide is needed")
+    return scene
+
+
+def _write_frames(path: Path, scene: Scene) -> None:
+    first = scene.render(0)
+    frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
+    for number in tqdm(range(scene.n_frames), desc="synthetic frames", unit="frame"):
+        frames[number] = scene.render(number)
+    frames.flush()
+
+
+def _settings(part: Any) -> dict[str, Any]:
+    """A scene or a part of one as its kind and the arguments that make it."""
+    arguments = {field.name: getattr(part, field.name) for field in dataclasses.fields(part) if field.init}
+    return {"kind": type(part).__name__, **arguments}
+
+
+def _object(settings: dict[str, Any]) -> Any:
+    arguments = {name: _tuples(value) for name, value in settings.items() if name != "kind"}
+    return KINDS[settings["kind"]](**arguments)
+
+
+def _tuples(value: Any) -> Any:
+    """JSON knows lists only, settings are tuples."""
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
