@@ -1,0 +1,141 @@
+"""Force channels on their own clock: alignment to the trigger and resampling to the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.low_pass import low_pass_at
+
+Samples = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """Channels sampled at common times.
+
+    `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
+    "V", or "" for a trigger without one). `trigger`: name of the trigger's channel or None. `trigger_time`: s on the
+    clock of `times`, None until `align` has found it. `warnings`: what a user should read; `resample` adds to it.
+
+    Raises FingerflowError for times that are not finite or do not increase, and for channels of another length.
+    """
+
+    path: Path
+    times: Samples
+    channels: Mapping[str, Samples]
+    units: Mapping[str, str]
+    trigger: str | None = None
+    trigger_time: float | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.times.ndim != 1 or self.times.size == 0:
+            raise FingerflowError(f"{self.path}: has no samples")
+        if not np.all(np.isfinite(self.times)):
+            row = int(np.argmin(np.isfinite(self.times)))
+            raise FingerflowError(
+                f"{self.path}: the time of sample {row} is {self.times[row]}; every sample needs a time"
+            )
+        steps = np.diff(self.times)
+        if np.any(steps <= 0):
+            row = int(np.argmax(steps <= 0))
+            kind = "the same time as" if steps[row] == 0 else "an earlier time than"
+            raise FingerflowError(
+                f"{self.path}: sample {row + 1} has {kind} the one before ({self.times[row + 1]:g} s after "
+                f"{self.times[row]:g} s; {int(np.sum(steps <= 0))} such places). Times must increase; "
+                "if their digits are too few, pass sample_rate="
+            )
+        for name, values in self.channels.items():
+            if values.shape != self.times.shape:
+                raise FingerflowError(
+                    f"{self.path}: channel {name!r} has {values.size} samples for {self.times.size} times"
+                )
+
+    def align(self, trigger_level: float) -> Forces:
+        """The same forces with time 0 where the trigger channel first rises through `trigger_level` (in its unit).
+
+        The instant is interpolated linearly between the last sample below the level and the first one not below it.
+        Raises FingerflowError if there is no trigger channel or it never rises through the level.
+        """
+        if self.trigger is None:
+            names = ", ".join(map(repr, self.channels))
+            raise FingerflowError(f"{self.path}: no trigger channel was named; pass trigger= with one of {names}")
+        signal = self.channels[self.trigger]
+        rising = np.flatnonzero((signal[:-1] < trigger_level) & (signal[1:] >= trigger_level))
+        if rising.size == 0:
+            raise FingerflowError(
+                f"{self.path}: trigger {self.trigger!r} never rises through {trigger_level:g}; it starts at "
+                f"{signal[0]:g} and lies between {np.nanmin(signal):g} and {np.nanmax(signal):g}"
+            )
+        before = int(rising[0])
+        part = (trigger_level - signal[before]) / (signal[before + 1] - signal[before])
+        instant = self.times[before] + part * (self.times[before + 1] - self.times[before])
+        return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
+
+    def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
+        """Every channel at the times of the frames, free of what the frame rate cannot show.
+
+        frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
+        frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces
+        that are sampled no faster than the frames are interpolated linearly instead, with a warning.
+
+        Frames outside the time span of the forces, or in a gap between samples that is longer than a frame, get NaN;
+        their number goes to `warnings`. Raises FingerflowError if all frames lie outside.
+        """
+        wanted = np.asarray(frame_times, np.float64)
+        if wanted.ndim != 1 or wanted.size == 0 or not np.all(np.isfinite(wanted)):
+            raise FingerflowError(
+                f"{self.path}: frame times are one finite number a frame, in s; an array {wanted.shape} was given"
+            )
+        covered = self._covered(wanted)
+        frame_rate, sample_rate = _rate(wanted), _rate(self.times)
+        if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
+            after = np.clip(np.searchsorted(self.times, wanted), 1, self.times.size - 1)
+            in_gap = covered & (self.times[after] - self.times[after - 1] > 1 / frame_rate)
+            if in_gap.any():
+                self._warn(f"{int(in_gap.sum())} of {wanted.size} frames lie in gaps of the forces: NaN there")
+                covered &= ~in_gap
+            values = np.stack(list(self.channels.values()))
+            at_frames = low_pass_at(self.times, values, wanted[covered], nyquist=frame_rate / 2)
+        else:
+            rates = (
+                f"forces at {sample_rate:g} Hz, frames at {frame_rate:g} Hz"
+                if sample_rate and frame_rate
+                else "one time"
+            )
+            self._warn(f"forces are sampled no faster than the frames ({rates}): interpolated linearly, not filtered")
+            at_frames = np.stack([np.interp(wanted[covered], self.times, row) for row in self.channels.values()])
+        result = np.full((len(self.channels), wanted.size), np.nan)
+        result[:, covered] = at_frames
+        return dict(zip(self.channels, result, strict=True))
+
+    def _covered(self, wanted: Samples) -> NDArray[np.bool_]:
+        first, last = self.times[0], self.times[-1]
+        inside: NDArray[np.bool_] = (wanted >= first) & (wanted <= last)
+        if not inside.any():
+            raise FingerflowError(
+                f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {wanted.min():g} to "
+                f"{wanted.max():g} s: no frame is covered. Align both to the trigger first."
+            )
+        if not inside.all():
+            self._warn(
+                f"{int(np.sum(~inside))} of {wanted.size} frames lie outside the time span of the forces: NaN there"
+            )
+        return inside
+
+    def _warn(self, sentence: str) -> None:
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
+
+
+def _rate(times: Samples) -> float | None:
+    """Median rate, Hz: a gap or a late sample does not change it."""
+    steps = np.abs(np.diff(np.sort(times)))
+    steps = steps[steps > 0]
+    return 1.0 / float(np.median(steps)) if steps.size else None

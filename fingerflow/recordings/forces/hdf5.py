@@ -1,0 +1,45 @@
+"""Forces in an HDF5 file: every vector is a column; attributes `units` (or `unit`) and `sample_rate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.table import Table
+
+
+def read_table(path: Path) -> Table:
+    """Columns are named by their path in the file without the leading slash. `sample_rate` (Hz) is an attribute of the
+    file or of a data set; two different ones are an error."""
+    table = Table(path, {})
+    rates: set[float] = set()
+    try:
+        with h5py.File(path, "r") as file:
+            _take_rate(file, rates)
+
+            def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
+                _take_rate(item, rates)
+                if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
+                    table.add(name, item[()])
+                    unit = item.attrs.get("units", item.attrs.get("unit"))
+                    if unit is not None:
+                        units = unit.decode() if isinstance(unit, bytes) else str(unit)
+                        table.units.update({column: units for column in table.columns if column.split("[")[0] == name})
+
+            file.visititems(take)
+    except OSError as error:
+        raise FingerflowError(f"{path}: cannot be opened as HDF5, it is of another kind or damaged ({error})") from None
+    if len(rates) > 1:
+        raise FingerflowError(
+            f"{path}: states several sample rates ({', '.join(map(str, sorted(rates)))} Hz); pass sample_rate="
+        )
+    table.sample_rate = rates.pop() if rates else None
+    return table
+
+
+def _take_rate(item: h5py.Group | h5py.Dataset, rates: set[float]) -> None:
+    if "sample_rate" in item.attrs:
+        rates.add(float(np.asarray(item.attrs["sample_rate"]).reshape(-1)[0]))

@@ -1,0 +1,50 @@
+"""Forces in a MATLAB file, v5 to v7.3: every numeric vector is a column, fields of a struct as struct.field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.table import Table
+
+RATE_NAMES = ("sample_rate", "fs")
+UNITS = "units"
+
+
+def read_table(path: Path) -> Table:
+    """A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` has the unit of each column by its name."""
+    try:
+        from pymatreader import read_mat
+    except ImportError:
+        raise FingerflowError(
+            f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
+        ) from None
+    try:
+        content = read_mat(str(path))
+    except (OSError, ValueError, TypeError, KeyError, NotImplementedError) as error:
+        raise FingerflowError(
+            f"{path}: cannot be read as a MATLAB file, it is of another kind or damaged ({error})"
+        ) from None
+    table = Table(path, {})
+    _take(table, content, "")
+    return table
+
+
+def _take(table: Table, content: Mapping[str, Any], prefix: str) -> None:
+    for key, value in content.items():
+        if key.startswith("__") or key == "#refs#":
+            continue
+        name = prefix + key
+        if isinstance(value, Mapping) and key == UNITS:
+            table.units.update({prefix + column: str(unit) for column, unit in value.items()})
+        elif isinstance(value, Mapping):
+            _take(table, value, name + ".")
+        elif np.ndim(value) == 0 or np.size(value) == 1:
+            if key in RATE_NAMES and np.asarray(value).dtype.kind in "iuf":
+                table.sample_rate = float(np.asarray(value).reshape(-1)[0])
+        elif np.asarray(value).dtype.kind in "iuf":
+            table.add(name, np.asarray(value))

@@ -1,0 +1,175 @@
+"""`open_forces`: finds the reader that a path asks for, then the time, the channels and their units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.forces import Forces
+from fingerflow.recordings.forces.table import Table
+
+READER_OF = {
+    ".csv": "delimited_text",
+    ".txt": "delimited_text",
+    ".tsv": "delimited_text",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".mat": "matlab",
+    ".tdms": "tdms",
+}
+TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
+TO_VOLT = {"V": 1.0, "mV": 1e-3}
+TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
+TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
+
+
+def open_forces(
+    path: str | PathLike[str],
+    channels: Sequence[str] | Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    time: str | None = None,
+    sample_rate: float | None = None,
+    trigger: str | None = None,
+) -> Forces:
+    """Read forces and bring them to s, N and V.
+
+    path: CSV or other delimited text, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
+    channels: names of the columns to keep, or a mapping from the name that they get to the name in the file; by
+        default all.
+    units: unit of a column by its name in the file; goes before what the file says. Forces in N, mN, kN or uN become N;
+        V and mV become V; a time column may be in s, ms, us or min (s if nobody says).
+    time: name of the time column. By default one called time, t or timestamp, in any case of letters.
+    sample_rate: Hz, for a file without times; goes before the rate that the file states.
+    trigger: name of the column that carries the trigger; kept besides `channels`. Its unit may be missing.
+
+    Raises FingerflowError for a missing file or column, an unknown or missing unit, and times that do not increase.
+    """
+    location = Path(path)
+    if not location.is_file():
+        raise FingerflowError(f"{location}: there is no such file (looked in {Path.cwd()})")
+    reader = READER_OF.get(location.suffix.lower())
+    if reader is None:
+        raise FingerflowError(
+            f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
+            f"{', '.join(READER_OF)}"
+        )
+    table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
+    if not table.columns:
+        raise FingerflowError(f"{location}: has no column of numbers")
+    table.units.update(units or {})
+    for name in units or {}:
+        _column(table, name)
+    times, time_column = _times(table, time, sample_rate)
+    wanted = _wanted(table, channels, trigger, time_column, len(times) if time_column else None)
+    if times.size == 0:  # the rate is known, the length follows from the columns
+        count = len(_column(table, next(iter(wanted.values()))))
+        times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
+    values: dict[str, NDArray[np.float64]] = {}
+    canonical: dict[str, str] = {}
+    for name, column in wanted.items():
+        data = _column(table, column)
+        if len(data) != len(times):
+            raise FingerflowError(
+                f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
+            )
+        factor, canonical[name] = _unit(table, column, may_be_missing=column == trigger)
+        values[name] = data * factor
+    return Forces(location, times, values, canonical, trigger=_name_of(wanted, trigger))
+
+
+def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
+    """Times in s and the column that they are from; empty if a sample rate gives them."""
+    if sample_rate is not None:
+        if time is not None:
+            raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
+        if not (math.isfinite(sample_rate) and sample_rate > 0):
+            raise FingerflowError(f"{table.path}: sample_rate={sample_rate} is not a positive number of Hz")
+        return np.empty(0), None
+    if time is None:
+        candidates = [name for name in table.columns if _is_time(name)]
+        if len(candidates) > 1:
+            raise FingerflowError(
+                f"{table.path}: several columns could be the time, {candidates}; choose one with time="
+            )
+        time = candidates[0] if candidates else None
+    if time is None:
+        if table.sample_rate is None:
+            raise FingerflowError(
+                f"{table.path}: has no time: no sample rate and no column called {', '.join(TIME_NAMES)}. "
+                f"Pass time= with one of {_names(table)}, or sample_rate="
+            )
+        return np.empty(0), None
+    unit = table.units.get(time, "s")
+    if unit not in TO_SECONDS:
+        raise FingerflowError(f"{table.path}: time column {time!r} is in {unit!r}; known are {', '.join(TO_SECONDS)}")
+    return _column(table, time) * TO_SECONDS[unit], time
+
+
+def _wanted(
+    table: Table,
+    channels: Sequence[str] | Mapping[str, str] | None,
+    trigger: str | None,
+    time_column: str | None,
+    count: int | None,
+) -> dict[str, str]:
+    """Column in the file by the name that its channel gets. Without a choice: all columns as long as the times, or as
+    the longest column."""
+    if isinstance(channels, str):
+        channels = [channels]
+    if channels is None:
+
+        def is_time(name: str) -> bool:
+            return name == time_column if time_column else _is_time(name)
+
+        count = count or max(len(values) for values in table.columns.values())
+        wanted = {name: name for name, data in table.columns.items() if len(data) == count and not is_time(name)}
+    else:
+        wanted = dict(channels) if isinstance(channels, Mapping) else {name: name for name in channels}
+    if trigger is not None and trigger not in wanted.values():
+        wanted[trigger] = trigger
+    for column in wanted.values():
+        _column(table, column)
+    if not wanted:
+        raise FingerflowError(f"{table.path}: has times but no channel; its columns are {_names(table)}")
+    return wanted
+
+
+def _is_time(name: str) -> bool:
+    return re.split(r"[./]", name)[-1].strip().lower() in TIME_NAMES
+
+
+def _column(table: Table, name: str) -> NDArray[np.float64]:
+    if name not in table.columns:
+        raise FingerflowError(f"{table.path}: has no column {name!r}; its columns are {_names(table)}")
+    return table.columns[name]
+
+
+def _unit(table: Table, column: str, may_be_missing: bool) -> tuple[float, str]:
+    unit = table.units.get(column)
+    if unit is None and may_be_missing:
+        return 1.0, ""
+    for factors, canonical in ((TO_NEWTON, "N"), (TO_VOLT, "V")):
+        if unit in factors:
+            return factors[unit], canonical
+    known = ", ".join([*TO_NEWTON, *TO_VOLT])
+    state = "has no unit" if unit is None else f"is in {unit!r}, which is not known"
+    raise FingerflowError(
+        f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, or leave the "
+        "column out with channels="
+    )
+
+
+def _name_of(wanted: Mapping[str, str], trigger: str | None) -> str | None:
+    return next((name for name, column in wanted.items() if column == trigger), None)
+
+
+def _names(table: Table) -> str:
+    return ", ".join(repr(name) for name in table.columns)
