@@ -39,8 +39,12 @@ def weighted_moments(
     point_x, point_y = (coordinate[:, None, :].contiguous() for coordinate in points.unbind(-1))
     query_x, query_y = (coordinate[:, :, None].contiguous() for coordinate in queries.unbind(-1))
     one, scale = points.new_ones(()), -1 / radius**2
-    pieces = []
-    for start in range(0, max(1, queries.shape[1]), rows):
+    components, noises = values.shape[2], 0 if noise is None else noise.shape[2]
+    widths = [1] * 4 + [1 + components] * 3 + [noises] * 6
+    batch = torch.broadcast_shapes((geometries,), values.shape[:1])[0]
+    # Written piece by piece into one tensor: small results kept between the large matrices would fragment the heap.
+    sums = values.new_empty(batch, queries.shape[1], sum(widths))
+    for start in range(0, queries.shape[1], rows):
         # Differences to the query, not raw moments: the latter lose the digits of points far from the origin.
         dx = point_x - query_x[:, start : start + rows]
         dy = point_y - query_y[:, start : start + rows]
@@ -54,18 +58,16 @@ def weighted_moments(
             piece += [noise_columns.summed(weight * kernel) for kernel in (weight, weight_x, weight_y)]
             piece += [noise_columns.summed(weight_x * kernel) for kernel in (weight_x, weight_y)]
             piece += [noise_columns.summed(weight_y * weight_y)]
-        pieces.append(piece)
+        sums[:, start : start + rows] = torch.cat(piece, dim=-1)
 
-    count, xx, xy, yy, plain, along_x, along_y, *noisy = (
-        torch.cat(parts, dim=1) for parts in zip(*pieces, strict=True)
-    )
+    count, xx, xy, yy, plain, along_x, along_y, *noisy = sums.split(widths, dim=-1)
     return WeightedMoments(
         point_count=count[..., 0],
         mass=plain[..., 0],
         first=torch.stack((along_x[..., 0], along_y[..., 0]), dim=-1),
         second=torch.cat((xx, xy, yy), dim=-1),
         data=torch.stack((plain[..., 1:], along_x[..., 1:], along_y[..., 1:]), dim=-2),
-        noise=torch.stack(noisy, dim=-2) if noisy else None,
+        noise=None if noise is None else torch.stack(noisy, dim=-2),
     )
 
 

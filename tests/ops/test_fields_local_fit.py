@@ -284,7 +284,8 @@ def test_inputs_are_not_changed() -> None:
         assert torch.equal(tensor.nan_to_num(), expected.nan_to_num())
 
 
-def test_autograd() -> None:
+def test_autograd(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 2 * 12 * 2)  # two queries a piece
     points = cloud(2, count=12, size=1.0).requires_grad_()
     values = noise_like(points).requires_grad_()
     variance = (0.1 + cloud(2, count=12, size=1.0, seed=9)[..., 0]).requires_grad_()
