@@ -43,7 +43,7 @@ class Lights:
         width, height = self.size
         radius = 0.47 * height
         disc = Ellipse((0.505 * width, 0.5 * height), (radius, radius)).distance(x, y)
-        uneven = 0.93 + 0.07 * torch.cos(2.2 * (x / width - 0.55)) * torch.cos(2.6 * (y / height - 0.4))
+        uneven = 0.87 + 0.13 * torch.cos(3 * (x / width - 0.58)) * torch.cos(3 * (y / height - 0.4))
         return 2 + GLASS_LEVEL * uneven * torch.sigmoid(disc / DISC_WIDTH)
 
 

@@ -104,9 +104,13 @@ class Scene:
         progress = torch.tensor(self.progress(self.times)[self._checked(frame)], dtype=dtype)
         return self._picture(progress, dtype)
 
+    def empty_clean(self, dtype: torch.dtype = torch.float32) -> NDArray[np.floating]:
+        """The glass without a finger (H, W), in grey levels of the camera without noise and rounding."""
+        return self._picture(None, dtype)
+
     def empty(self, picture: int = 0) -> NDArray[np.integer]:
-        """A frame of the glass without a finger; each number has its own noise."""
-        clean = torch.from_numpy(self._picture(None, torch.float32))
+        """The glass without a finger (H, W) as the camera delivers it; each number has its own noise."""
+        clean = torch.from_numpy(self.empty_clean())
         return self.camera.read_out(clean, EMPTY_PICTURES + picture, defects=self.views["contact"])
 
     def dark(self, picture: int = 0) -> NDArray[np.integer]:
@@ -153,7 +157,8 @@ class Scene:
         return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
 
     @cached_property
-    def _skin(self) -> RidgeTexture:
+    def skin(self) -> RidgeTexture:
+        """The texture in material coordinates."""
         (x, y), (right, down) = self.contact_centre, self.texture.centre
         return replace(self.texture, centre=(x + right, y + down))
 
@@ -161,7 +166,7 @@ class Scene:
         """Distance (mm) to the edge of the touching part of a ridge, > 0 on it; exact in sign, else of first order."""
         half_width = math.pi * self.contact_fraction
         slope = 2 * math.pi / self.texture.period * math.sin(half_width)
-        return torch.cos(self._skin.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
+        return torch.cos(self.skin.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
         """A whole frame without noise; progress None is the glass without a finger."""
@@ -173,7 +178,7 @@ class Scene:
         if progress is None:
             return stray
         outline = Ellipse(self.contact_centre, self.finger)
-        return optics.topography(self._skin, outline, *self.motion.material(x, y, progress), grazing, stray)
+        return optics.topography(self.skin, outline, *self.motion.material(x, y, progress), grazing, stray)
 
     def _contact(self, progress: Tensor | None, x: Tensor, y: Tensor, bright_field: Tensor) -> Tensor:
         ellipse = None if progress is None else self.motion.ellipse(float(progress))

@@ -161,9 +161,7 @@ class Truth:
     def displacement(self, material: ArrayLike, frame: int) -> Array:
         """Displacement (..., 2) in mm since the onset; NaN before it and where there is none."""
         points = _points(material)
-        onset, place = self._onset(points)
-        moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place
-        return torch.where((onset <= self._at(frame))[..., None], moved, math.nan).numpy()
+        return self._displacement(points, frame, *self._onset(points)).numpy()
 
     def gradient(self, material: ArrayLike, frame: int) -> Array:
         """Gradient (..., 2, 2) of the displacement since the onset by the place of the onset.
@@ -173,19 +171,7 @@ class Truth:
         neighbours lie on one line, the edge, so that there is no gradient by them.
         """
         points = _points(material)
-        progress = self._at(frame).expand(points.shape[:-1])
-        onset, place = self._onset(points)
-        forward, velocity = self._derivatives(place, onset)
-        slope, rate = self._depth_derivatives(place, onset)
-        closing = (slope * velocity).sum(-1) + rate
-        onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
-        # What was inside at the start has its onset there, and so have its neighbours.
-        onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
-        place_gradient = forward + velocity[..., None] * onset_gradient
-        now, _ = self._derivatives(self._forward(points, progress, points), progress)
-        gradient = now @ _inverse(place_gradient) - torch.eye(2, dtype=torch.float64)
-        defined = (onset <= progress) & (_determinant(place_gradient).abs() > 1e-9)
-        return torch.where(defined[..., None, None], gradient, math.nan).numpy()
+        return self._gradient(points, frame, *self._onset(points)).numpy()
 
     def medians(self, frame: int, spacing_mm: float = 0.25) -> Medians:
         """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient."""
@@ -195,8 +181,10 @@ class Truth:
         # A small contact gets as many grid points as a large one.
         x, y, _ = _grid_around(ellipse, min(spacing_mm, min(ellipse.semi_axes) / 8))
         material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
-        gradient, displacement = self.gradient(material, frame), self.displacement(material, frame)
-        (xx, xy), (yx, yy) = np.moveaxis(gradient, 0, -1)
+        points = _points(material)
+        onset, place = self._onset(points)
+        displacement = self._displacement(points, frame, onset, place).numpy()
+        (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, place).numpy(), 0, -1)
         fields = (
             xx + yy,
             yx - xy,
@@ -219,6 +207,24 @@ class Truth:
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
         ridge = self._touches(*self._motion.material(x, y, self._at(frame)))
         return torch.minimum(ridge, ellipse.distance(x, y))
+
+    def _displacement(self, points: Tensor, frame: int, onset: Tensor, place: Tensor) -> Tensor:
+        moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place
+        return torch.where((onset <= self._at(frame))[..., None], moved, math.nan)
+
+    def _gradient(self, points: Tensor, frame: int, onset: Tensor, place: Tensor) -> Tensor:
+        progress = self._at(frame).expand(onset.shape)
+        forward, velocity = self._derivatives(place, onset)
+        slope, rate = self._depth_derivatives(place, onset)
+        closing = (slope * velocity).sum(-1) + rate
+        onset_gradient = -(slope[..., None, :] @ forward) / closing[..., None, None]
+        # What was inside at the start has its onset there, and so have its neighbours.
+        onset_gradient = torch.where((onset > 0)[..., None, None], onset_gradient, 0.0)
+        place_gradient = forward + velocity[..., None] * onset_gradient
+        now, _ = self._derivatives(self._forward(points, progress, points), progress)
+        gradient = now @ _inverse(place_gradient) - torch.eye(2, dtype=torch.float64)
+        defined = (onset <= progress) & (_determinant(place_gradient).abs() > 1e-9)
+        return torch.where(defined[..., None, None], gradient, math.nan)
 
     def _derivatives(self, positions: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         """F (..., 2, 2) and the velocity (..., 2) by progress of the skin at positions (..., 2)."""
@@ -245,6 +251,7 @@ class Truth:
             reached = torch.stack(self._motion.material(positions[..., 0], positions[..., 1], progress), dim=-1)
             missing = material - reached
             if not (missing.abs() > TOLERANCE).any():
+                # What has no progress misses by NaN and must not look found.
                 return positions + 0 * missing
             forward, _ = self._derivatives(positions, progress)
             positions = positions + (forward @ missing[..., None])[..., 0]

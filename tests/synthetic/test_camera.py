@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.synthetic import Camera
+from fingerflow.views import View
+
+SHAPE = (400, 500)
+
+
+@pytest.mark.parametrize("bit_depth", [8, 10, 12, 16])
+@pytest.mark.parametrize("light", [20.0, 125.5, 200.0])
+def test_noise_has_its_mean_and_variance(bit_depth: int, light: float) -> None:
+    camera = Camera(bit_depth=bit_depth)
+    clean = camera.expose(torch.full(SHAPE, light))
+    frame = camera.read_out(clean, 0)
+    assert frame.dtype == (np.uint8 if bit_depth == 8 else np.uint16)
+    expected = (light + 2) * (2**bit_depth - 1) / 255
+    # Five standard errors of a mean and of a variance of 200 000 draws; rounding adds its 1/12.
+    variance = float(camera.variance(clean[0, 0])) + 1 / 12
+    assert frame.mean() == pytest.approx(expected, abs=5 * (variance / frame.size) ** 0.5)
+    assert frame.astype(float).var() == pytest.approx(variance, rel=5 * (2 / frame.size) ** 0.5)
+
+
+def test_noise_is_the_stated_deviation_at_half_of_the_range_and_shot_noise_grows_with_light() -> None:
+    camera = Camera(noise=3.0, shot_share=0.5)
+    half, dark, twice = (float(camera.variance(torch.tensor(level))) for level in (127.5, 2.0, 253.0))
+    assert half == pytest.approx(9.0)
+    assert dark == pytest.approx(4.5)
+    assert twice == pytest.approx(13.5)
+    assert float(Camera(noise=3.0, shot_share=0.0).variance(torch.tensor(250.0))) == pytest.approx(9.0)
+
+
+def test_noise_is_white_in_space_and_between_pictures() -> None:
+    camera = Camera(bit_depth=12)
+    clean = camera.expose(torch.full(SHAPE, 100.0))
+    first, second = (camera.read_out(clean, picture).astype(float) for picture in (4, 5))
+    first, second = ((frame - frame.mean()) / frame.std() for frame in (first, second))
+    # Five standard deviations of a correlation of 200 000 pairs.
+    for product in (
+        first * second,
+        first[1:] * first[:-1],
+        first[:, 1:] * first[:, :-1],
+        first[:, 1:] * second[:, :-1],
+    ):
+        assert abs(product.mean()) < 5 / first.size**0.5
+
+
+def test_picture_number_and_seed_decide_the_noise() -> None:
+    clean = torch.full((20, 30), 90.0)
+    frame = Camera(seed=1).read_out(clean, 7)
+    Camera(seed=1).read_out(clean, 3)
+    np.testing.assert_array_equal(Camera(seed=1).read_out(clean, 7), frame)
+    assert (Camera(seed=1).read_out(clean, 8) != frame).any()
+    assert (Camera(seed=2).read_out(clean, 7) != frame).any()
+    assert clean.unique() == 90
+
+
+def test_salt_and_pepper_stay_in_their_view() -> None:
+    camera = Camera(salt_and_pepper=0.01)
+    view = View(rows=(0, 400), columns=(250, 500))
+    frame = camera.read_out(torch.full(SHAPE, 120.0), 0, defects=view)
+    extreme = (frame == 0) | (frame == 255)
+    assert not extreme[:, :250].any()
+    # 1000 drawn, of which some fall on each other: 1 - exp(-0.01) at most; half of them white.
+    assert extreme[:, 250:].mean() == pytest.approx(0.00995, abs=0.0002)
+    assert (frame == 255).sum() / extreme.sum() == pytest.approx(0.5, abs=0.08)
+
+
+def test_range_is_not_left() -> None:
+    frame = Camera(bit_depth=10, noise=20.0).read_out(torch.tensor([[0.0, 1023.0]]).repeat(500, 1), 0)
+    assert frame[:, 0].min() == 0
+    assert frame[:, 1].max() == 1023
+
+
+@pytest.mark.parametrize("bit_depth", [7, 17])
+def test_other_bit_depths_are_refused(bit_depth: int) -> None:
+    with pytest.raises(ValueError, match=f"bit_depth is {bit_depth}.*8 to 16"):
+        Camera(bit_depth=bit_depth)
+
+
+def test_a_share_over_one_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"shot_share is 1\.5.*from 0 to 1"):
+        Camera(shot_share=1.5)

@@ -1,0 +1,162 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.synthetic import Camera, Press, Scene, Slide
+
+ANY_SCENE = pytest.mark.parametrize("kind", [Press, Slide])
+
+
+@ANY_SCENE
+def test_frames_are_the_same_in_any_order(kind: type[Scene]) -> None:
+    scene, again = kind(), kind()
+    first = scene.render(200)
+    assert first.shape == (512, 1280)
+    assert first.dtype == np.uint8
+    other = again.render(201)
+    np.testing.assert_array_equal(again.render(200), first)
+    assert (other != first).mean() > 0.5
+    assert (kind(camera=Camera(seed=1)).render(200) != first).mean() > 0.5
+
+
+@ANY_SCENE
+def test_single_precision_is_far_below_the_noise(kind: type[Scene]) -> None:
+    scene = kind()
+    exact, fast = scene.render_clean(250, dtype=torch.float64), scene.render_clean(250)
+    assert fast.dtype == np.float32
+    # An edge of 80 levels over 0.35 px turns the 2e-6 mm of float32's rounding into 0.01 levels at most.
+    assert np.abs(exact - fast).max() < 0.02
+
+
+@ANY_SCENE
+def test_noise_is_the_cameras(kind: type[Scene]) -> None:
+    scene = kind(camera=Camera(salt_and_pepper=0.0, bit_depth=12))
+    clean, frame = scene.render_clean(150), scene.render(150)
+    assert frame.dtype == np.uint16
+    lit = clean > 20 * scene.camera.levels
+    score = (frame - clean)[lit] / np.sqrt(scene.camera.variance(torch.from_numpy(clean)).numpy()[lit] + 1 / 12)
+    assert score.mean() == pytest.approx(0, abs=5 / math.sqrt(score.size))
+    assert score.std() == pytest.approx(1, abs=5 / math.sqrt(2 * score.size))
+
+
+@ANY_SCENE
+@pytest.mark.parametrize("bit_depth", [8, 10, 12])
+def test_grey_levels_use_the_range_without_saturation(kind: type[Scene], bit_depth: int) -> None:
+    scene = kind(camera=Camera(bit_depth=bit_depth))
+    frame = scene.render(299)
+    levels = scene.camera.levels
+    assert (frame == scene.camera.full_range).mean() < 0.001
+    topography, contact = (scene.views[name].crop(frame) / levels for name in ("topography", "contact"))
+    # The slide ends on the right, where the grazing light has faded by a fifth.
+    assert 140 < np.quantile(topography, 0.999) < 215
+    assert np.median(topography[:20, :20]) == pytest.approx(9, abs=3)
+    skin = topography[206:306, 270:370]
+    # Half of the distance between crests and valleys.
+    assert (np.quantile(skin, 0.9) - np.quantile(skin, 0.1)) / 2 > 35
+    assert np.quantile(contact, 0.98) == pytest.approx(180, abs=12)
+    for corner in (contact[:20, :20], contact[:20, -20:], contact[-20:, :20], contact[-20:, -20:]):
+        assert np.median(corner) < 6
+
+
+@ANY_SCENE
+def test_ridges_in_contact_halve_the_bright_field(kind: type[Scene]) -> None:
+    scene = kind(camera=Camera(salt_and_pepper=0.0, dark=0.0))
+    view = scene.views["contact"]
+    quotient = view.crop(scene.render(299)) / np.maximum(view.crop(scene.empty()).astype(float), 1)
+    contact, gross = scene.truth.contact_mask(299), scene.truth.gross_mask(299)
+    assert np.median(quotient[contact]) == pytest.approx(0.5, abs=0.02)
+    assert np.median(quotient[gross & ~contact]) == pytest.approx(0.96, abs=0.02)
+    lit = view.crop(scene.empty()) > 100
+    assert np.median(quotient[lit & ~gross]) == pytest.approx(1, abs=0.01)
+
+
+def test_finger_is_seen_before_it_touches() -> None:
+    scene = Press()
+    frame, empty = scene.render_clean(2), scene.empty_clean()
+    left, right = (scene.views[name].crop(frame - empty) for name in ("topography", "contact"))
+    assert left[256, 320:].max() > 80
+    assert (right == 0).all()
+
+
+def test_light_does_not_move_with_the_skin() -> None:
+    """Outside both contacts the bright field is the same before and after a slide of 2 mm."""
+    scene = Slide()
+    first, last = (scene.views["contact"].crop(scene.render_clean(frame)) for frame in (0, 299))
+    y, x = (torch.from_numpy(part * scene.mm_per_px) for part in np.mgrid[0 : last.shape[0], 0 : last.shape[1]])
+    edges = [scene.truth.ellipse(frame) for frame in (0, 299)]
+    away = np.logical_and.reduce([edge.distance(x, y).numpy() < -0.2 for edge in edges if edge is not None])
+    assert 0.5 < away.mean() < 0.9
+    assert np.abs(last - first)[away].max() < 0.01
+    assert np.abs(last - first)[~away].max() > 50
+
+
+def test_empty_and_dark_pictures_differ_in_their_noise_only() -> None:
+    scene = Press()
+    assert (scene.empty(0) != scene.empty(1)).mean() > 0.3
+    np.testing.assert_array_equal(scene.empty(1), scene.empty(1))
+    left = scene.views["topography"].crop(scene.empty().astype(float) - scene.empty_clean())
+    # Clipping at 0 and rounding of a level of 8 with a deviation of 1.4 move the mean by less than this.
+    assert left.mean() == pytest.approx(0, abs=0.02)
+    assert scene.dark().mean() == pytest.approx(scene.camera.dark, abs=0.15)
+
+
+@ANY_SCENE
+def test_times_count_from_the_trigger(kind: type[Scene]) -> None:
+    scene = kind(n_frames=40, frame_rate=100.0, frames_before_trigger=5)
+    assert scene.times[[0, 5, 39]] == pytest.approx([-0.05, 0.0, 0.34])
+    forces = scene.forces()
+    assert np.diff(forces.time) == pytest.approx(1e-4)
+    assert forces.time[0] <= scene.times[0]
+    assert forces.time[-1] >= scene.times[-1]
+    edge = np.flatnonzero(np.diff(forces.trigger))
+    assert forces.time[edge + 1] == pytest.approx([0.0], abs=1e-12)
+    assert set(forces.trigger) == {0.0, 5.0}
+
+
+def test_press_force_rises_smoothly_and_area_follows_it() -> None:
+    scene = Press()
+    forces = scene.forces()
+    before, after = forces.time < 0.02, forces.time > 0.93
+    assert forces.normal_force[before].mean() == pytest.approx(0, abs=0.002)
+    assert forces.normal_force[before].std() == pytest.approx(0.005, rel=0.15)
+    assert forces.normal_force[after].mean() == pytest.approx(5, abs=0.002)
+    assert forces.tangential_force[after].mean() == pytest.approx(0.15, abs=0.002)
+    force = scene.normal_force(scene.times)
+    area = np.array([scene.truth.gross_contact_area_mm2(frame) for frame in range(scene.n_frames)])
+    # Semi-axes grow as force^(1/4).
+    np.testing.assert_allclose(area, math.pi * 5.5 * 4.5 * np.sqrt(force / 5), rtol=1e-12)
+    assert (area == 0).sum() > 12
+
+
+@ANY_SCENE
+def test_time_of_inverts_progress(kind: type[Scene]) -> None:
+    scene = kind()
+    progress = np.linspace(0.05, 0.99, 50)
+    np.testing.assert_allclose(scene.progress(scene.time_of(progress)), progress, rtol=1e-12)
+    assert np.isnan(scene.time_of(np.array([np.nan]))).all()
+    assert (np.diff(scene.progress(scene.times)) >= 0).all()
+
+
+def test_slide_peels_until_it_slips_as_a_whole() -> None:
+    scene = Slide()
+    share = np.array([scene.stuck_share(frame) for frame in range(scene.n_frames)])
+    assert share[0] == 1
+    assert (np.diff(share) <= 0).all()
+    full_slip = np.flatnonzero(share == 0)[0]
+    assert scene.times[full_slip] / scene.times[-1] == pytest.approx(0.6, abs=0.01)
+    ratio = scene.tangential_force(scene.times) / scene.normal_force(scene.times)
+    assert ratio[0] == 0
+    assert ratio[full_slip:] == pytest.approx(0.6)
+    # The largest T/N is at the critical d² = (mu_s - mu_k) / (2 mu_s - mu_k) = 0.4 / 1.4.
+    assert share[np.argmax(ratio)] == pytest.approx(0.4 / 1.4, abs=0.02)
+    moved = scene.truth.displacement(np.array(scene.motion.contact.centre), scene.n_frames - 1)
+    assert np.hypot(*moved) == pytest.approx(2.0)
+
+
+@ANY_SCENE
+@pytest.mark.parametrize("frame", [-1, 300])
+def test_frames_outside_the_recording_are_refused(kind: type[Scene], frame: int) -> None:
+    with pytest.raises(IndexError, match=f"frame {frame} is not in this scene: its frames are 0 to 299"):
+        kind().render(frame)

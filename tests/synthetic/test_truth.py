@@ -1,0 +1,285 @@
+"""The truth against independent evidence: finite differences, pixel counts, the pictures themselves."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.synthetic import Bump, Ellipse, Press, Scene, Slide
+from fingerflow.synthetic.optics import OUTLINE_WIDTH, RIDGE_LEVEL, SKIN_LEVEL, Lights
+
+Array = NDArray[np.float64]
+
+SCENES = [Press(), Slide()]
+ANY_SCENE = pytest.mark.parametrize("scene", SCENES, ids=["press", "slide"])
+LAST = 299
+
+
+def inside(scene: Scene, frame: int, count: int, share: float = 1.0) -> Array:
+    """Random positions (count, 2) in mm, even over `share` of the length of the gross contact."""
+    ellipse = scene.truth.ellipse(frame)
+    assert ellipse is not None
+    generator = np.random.default_rng(frame)
+    radius, angle = share * np.sqrt(generator.random(count)), 2 * math.pi * generator.random(count)
+    along, across = radius * np.cos(angle) * ellipse.semi_axes[0], radius * np.sin(angle) * ellipse.semi_axes[1]
+    cosine, sine = math.cos(ellipse.angle), math.sin(ellipse.angle)
+    return np.stack((cosine * along - sine * across, sine * along + cosine * across), axis=-1) + ellipse.centre
+
+
+def field_of_view(scene: Scene) -> Array:
+    rows, columns = scene.views["contact"].shape
+    y, x = np.meshgrid(np.linspace(-10, rows + 10, 60), np.linspace(-10, columns + 20, 70), indexing="ij")
+    return np.stack((x, y), axis=-1) * scene.mm_per_px
+
+
+@ANY_SCENE
+@pytest.mark.parametrize("frame", [0, 150, LAST])
+def test_forward_map_inverts_the_inverse_map(scene: Scene, frame: int) -> None:
+    positions = field_of_view(scene)
+    found = scene.truth.positions(scene.truth.material(positions, frame), frame)
+    # Newton ends at 1e-13 mm; det F is under 2.
+    np.testing.assert_allclose(found, positions, rtol=0, atol=1e-12)
+
+
+@ANY_SCENE
+def test_skin_never_folds_in_view(scene: Scene) -> None:
+    positions = field_of_view(scene)
+    for frame in range(0, scene.n_frames, 13):
+        material = scene.truth.material(positions, frame)
+        rows, columns = (np.diff(material, axis=axis) for axis in (0, 1))
+        area = columns[:-1, :, 0] * rows[:, :-1, 1] - columns[:-1, :, 1] * rows[:, :-1, 0]
+        step_y, step_x = positions[1, 0, 1] - positions[0, 0, 1], positions[0, 1, 0] - positions[0, 0, 0]
+        assert (area > 0.5 * step_x * step_y).all()
+
+
+@ANY_SCENE
+def test_onset_lies_on_the_edge_of_the_contact(scene: Scene) -> None:
+    truth = scene.truth
+    material = truth.material(inside(scene, LAST, 300), LAST)
+    time, frames = truth.onset_time(material), truth.onset_frame(material)
+    assert (frames >= 0).all()
+    late = frames > 0
+    assert late.sum() > 5
+    place = torch.from_numpy((truth.positions(material, LAST) - truth.displacement(material, LAST))[late])
+    progress = torch.from_numpy(scene.progress(time[late]))
+    depth = scene.motion.depth(place[:, 0], place[:, 1], progress)
+    # The arc sine near full force costs digits of the time: 1e-9 of the movement is 5 nm of the edge.
+    assert depth.abs().max() < 1e-9
+    found = torch.stack(scene.motion.material(place[:, 0], place[:, 1], progress), dim=-1)
+    np.testing.assert_allclose(found, material[late], rtol=0, atol=1e-9)
+
+
+@ANY_SCENE
+def test_onset_frame_is_the_first_inside(scene: Scene) -> None:
+    truth = scene.truth
+    for frame in (60, 140, LAST):
+        material = truth.material(inside(scene, frame, 100), frame)
+        onset = truth.onset_frame(material)
+        assert (onset <= frame).all()
+        for point, first in zip(material, onset, strict=True):
+            ellipse, before = truth.ellipse(first), truth.ellipse(max(first - 1, 0))
+            assert ellipse is not None
+            assert relative_radius(ellipse, truth.positions(point, first)) <= 1
+            if first > 0 and before is not None:
+                assert relative_radius(before, truth.positions(point, first - 1)) > 1
+
+
+def relative_radius(ellipse: Ellipse, position: Array) -> float:
+    """By rotating the point into the ellipse's frame, in NumPy."""
+    turn = np.exp(-1j * ellipse.angle)
+    principal = complex(*(position - np.array(ellipse.centre))) * turn
+    return math.hypot(principal.real / ellipse.semi_axes[0], principal.imag / ellipse.semi_axes[1])
+
+
+@pytest.mark.parametrize(("scene", "frame"), [(SCENES[0], 90), (SCENES[0], LAST), (SCENES[1], 120), (SCENES[1], LAST)])
+def test_gradient_equals_finite_differences(scene: Scene, frame: int) -> None:
+    truth = scene.truth
+    material = truth.material(inside(scene, frame, 200, share=0.97), frame)
+    step = 1e-4
+    displacements, places = [], []
+    for direction in np.eye(2):
+        pair = [truth.displacement(material + sign * step * direction, frame) for sign in (1, -1)]
+        now = [truth.positions(material + sign * step * direction, frame) for sign in (1, -1)]
+        displacements.append((pair[0] - pair[1]) / (2 * step))
+        places.append(((now[0] - pair[0]) - (now[1] - pair[1])) / (2 * step))
+    by_material, place_by_material = np.stack(displacements, axis=-1), np.stack(places, axis=-1)
+    gradient = truth.gradient(material, frame)
+    # Skin that crossed the edge of a contact at rest has its places of onset on one line.
+    defined = ~np.isnan(gradient).any(axis=(-1, -2))
+    assert np.array_equal(defined, np.abs(np.linalg.det(place_by_material)) > 1e-6)
+    assert defined.mean() > 0.9
+    expected = by_material[defined] @ np.linalg.inv(place_by_material[defined])
+    errors = np.abs(gradient[defined] - expected).max(axis=(-1, -2))
+    # Truncation is step² times a third derivative of order 1 1/mm², cancellation 1e-12 / step: both near 1e-8. The
+    # slide has a kink of its gradient on the edge of the stuck part, where a pair of neighbours may straddle it.
+    assert np.quantile(errors, 0.98) < 2e-7
+    assert errors.max() < (2e-7 if isinstance(scene, Press) else 1e-3)
+
+
+def test_press_spreads_the_skin_by_twelve_percent() -> None:
+    scene = SCENES[0]
+    gradient = scene.truth.gradient(scene.truth.material(inside(scene, LAST, 2000), LAST), LAST)
+    divergence = np.trace(gradient, axis1=-2, axis2=-1)
+    assert divergence.max() == pytest.approx(0.12, abs=0.005)
+
+
+@ANY_SCENE
+def test_medians_are_those_of_any_dense_sample(scene: Scene) -> None:
+    truth, frame = scene.truth, 200
+    material = truth.material(inside(scene, frame, 6000), frame)
+    gradient, displacement = truth.gradient(material, frame), truth.displacement(material, frame)
+    deformation = gradient + np.eye(2)
+    strain = (np.swapaxes(deformation, -1, -2) @ deformation - np.eye(2)) / 2
+    curl = gradient[:, 1, 0] - gradient[:, 0, 1]
+    expected = [np.trace(gradient, axis1=-2, axis2=-1), curl, strain[:, 0, 0], strain[:, 1, 1], strain[:, 0, 1]]
+    found = truth.medians(frame)
+    measured = [found.divergence, found.curl, found.exx, found.eyy, found.exy]
+    for value, sample in zip(measured, expected, strict=True):
+        # Four standard errors of the median of 6000 draws, 1.25 sigma / sqrt(n), sigma from the quartiles.
+        quartiles = np.nanquantile(sample, [0.25, 0.75])
+        assert value == pytest.approx(np.nanmedian(sample), abs=4 * 1.25 * np.ptp(quartiles) / 1.35 / math.sqrt(6000))
+    np.testing.assert_allclose(
+        [found.displacement_x, found.displacement_y], np.median(displacement, axis=0), rtol=0, atol=0.005
+    )
+
+
+def test_before_contact_and_without_contact_there_is_no_displacement() -> None:
+    truth = SCENES[0].truth
+    assert truth.ellipse(3) is None
+    assert truth.gross_contact_area_mm2(3) == 0 == truth.real_contact_area_mm2(3)
+    assert not truth.contact_mask(3).any()
+    assert not truth.gross_mask(3).any()
+    assert math.isnan(truth.medians(3).divergence)
+    never = np.array([[1.0, 1.0]])
+    assert truth.onset_frame(never) == [-1]
+    assert np.isnan(truth.onset_time(never)).all()
+    late = truth.material(inside(SCENES[0], LAST, 50), LAST)
+    late = late[truth.onset_frame(late) > 100]
+    for points, frame in ((never, LAST), (late, 100)):
+        assert np.isnan(truth.displacement(points, frame)).all()
+        assert np.isnan(truth.gradient(points, frame)).all()
+    assert not np.isnan(truth.displacement(late, LAST)).any()
+
+
+def test_points_come_in_any_shape() -> None:
+    truth = SCENES[0].truth
+    assert truth.gradient(np.empty((0, 2)), LAST).shape == (0, 2, 2)
+    assert truth.displacement([10.5, 8.4], LAST).shape == (2,)
+    grid = truth.displacement(np.full((3, 4, 2), 9.0), LAST)
+    np.testing.assert_array_equal(grid, np.broadcast_to(truth.displacement([9.0, 9.0], LAST), grid.shape))
+    with pytest.raises(ValueError, match=r"shape \(4, 3\).*x and y"):
+        truth.positions(np.zeros((4, 3)), 0)
+
+
+def test_stuck_skin_does_not_move_at_all() -> None:
+    scene = Slide()
+    frame = 100
+    share = scene.stuck_share(frame)
+    assert 0.3 < share < 0.9
+    stuck = inside(scene, frame, 500, share=0.999 * math.sqrt(share))
+    assert (scene.truth.displacement(stuck, frame) == 0).all()
+    assert (scene.truth.gradient(stuck, frame) == 0).all()
+
+
+@pytest.mark.parametrize("frame", [40, 100, 150, 184, 188])
+def test_slow_share_is_the_share_of_slow_skin(frame: int) -> None:
+    scene = Slide()
+    positions = inside(scene, frame, 20000)
+    moved = np.linalg.norm(positions - scene.truth.material(positions, frame), axis=-1)
+    assert np.mean(moved < 0.04) == pytest.approx(scene.slow_share(frame), abs=0.015)
+
+
+def test_a_folding_press_is_refused() -> None:
+    scene = Press(bumps=(Bump(centre=(0.0, 0.0), width=1.0, dilation=1.5),))
+    with pytest.raises(ValueError, match="make the displacement smaller"):
+        scene.truth.positions(inside(scene, LAST, 500), LAST)
+
+
+@ANY_SCENE
+def test_areas_equal_pixel_counts(scene: Scene) -> None:
+    truth, pixel = scene.truth, scene.mm_per_px**2
+    for frame in (100, LAST):
+        ellipse = truth.ellipse(frame)
+        assert ellipse is not None
+        # The error of counting lattice points in an ellipse of n px is of order n^(1/3): under 1e-3 at 10 000 px.
+        assert truth.gross_mask(frame).sum() * pixel == pytest.approx(truth.gross_contact_area_mm2(frame), rel=1e-3)
+        assert truth.gross_contact_area_mm2(frame) == pytest.approx(math.pi * math.prod(ellipse.semi_axes))
+        area = truth.real_contact_area_mm2(frame)
+        # Some 20 ridges cross the edge: their pixels are counted less evenly than the smooth ellipse's.
+        assert truth.contact_mask(frame).sum() * pixel == pytest.approx(area, rel=5e-3)
+        assert area == pytest.approx(0.5 * ellipse.area, rel=0.05)
+
+
+def test_area_of_the_real_contact_does_not_depend_on_the_samples() -> None:
+    truth = SCENES[0].truth
+    assert truth.real_contact_area_mm2(70) == pytest.approx(truth.real_contact_area_mm2(70, samples_per_px=9), rel=2e-4)
+
+
+def test_contact_fraction_is_a_setting() -> None:
+    truth = Press(contact_fraction=0.35).truth
+    assert truth.real_contact_area_mm2(LAST) == pytest.approx(0.35 * truth.gross_contact_area_mm2(LAST), rel=0.05)
+
+
+@ANY_SCENE
+def test_picture_shows_the_material_where_the_truth_says(scene: Scene) -> None:
+    """The topography, freed from light and outline, is the texture at the truth's material under each pixel."""
+    frame = 220
+    picture = scene.views["topography"].crop(scene.render_clean(frame, dtype=torch.float64))
+    generator = np.random.default_rng(0)
+    pixels = np.stack((generator.integers(250, 400, 300), generator.integers(150, 350, 300)), axis=-1)
+    positions = scene.truth.topography_positions(pixels)
+    material = torch.from_numpy(scene.truth.material(positions, frame))
+    lights = Lights(size=(640 * scene.mm_per_px, 512 * scene.mm_per_px))
+    x, y = torch.from_numpy(positions).unbind(-1)
+    outline = Ellipse(scene.contact_centre, scene.finger).distance(material[:, 0], material[:, 1])
+    lit = lights.grazing(x, y) * torch.sigmoid(outline / OUTLINE_WIDTH)
+    seen = (torch.from_numpy(picture[pixels[:, 1], pixels[:, 0]]) - scene.camera.dark - lights.stray(x, y)) / lit
+    expected = SKIN_LEVEL + RIDGE_LEVEL * scene.skin(material[:, 0], material[:, 1])
+    # 1e-9 grey levels: rounding of float64 only.
+    torch.testing.assert_close(seen, expected, rtol=0, atol=1e-9)
+
+
+@ANY_SCENE
+def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: Scene) -> None:
+    frame = 180
+    view = scene.views["contact"]
+    quotient = view.crop(scene.render_clean(frame, dtype=torch.float64) - scene.camera.dark) / view.crop(
+        scene.empty_clean(dtype=torch.float64) - scene.camera.dark
+    )
+    ellipse = scene.truth.ellipse(frame)
+    assert ellipse is not None
+    y, x = (torch.from_numpy(part * scene.mm_per_px) for part in np.mgrid[0 : view.shape[0], 0 : view.shape[1]])
+    # Half-way between a touching ridge (1 - 0.5) and the skin between ridges (1 - 0.04).
+    dark = quotient < 0.73
+    within = (ellipse.distance(x, y) > 0.15).numpy()
+    np.testing.assert_array_equal(dark[within], scene.truth.contact_mask(frame)[within])
+    assert not dark[(ellipse.distance(x, y) < -0.05).numpy()].any()
+
+
+@ANY_SCENE
+def test_views_are_related_by_the_affine_map(scene: Scene) -> None:
+    truth = scene.truth
+    pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.5, 255.25], [0.0, 511.0]])
+    np.testing.assert_allclose(truth.topography_pixels(truth.topography_positions(pixels)), pixels, atol=1e-10)
+    np.testing.assert_allclose(truth.contact_pixels(truth.contact_positions(pixels)), pixels, atol=1e-10)
+    matrix = np.array(scene.topography_to_contact)
+    seen = truth.contact_pixels(truth.topography_positions(pixels))
+    np.testing.assert_allclose(seen, pixels @ matrix[:, :2].T + matrix[:, 2], atol=1e-10)
+    assert math.sqrt(np.linalg.det(matrix[:, :2])) == pytest.approx(1.01)
+    assert np.abs(seen - pixels).max() > 3
+
+
+@ANY_SCENE
+def test_followed_points_stay_on_their_skin(scene: Scene) -> None:
+    truth = scene.truth
+    pixels = truth.topography_pixels(inside(scene, 100, 50))
+    later = truth.follow(pixels, 100, LAST)
+    np.testing.assert_allclose(
+        truth.material(truth.topography_positions(later), LAST),
+        truth.material(truth.topography_positions(pixels), 100),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(truth.follow(later, LAST, 100), pixels, atol=1e-9)
+    assert np.linalg.norm(later - pixels, axis=-1).max() > 2
