@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,16 @@ def read_table(path: Path) -> Table:
     if not lines:
         raise FingerflowError(f"{path}: has no line besides comments")
     separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
+    if separator is None:
+        lines[0] = re.sub(r"\s+([(\[])", r"\1", lines[0])  # the blank before a unit separates no columns
     split = [cell.strip().strip('"').strip() for cell in lines[0].split(separator)]
     units: dict[str, str] = {}
     if _is_numeric(split, separator):
         names, rows = [f"column_{number + 1}" for number in range(len(split))], lines
     else:
         names, units, rows = _heading(path, split, lines[1:], separator)
+    if not rows:
+        raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = "\n".join(rows)
     if separator != ",":
         body = body.replace(",", ".")
@@ -43,8 +48,6 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f"{path}: below the heading {split} there is something besides numbers: {error}"
         ) from None
-    if numbers.size == 0:
-        raise FingerflowError(f"{path}: has a heading {split} but no sample")
     table = Table(path, {}, units)
     for name, column in zip(names, numbers.T, strict=True):
         table.columns[name] = np.ascontiguousarray(column)

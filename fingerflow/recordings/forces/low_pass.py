@@ -43,9 +43,10 @@ def low_pass_at(times: Samples, values: Samples, wanted: Samples, nyquist: float
         used = index < last[part, None]
         index = np.where(used, index, first[part, None])
         offset = times[index] - wanted[part, None]
-        weights = np.where(used, _weights(offset, stretches[index], nyquist, half_width, used), 0.0)
+        window = np.where(used, _kaiser(offset / half_width), 0.0)
+        weights = np.sinc((PASS_BAND + STOP_BAND) * nyquist * offset) * window * stretches[index]  # cut off half way
         interior = (wanted[part] - half_width >= times[0]) & (wanted[part] + half_width <= times[-1])
-        weights = _exact_moments(weights, offset, used, half_width, interior)
+        weights = _exact_moments(weights, window, offset, interior)
         result[:, part] = np.einsum("fj,kfj->kf", weights, values[:, index])
     return result
 
@@ -65,22 +66,14 @@ def kernel_half_width(nyquist: float) -> float:
     return (STOP_BAND_DB - 7.95) / (14.36 * transition) / 2
 
 
-def _weights(offset: Samples, stretch: Samples, nyquist: float, half_width: float, used: NDArray[np.bool_]) -> Samples:
-    cutoff = (PASS_BAND + STOP_BAND) / 2 * nyquist
-    return np.sinc(2 * cutoff * offset) * _window(offset, half_width, used) * stretch
-
-
-def _window(offset: Samples, half_width: float, used: NDArray[np.bool_]) -> Samples:
+def _kaiser(position: Samples) -> Samples:
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
-    inside = np.sqrt(np.clip(1 - (offset / half_width) ** 2, 0.0, None))
-    return np.where(used, np.i0(beta * inside) / np.i0(beta), 0.0)
+    kaiser: Samples = np.i0(beta * np.sqrt(np.clip(1 - position**2, 0.0, None))) / np.i0(beta)
+    return kaiser
 
 
-def _exact_moments(
-    weights: Samples, offset: Samples, used: NDArray[np.bool_], half_width: float, interior: NDArray[np.bool_]
-) -> Samples:
+def _exact_moments(weights: Samples, window: Samples, offset: Samples, interior: NDArray[np.bool_]) -> Samples:
     weights = weights / weights.sum(1, keepdims=True)
-    window = _window(offset, half_width, used)
     # Odd about its own centre of mass, so that adding it changes the first moment and not the sum.
     centre = (window * offset).sum(1, keepdims=True) / window.sum(1, keepdims=True)
     odd = window * (offset - centre)

@@ -2,7 +2,7 @@
 
 Source: "Cine File Format", Vision Research, appendix 1. The camera squeezes 12 bits into 10 with the curve of ITU-R
 BT.709 between black (64 in both) and white (4064 of 4095, code 1014 of 1023); the tests hold the table against that
-formula. The table and not the formula decides: they differ by up to one count, and other readers use the table.
+formula. The table and not the formula decides: they differ by up to 2.4 counts, and other readers use the table.
 """
 
 from __future__ import annotations

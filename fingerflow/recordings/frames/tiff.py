@@ -17,7 +17,7 @@ GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
-    """Read the pages' tags only. Raises FingerflowError for colour, several channels and pages of different sizes.
+    """Read the pages' tags only. Raises FingerflowError for colour, two axes of frames and pages of different sizes.
 
     The rate is ImageJ's `finterval`, the seconds between two frames, where there is one; its `fps` is the speed of
     playback and does not count. The bit depth is the tag BitsPerSample.
@@ -97,10 +97,12 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
     *leading, height, width = stack.shape
     if sum(length > 1 for length in leading) > 1 or stack.axes[-2:] != "YX" or page.imagedepth > 1:
         raise FingerflowError(f"{path}: its axes {stack.axes} are {stack.shape}; frames have one axis before YX")
-    if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
-        raise FingerflowError(f"{path}: has {stack.shape[stack.axes.index('C')]} channels; save one alone")
     dtype = grey_dtype(np.dtype(stack.dtype), path)
+    imagej = file.imagej_metadata or {}
     count = math.prod(leading)
+    if count == 1 and stack.dataoffset is not None:
+        # ImageJ keeps the pixels in one piece and the list of pages behind them; cut off there, the count survives.
+        count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
     frames: _Stack
     if stack.dataoffset is not None:
@@ -113,13 +115,14 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
     if whole <= 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
     warnings = []
+    if "C" in stack.axes and stack.shape[stack.axes.index("C")] > 1:
+        warnings.append(f"the file calls its {count} images channels; they are read as frames")
     if whole < count:
         warnings.append(missing_frames(count - whole, count))
     elif complaints:
         warnings.append(f"truncated or damaged: frames after the last of {whole} may be missing ({complaints[0]})")
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         warnings.append("the file declares 0 as white: grey values are kept as stored, so larger ones are darker")
-    imagej = file.imagej_metadata or {}
     return (
         Description(
             path=path,

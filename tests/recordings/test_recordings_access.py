@@ -1,0 +1,155 @@
+"""What all recordings share: laziness, slices, times, and the errors of opening."""
+
+import numpy as np
+import pytest
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
+from fingerflow.recordings.frames.npy import NpyRecording
+
+FRAMES = np.random.default_rng(5).integers(0, 65536, (11, 4, 6)).astype(np.uint16)
+
+
+@pytest.fixture
+def path(tmp_path):
+    np.save(tmp_path / "frames.npy", FRAMES)
+    return tmp_path / "frames.npy"
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Numbers of the frames that were read, in order."""
+    numbers: list[int] = []
+    original = NpyRecording._read_frame
+
+    def counted(self, index):
+        numbers.append(index)
+        return original(self, index)
+
+    monkeypatch.setattr(NpyRecording, "_read_frame", counted)
+    return numbers
+
+
+def test_no_frame_is_read_before_it_is_asked_for(path, reads):
+    recording = open_recording(path, frame_rate=300)
+    view = recording[2:10][::-1][[0, 3, -1]]
+    assert len(view) == 3
+    assert view.times is not None
+    assert repr(recording) == "<Recording frames.npy: 11 frames of 4 x 6, uint16, 16 bit, 300 Hz>"
+    assert reads == []
+    np.testing.assert_array_equal(view[1], FRAMES[6])
+    assert reads == [6]
+    batches = recording.batches(4)
+    assert reads == [6]
+    next(batches)
+    assert reads == [6, 0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "key",
+    [slice(None), slice(2, 9, 3), slice(None, None, -1), slice(8, 1, -2), slice(5, 5), slice(-3, None), [3, 1, 2],
+     [-1, 0, 0], [], np.array([4, -2]), range(1, 8, 2)],
+    ids=str,
+)  # fmt: skip
+def test_slices_and_lists_choose_as_numpy_does(path, key):
+    recording = open_recording(path, frame_rate=100)
+    expected = FRAMES[np.asarray(key, dtype=int) if isinstance(key, (list, range)) else key]
+    view = recording[key]
+    assert len(view) == len(expected)
+    np.testing.assert_array_equal(view.read(), expected)
+    assert all(np.array_equal(frame, wanted) for frame, wanted in zip(view, expected, strict=True))
+    expected_times = (np.arange(11) / 100)[np.asarray(key, dtype=int) if isinstance(key, (list, range)) else key]
+    np.testing.assert_allclose(view.times, expected_times)
+
+
+def test_slices_of_slices(path):
+    recording = open_recording(path)
+    for first in (slice(1, 10), slice(None, None, -1), slice(9, 0, -3)):
+        for second in (slice(None, None, -1), slice(1, None, 2), slice(-1, None), [0, -1]):
+            np.testing.assert_array_equal(recording[first][second].read(), FRAMES[first][second])
+
+
+def test_numbers_of_frames(path):
+    recording = open_recording(path)
+    np.testing.assert_array_equal(recording[-1], FRAMES[10])
+    np.testing.assert_array_equal(recording[np.int64(3)], FRAMES[3])
+    for wrong in (11, -12):
+        with pytest.raises(IndexError, match="11 frames"):
+            recording[wrong]
+        with pytest.raises(IndexError, match="11 frames"):
+            recording[[0, wrong]]
+    with pytest.raises(TypeError, match="flatnonzero"):
+        recording[np.ones(11, bool)]
+    with pytest.raises(TypeError):
+        recording[1.5]
+
+
+def test_batches_cover_everything_once(path):
+    recording = open_recording(path)
+    for size, sizes in ((4, [4, 4, 3]), (11, [11]), (100, [11]), (1, [1] * 11)):
+        parts = list(recording.batches(size))
+        assert [len(part) for part in parts] == sizes
+        np.testing.assert_array_equal(np.concatenate(parts), FRAMES)
+    np.testing.assert_array_equal(np.concatenate(list(recording[::-2].batches(4))), FRAMES[::-2])
+    with pytest.raises(ValueError, match="size=0"):
+        next(recording.batches(0))
+
+
+def test_a_frame_is_a_copy(path):
+    recording = open_recording(path)
+    frame = recording[0]
+    frame[:] = 0
+    np.testing.assert_array_equal(recording[0], FRAMES[0])
+
+
+def test_rate_is_never_guessed_and_follows_the_view(path):
+    recording = open_recording(path)
+    assert recording.frame_rate is None
+    assert recording.times is None
+    recording = open_recording(path, frame_rate=300)
+    np.testing.assert_allclose(recording.times, np.arange(11) / 300, rtol=1e-15)
+    assert recording.times.dtype == np.float64
+    assert recording[::3].frame_rate == 100
+    assert recording[::-3].frame_rate == 100
+    assert recording[[1, 3, 5]].frame_rate == 150
+    assert recording[[1, 2, 5]].frame_rate is None
+    assert recording[[1, 1]].frame_rate is None
+
+
+@pytest.mark.parametrize("rate", [0, -300, float("nan"), float("inf")])
+def test_impossible_rates(path, rate):
+    with pytest.raises(FingerflowError, match="frame_rate"):
+        open_recording(path, frame_rate=rate)
+
+
+def test_wrong_paths_name_the_path_and_the_way_out(tmp_path, path):
+    with pytest.raises(FingerflowError, match=r"missing\.npy.*no such file"):
+        open_recording(tmp_path / "missing.npy")
+    (tmp_path / "notes.docx").write_text("hello")
+    with pytest.raises(FingerflowError, match=r"\.docx.*\.cine"):
+        open_recording(tmp_path / "notes.docx")
+    with pytest.raises(FingerflowError, match="HDF5"):
+        open_recording(f"{path}::/frames")
+
+
+@pytest.mark.parametrize("suffix", ["cine", "cih", "tif", "avi", "mp4", "mkv", "h5", "npy", "png", "jpg"])
+def test_a_file_of_another_kind_than_its_suffix_says(tmp_path, suffix):
+    for content in (b"", b"this is text and nothing else\n" * 40):
+        (tmp_path / f"a.{suffix}").write_bytes(content)
+        with pytest.raises(FingerflowError, match=rf"a\.{suffix}"):
+            open_recording(tmp_path / f"a.{suffix}")
+
+
+def test_larger_than_memory_opens_at_once(tmp_path):
+    # 200,000 frames, 52 GB if they were written: the file is a hole with a header.
+    shape = (200_000, 512, 256)
+    with open(tmp_path / "huge.npy", "wb") as file:
+        np.lib.format.write_array_header_2_0(file, {"descr": "<u2", "fortran_order": False, "shape": shape})
+        start = file.tell()
+        file.seek(start + 2 * 512 * 256 * 180_000)
+        file.write(np.arange(512 * 256, dtype="<u2").tobytes())
+        file.truncate(start + 2 * 512 * 256 * 200_000)
+    recording = open_recording(tmp_path / "huge.npy")
+    assert len(recording) == 200_000
+    np.testing.assert_array_equal(recording[180_000].reshape(-1), np.arange(512 * 256).astype(np.uint16))
+    assert recording[-1].max() == 0

@@ -1,0 +1,245 @@
+"""Reading forces: every kind of file is written by the test; time, channels, units and what is refused."""
+
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+from nptdms import ChannelObject, TdmsWriter
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_forces
+
+TIMES = np.arange(50) / 1000
+NORMAL = np.linspace(0, 5, 50)
+TANGENTIAL = np.sin(TIMES * 40)
+TRIGGER = np.where(TIMES < 0.0205, 0.0, 5.0)
+
+
+def text(tmp_path, content, name="forces.csv", encoding="utf-8"):
+    (tmp_path / name).write_bytes(content.encode(encoding))
+    return tmp_path / name
+
+
+def rows(separator=",", decimal=".", scale=1.0, end=""):
+    lines = []
+    for values in zip(TIMES * scale, NORMAL, TANGENTIAL, TRIGGER, strict=True):
+        lines.append(separator.join(f"{value:.9g}".replace(".", decimal) for value in values) + end)
+    return "\n".join(lines) + "\n"
+
+
+def check(forces, normal="normal", tangential="tangential", factor=1.0):
+    np.testing.assert_allclose(forces.times, TIMES, atol=1e-12)
+    np.testing.assert_allclose(forces.channels[normal], NORMAL * factor, rtol=1e-8)
+    np.testing.assert_allclose(forces.channels[tangential], TANGENTIAL, rtol=1e-8, atol=1e-9)
+    assert forces.units[normal] == forces.units[tangential] == "N"
+    assert all(values.dtype == np.float64 for values in forces.channels.values())
+
+
+CSV = {
+    "comma": "time (s),normal (N),tangential [N],trigger (V)\n" + rows(),
+    "semicolon and decimal comma": "time (s);normal (N);tangential [N];trigger (V)\n" + rows(";", ","),
+    "tab": "time (s)\tnormal (N)\ttangential [N]\ttrigger (V)\n" + rows("\t"),
+    "tab and decimal comma": "time (s)\tnormal (N)\ttangential [N]\ttrigger (V)\n" + rows("\t", ","),
+    "blanks": "time (s) normal (N)  tangential[N] trigger (V)\n" + rows(" "),
+    "comments and blank lines": "# taken 2 May\n\n% second\ntime (s),normal (N),tangential [N],trigger (V)\n" + rows(),
+    "milliseconds": "Time [ms],normal (N),tangential [N],trigger (V)\n" + rows(scale=1000),
+    "line of units": "t;normal;tangential;trigger\ns;N;N;V\n" + rows(";"),
+    "quotes": '"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),
+    "separator at the end": "time (s),normal (N),tangential [N],trigger (V),\n" + rows(end=","),
+    "carriage returns": ("time (s),normal (N),tangential [N],trigger (V)\n" + rows()).replace("\n", "\r\n"),
+}
+
+
+@pytest.mark.parametrize("kind", CSV)
+def test_delimited_text(tmp_path, kind):
+    forces = open_forces(text(tmp_path, CSV[kind]), trigger="trigger")
+    check(forces)
+    assert list(forces.channels) == ["normal", "tangential", "trigger"]
+    assert forces.units["trigger"] == "V"
+    assert forces.trigger_time is None
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mN", 1e-3), ("kN", 1e3), ("µN", 1e-6), ("uN", 1e-6)])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
+def test_forces_become_newtons(tmp_path, unit, factor, encoding):
+    content = f"time (s),normal ({unit}),tangential [N],trigger (mV)\n" + rows()
+    forces = open_forces(text(tmp_path, content, encoding=encoding))
+    check(forces, factor=factor)
+    np.testing.assert_allclose(forces.channels["trigger"], TRIGGER * 1e-3)
+    assert forces.units["trigger"] == "V"
+
+
+def test_units_given_go_before_the_file(tmp_path):
+    path = text(tmp_path, "time,normal,tangential (mN),trigger\n" + rows())
+    forces = open_forces(path, units={"normal": "mN", "tangential": "N", "time": "s"}, trigger="trigger")
+    check(forces, factor=1e-3)
+    assert forces.units["trigger"] == ""  # nobody said, and a level is enough to align
+
+
+def test_channels_are_chosen_and_renamed(tmp_path):
+    path = text(tmp_path, CSV["comma"])
+    assert list(open_forces(path, channels=["tangential"]).channels) == ["tangential"]
+    forces = open_forces(path, channels={"N": "normal", "T": "tangential"}, trigger="trigger")
+    check(forces, "N", "T")
+    assert list(forces.channels) == ["N", "T", "trigger"]
+    assert forces.trigger == "trigger"
+    assert open_forces(path, channels={"sync": "trigger"}, trigger="trigger").trigger == "sync"
+
+
+def test_without_a_heading_columns_have_numbers(tmp_path):
+    path = text(tmp_path, rows())
+    units = {"column_2": "N", "column_3": "N"}
+    check(open_forces(path, ["column_2", "column_3"], units, time="column_1"), "column_2", "column_3")
+
+
+def test_a_sample_rate_replaces_the_times(tmp_path):
+    path = text(tmp_path, CSV["comma"])
+    forces = open_forces(path, sample_rate=500)
+    np.testing.assert_allclose(forces.times, np.arange(50) / 500)
+    assert "time" not in forces.channels
+    with pytest.raises(FingerflowError, match="not both"):
+        open_forces(path, sample_rate=500, time="time")
+    with pytest.raises(FingerflowError, match="sample_rate=-1"):
+        open_forces(path, sample_rate=-1)
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "named"),
+    [
+        (CSV["comma"], {"channels": ["normal", "shear"]}, r"'shear'.*'normal', 'tangential', 'trigger'"),
+        (CSV["comma"], {"trigger": "sync"}, r"'sync'.*'trigger'"),
+        (CSV["comma"], {"units": {"shear": "N"}}, "'shear'"),
+        (CSV["comma"], {"time": "clock"}, "'clock'"),
+        ("time (s),normal (lbf)\n0,1\n1,2\n", {}, r"'normal' is in 'lbf'.*mN"),
+        ("time (s),normal\n0,1\n1,2\n", {}, r"'normal' has no unit.*units="),
+        ("time (h),normal (N)\n0,1\n1,2\n", {}, r"'h'.*ms"),
+        ("a (N),b (N)\n0,1\n1,2\n", {}, "sample_rate="),
+        ("time (s),normal (N)\n0,1\n1,2\n1,3\n2,4\n", {}, "sample 2 has the same time"),
+        ("time (s),normal (N)\n0,1\n2,2\n1,3\n", {}, "sample 2 has an earlier time"),
+        ("time (s),normal (N)\n0,1\nnan,2\n1,3\n", {}, "time of sample 1 is nan"),
+        ("time (s),normal (N)\n0,1\n1,high\n", {}, "high"),
+        ("time (s),normal (N)\n0,1\n1\n", {}, "besides numbers"),
+        ("time (s),normal (N)\n", {}, "no sample"),
+        ("time (s),normal (N),normal (N)\n0,1,2\n", {}, "'normal' appears twice"),
+        ("time (s)\n0\n1\n", {}, "no channel"),
+        ("# nothing\n", {}, "no line"),
+        ("", {}, "no line"),
+    ],
+)
+def test_refused_by_name(tmp_path, content, options, named):
+    with pytest.raises(FingerflowError, match=named) as refusal:
+        open_forces(text(tmp_path, content), **options)
+    assert "forces.csv" in str(refusal.value)
+
+
+def test_wrong_paths(tmp_path):
+    with pytest.raises(FingerflowError, match="no such file"):
+        open_forces(tmp_path / "missing.csv")
+    with pytest.raises(FingerflowError, match="no such file"):
+        open_forces(tmp_path)
+    with pytest.raises(FingerflowError, match=r"\.docx.*\.csv"):
+        open_forces(text(tmp_path, "x", "a.docx"))
+    for suffix in ("h5", "mat", "tdms"):
+        with pytest.raises(FingerflowError, match=rf"a\.{suffix}"):
+            open_forces(text(tmp_path, "this is something else\n" * 30, f"a.{suffix}"))
+
+
+# HDF5
+
+
+def test_hdf5(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"], file["normal"], file["tangential"] = TIMES * 1000, NORMAL, TANGENTIAL.astype(np.float32)
+        file["note"] = "a text"
+        file["time"].attrs["units"] = "ms"
+        file["normal"].attrs["units"] = "mN"
+        file["tangential"].attrs["unit"] = "N"
+        file["frames"] = np.zeros((3, 4, 5))
+    forces = open_forces(tmp_path / "a.h5")
+    np.testing.assert_allclose(forces.times, TIMES)
+    np.testing.assert_allclose(forces.channels["normal"], NORMAL * 1e-3)
+    np.testing.assert_allclose(forces.channels["tangential"], TANGENTIAL, atol=1e-7)
+    assert list(forces.channels) == ["normal", "tangential"]
+
+
+def test_hdf5_with_groups_a_matrix_and_a_rate(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["trial/forces"] = np.stack([NORMAL, TANGENTIAL], 1)
+        file["trial/forces"].attrs["units"] = "N"
+        file.attrs["sample_rate"] = 1000.0
+    forces = open_forces(tmp_path / "a.h5", {"normal": "trial/forces[0]", "tangential": "trial/forces[1]"})
+    check(forces)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["trial/forces"].attrs["sample_rate"] = 2000.0
+    with pytest.raises(FingerflowError, match="several sample rates"):
+        open_forces(tmp_path / "a.h5")
+
+
+# MATLAB
+
+
+def test_matlab_v5(tmp_path):
+    content = {"t": TIMES, "normal": NORMAL[:, None], "tangential": TANGENTIAL, "subject": "P01", "age": 30.0}
+    scipy.io.savemat(tmp_path / "a.mat", content | {"units": {"normal": "N", "tangential": "N"}})
+    check(open_forces(tmp_path / "a.mat"))
+
+
+def test_matlab_struct_with_a_rate(tmp_path):
+    data = {"normal": NORMAL, "tangential": TANGENTIAL, "fs": 1000.0, "units": {"normal": "N", "tangential": "N"}}
+    scipy.io.savemat(tmp_path / "a.mat", {"trial": data}, do_compression=True)
+    check(open_forces(tmp_path / "a.mat"), "trial.normal", "trial.tangential")
+
+
+def test_matlab_v73(tmp_path):
+    # What MATLAB writes with -v7.3: HDF5 behind a block of 512 bytes, vectors as (1, n), the class in an attribute.
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, values in (("time", TIMES), ("normal", NORMAL), ("tangential", TANGENTIAL)):
+            file[name] = values[:, None]
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    with open(tmp_path / "a.mat", "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124, b" ") + b"\x00\x02IM")
+    check(open_forces(tmp_path / "a.mat", units={"normal": "N", "tangential": "N"}))
+
+
+# TDMS
+
+
+def tdms(path, **properties):
+    properties = {"wf_increment": 0.001, "wf_start_offset": 0.0, "unit_string": "N"} | properties
+    with TdmsWriter(path) as writer:
+        writer.write_segment([
+            ChannelObject("forces", "normal", NORMAL, properties),
+            ChannelObject("forces", "tangential", TANGENTIAL, properties),
+            ChannelObject("sync", "trigger", TRIGGER, properties | {"unit_string": "V"}),
+        ])  # fmt: skip
+    return path
+
+
+def test_tdms(tmp_path):
+    forces = open_forces(tdms(tmp_path / "a.tdms"), trigger="trigger")
+    check(forces)
+    np.testing.assert_array_equal(forces.channels["trigger"], TRIGGER)
+    late = open_forces(tdms(tmp_path / "b.tdms", wf_start_offset=0.25))
+    np.testing.assert_allclose(late.times, TIMES + 0.25)
+
+
+def test_tdms_without_a_rate_and_with_two_clocks(tmp_path):
+    path = tdms(tmp_path / "a.tdms", wf_increment=0.0)
+    with pytest.raises(FingerflowError, match="sample_rate="):
+        open_forces(path)
+    check(open_forces(path, sample_rate=1000))
+    with TdmsWriter(tmp_path / "b.tdms") as writer:
+        for group, step in (("a", 0.001), ("b", 0.002)):
+            writer.write_segment([ChannelObject(group, "x", NORMAL, {"wf_increment": step, "unit_string": "N"})])
+    with pytest.raises(FingerflowError, match="different clocks"):
+        open_forces(tmp_path / "b.tdms")
+
+
+@pytest.mark.parametrize(("module", "name", "extra"), [("pymatreader", "a.mat", "mat"), ("nptdms", "a.tdms", "tdms")])
+def test_missing_extra_says_how_to_install_it(tmp_path, monkeypatch, module, name, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FingerflowError, match=rf"pip install .*\[{extra}\]"):
+        open_forces(tmp_path / name)

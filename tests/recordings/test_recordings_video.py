@@ -1,0 +1,187 @@
+"""Videos that the test encodes: every frame exactly, in any order, in bounded memory."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
+from fingerflow.recordings.frames import video
+
+HEIGHT, WIDTH, COUNT = 48, 80, 60
+
+
+def frames_of(bits: int) -> np.ndarray:
+    """A moving pattern with the number of the frame in its mean."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    top = 2**bits - 1
+    frames = [top * (0.2 + 0.6 * n / COUNT + 0.1 * np.sin((x + 2 * n) / 7) * np.cos(y / 5)) for n in range(COUNT)]
+    return np.array(frames).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def write(path: Path, frames: np.ndarray, codec: str, pixel_format: str, rate: int = 300, **options: str) -> Path:
+    """Luma planes are filled directly, so that nothing is converted on the way into the encoder."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=Fraction(rate), options=options)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixel_format
+        for number, values in enumerate(frames):
+            frame = av.VideoFrame(WIDTH, HEIGHT, pixel_format)
+            for plane_number, plane in enumerate(frame.planes):
+                buffer = np.frombuffer(plane, values.dtype).reshape(plane.height, -1).copy()
+                if pixel_format in ("bgr24", "rgb24"):
+                    buffer[:, : 3 * WIDTH] = (
+                        np.repeat(values, 3, axis=1) if values.ndim == 2 else values.reshape(HEIGHT, -1)
+                    )
+                elif plane_number == 0:
+                    buffer[:, :WIDTH] = values
+                else:
+                    buffer[:] = 128 << (8 * values.itemsize - 8 if values.itemsize == 1 else 2)
+                plane.update(buffer.tobytes())
+            frame.pts, frame.time_base = number, Fraction(1, rate)
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode(None):
+            container.mux(packet)
+    return path
+
+
+LOSSLESS = [
+    ("a.avi", "rawvideo", "gray", 8),
+    ("a.avi", "ffv1", "gray", 8),
+    ("a.mkv", "ffv1", "gray10le", 10),
+    ("a.mkv", "ffv1", "gray12le", 12),
+    ("a.mkv", "ffv1", "gray16le", 16),
+    ("a.avi", "rawvideo", "bgr24", 8),
+    ("a.mov", "png", "gray", 8),
+    ("a.mkv", "ffv1", "yuv420p", 8),
+    ("a.mkv", "ffv1", "yuv420p10le", 10),
+]
+
+
+@pytest.mark.parametrize(("name", "codec", "pixel_format", "bits"), LOSSLESS)
+def test_lossless_formats_come_back_bit_for_bit(tmp_path, name, codec, pixel_format, bits):
+    frames = frames_of(bits)
+    recording = open_recording(write(tmp_path / name, frames, codec, pixel_format))
+    assert (len(recording), recording.frame_shape) == (COUNT, (HEIGHT, WIDTH))
+    assert (recording.dtype, recording.bit_depth) == (frames.dtype, bits)
+    np.testing.assert_array_equal(recording.read(), frames)
+    assert recording.frame_rate == pytest.approx(300, rel=1e-6)
+    np.testing.assert_allclose(recording.times, np.arange(COUNT) / 300, rtol=1e-6)
+    luma = "yuv" in pixel_format
+    assert any("luma" in sentence for sentence in recording.warnings) == luma
+    assert len(recording.warnings) == luma
+
+
+INTER_CODED = [
+    ("a.mp4", "libx264", {"bf": "3", "g": "12", "qp": "10"}),
+    ("a.mov", "libx264", {"bf": "3", "g": "1000", "qp": "10"}),
+    ("a.mkv", "libx264", {"bf": "3", "g": "7", "qp": "10", "x264-params": "open-gop=1"}),
+    ("a.avi", "libx264", {"bf": "3", "g": "12", "qp": "10"}),
+    ("a.avi", "mpeg4", {"g": "10", "b": "8000000"}),
+    ("a.mkv", "libvpx-vp9", {"g": "15"}),
+]
+
+
+@pytest.mark.parametrize(("name", "codec", "options"), INTER_CODED, ids=lambda value: str(value))
+def test_inter_coded_video_gives_the_same_frames_in_any_order(tmp_path, name, codec, options):
+    frames = frames_of(8)
+    path = write(tmp_path / name, frames, codec, "yuv420p", **options)
+    with av.open(str(path)) as container:  # the reference: one pass from the start, nothing else
+        straight = [
+            np.frombuffer(f.planes[0], np.uint8).reshape(HEIGHT, -1)[:, :WIDTH].copy()
+            for f in container.decode(video=0)
+        ]
+    assert len(straight) == COUNT
+    recording = open_recording(path)
+    assert len(recording) == COUNT
+    for order in (np.arange(COUNT), np.arange(COUNT)[::-1], np.random.default_rng(1).permutation(COUNT)):
+        fresh = open_recording(path)
+        np.testing.assert_array_equal(fresh[order].read(), np.array(straight)[order])
+    # Each frame is the right one, not only the same each time: its mean tells its number (the codec moves it by < 1).
+    means = recording.read().mean((1, 2))
+    assert np.abs(means - frames.mean((1, 2))).max() < 1.0  # steps between frames are 2.55
+
+
+def test_reading_backwards_decodes_each_group_once_and_keeps_few_frames(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p", bf="0", g="20", sc_threshold="0")
+    decoded = []
+    original = video._Pixels.of
+    monkeypatch.setattr(
+        video._Pixels, "of", lambda self, f, p, number: decoded.append(number) or original(self, f, p, number)
+    )
+    recording = open_recording(path)
+    assert decoded == []
+    recording[::-1].read()
+    assert len(decoded) == COUNT
+    # With room for 5 frames a group of 20 is decoded again for each 5 frames: 20 + 15 + 10 + 5 of them.
+    monkeypatch.setattr(video, "CACHE_BYTES", 5 * HEIGHT * WIDTH)
+    decoded.clear()
+    small = open_recording(path)
+    small[::-1].read()
+    assert len(decoded) == 3 * (20 + 15 + 10 + 5)
+    assert len(small._cache) <= 5
+
+
+def test_high_rates_in_a_container_that_counts_milliseconds(tmp_path):
+    # At 2000 frames a second MKV gives every second frame the time stamp of the one before.
+    frames = frames_of(8)
+    recording = open_recording(write(tmp_path / "a.mkv", frames, "ffv1", "gray", rate=2000))
+    order = [40, 3, 4, 59, 0]
+    np.testing.assert_array_equal(recording[order].read(), frames[order])
+
+
+def test_a_given_rate_replaces_the_rate_of_playback(tmp_path):
+    path = write(tmp_path / "a.avi", frames_of(8), "rawvideo", "gray", rate=25)
+    recording = open_recording(path, frame_rate=1000)
+    assert recording.frame_rate == 1000
+    np.testing.assert_allclose(recording.times, np.arange(COUNT) / 1000)
+
+
+@pytest.mark.parametrize(("name", "codec"), [("a.avi", "rawvideo"), ("a.mkv", "ffv1")])
+def test_truncated(tmp_path, name, codec):
+    frames = frames_of(8)
+    path = write(tmp_path / name, frames, codec, "gray")
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.7 * len(data))])
+    recording = open_recording(path)
+    assert 0.6 * COUNT < len(recording) < 0.8 * COUNT
+    assert recording.warnings == (
+        f"truncated: {COUNT - len(recording)} of {COUNT} frames are missing at the end of the file",
+    )
+    np.testing.assert_array_equal(recording.read(), frames[: len(recording)])
+
+
+def test_mp4_without_its_index_is_refused(tmp_path):
+    path = write(tmp_path / "a.mp4", frames_of(8), "libx264", "yuv420p")
+    path.write_bytes(path.read_bytes()[:-2000])
+    with pytest.raises(FingerflowError, match="damaged"):
+        open_recording(path)
+
+
+def test_a_frame_with_real_colour_is_refused_by_its_number(tmp_path):
+    frames = np.repeat(frames_of(8)[..., None], 3, -1)
+    frames[5, 10, 10, 0] ^= 8
+    recording = open_recording(write(tmp_path / "a.avi", frames, "rawvideo", "bgr24"))
+    np.testing.assert_array_equal(recording[:5].read(), frames[:5, ..., 0])
+    with pytest.raises(FingerflowError, match="frame 5 has real colour"):
+        recording[5]
+
+
+def test_unknown_pixel_format_is_named(tmp_path):
+    path = write(tmp_path / "a.mkv", frames_of(16), "ffv1", "gbrp16le")
+    with pytest.raises(FingerflowError, match="gbrp16le"):
+        open_recording(path)
+
+
+def test_sound_alone_is_no_recording(tmp_path):
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        sound.sample_rate = 8000
+        for packet in [*stream.encode(sound), *stream.encode(None)]:
+            container.mux(packet)
+    with pytest.raises(FingerflowError, match="no video"):
+        open_recording(tmp_path / "a.mkv")
