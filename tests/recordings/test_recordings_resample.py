@@ -87,7 +87,7 @@ def test_naive_sampling_would_fail_the_test_above():
 
 
 def test_uneven_samples():
-    # The sum over uneven samples is an integral by the trapezoid rule of a signal with 8 samples a period at 250 Hz.
+    # The sum over uneven samples is an integral by the trapezoid rule: a coarser one at 2 kHz, so 2 % and not 0.1 %.
     for frequency, keeps in ((5, True), (60, True), (200, False)):
         signal, truth = resampled(frequency, uneven_times())
         assert np.abs(signal - truth * keeps).max() < 0.02

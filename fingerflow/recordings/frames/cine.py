@@ -48,24 +48,24 @@ SETUP_FIELDS = {
 def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
     """Read the headers and the table of image offsets; no frame. Raises FingerflowError for colour and for damage."""
     size = path.stat().st_size
-    with open(path, "rb") as file:
-        head = file.read(CINE_FILE_HEADER.size)
-        if len(head) < CINE_FILE_HEADER.size or head[:2] != b"CI":
-            raise FingerflowError(f"{path}: not a Phantom recording: it starts with {head[:2]!r} where b'CI' is due")
-        (_, _, compression, version, _, _, first_number, count, image_header, setup_at, offsets_at, trigger) = (
-            CINE_FILE_HEADER.unpack(head)
+    data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
+    if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":
+        raise FingerflowError(
+            f"{path}: not a Phantom recording: it starts with {data[:2].tobytes()!r}, not with a header of type b'CI'"
         )
-        if version != 1:
-            raise FingerflowError(f"{path}: version {version} of the Cine format; only version 1 is known")
-        if offsets_at >= size:
-            raise FingerflowError(f"{path}: ends after {size} bytes, before the table of its frames; copy it again")
-        file.seek(0)
-        header = file.read(offsets_at)
-        table = np.frombuffer(file.read(8 * count), "<i8", count=-1) if count else np.empty(0, "<i8")
-    layout = _layout(path, compression, BITMAP_INFO_HEADER.unpack_from(header, image_header), _Setup(header[setup_at:]))
+    (_, _, compression, version, _, _, first_number, count, image_header, setup_at, offsets_at, trigger) = (
+        CINE_FILE_HEADER.unpack_from(data.data)
+    )
+    if version != 1:
+        raise FingerflowError(f"{path}: version {version} of the Cine format; only version 1 is known")
+    if offsets_at >= size or image_header + BITMAP_INFO_HEADER.size > size:
+        raise FingerflowError(f"{path}: ends after {size} bytes, before the table of its frames; copy it again")
+    header = data[:offsets_at].data
+    table = np.frombuffer(data, "<i8", min(count, (size - offsets_at) // 8), offsets_at)
     setup = _Setup(header[setup_at:])
+    layout = _layout(path, compression, BITMAP_INFO_HEADER.unpack_from(data.data, image_header), setup)
     blocks = _tagged_blocks(header, setup_at + (setup["Length"] or 0))
-    whole = _whole_frames(path, table, layout.image_bytes, size)
+    whole = _whole_frames(table, layout.image_bytes, data)
     if whole == 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
 
@@ -153,7 +153,7 @@ def _unsigned(data: NDArray[np.uint8]) -> int:
 class _Setup:
     """SETUP fields by name; None where this version of the software did not write the field."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: memoryview) -> None:
         self._data = data
         self._length = 144 if len(data) >= 144 else 0
         self._length = self["Length"] or 0
@@ -208,7 +208,7 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup
     )
 
 
-def _tagged_blocks(header: bytes, start: int) -> dict[int, bytes]:
+def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
     blocks = {}
     while start + TAG_HEADER.size <= len(header):
         size, kind, _ = TAG_HEADER.unpack_from(header, start)
@@ -219,21 +219,19 @@ def _tagged_blocks(header: bytes, start: int) -> dict[int, bytes]:
     return blocks
 
 
-def _whole_frames(path: Path, offsets: NDArray[np.int64], image_bytes: int, size: int) -> int:
+def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
     """How many frames from the first on are in the file with all their bytes."""
-    ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > size)
+    ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
-    with open(path, "rb") as file:
-        while count:
-            file.seek(int(offsets[count - 1]))
-            (annotation_size,) = struct.unpack("<I", file.read(4))
-            if offsets[count - 1] + annotation_size + image_bytes <= size:
-                break
-            count -= 1
+    while count:
+        start = int(offsets[count - 1])
+        if start + _unsigned(data[start : start + 4]) + image_bytes <= data.size:
+            break
+        count -= 1
     return count
 
 
-def _seconds_from_trigger(block: bytes | None, trigger: int) -> NDArray[np.float64]:
+def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
     """TIME64 is a number of 2**-32 s since 1970; its two lowest bits carry flags. Subtracted as integers: a double
     would round the difference to 0.2 us."""
     if not block:
@@ -287,7 +285,7 @@ def _times(
     return stamps, rate, warnings
 
 
-def _metadata(setup: _Setup, layout: _Layout, first_number: int, exposures: bytes | None) -> dict[str, Any]:
+def _metadata(setup: _Setup, layout: _Layout, first_number: int, exposures: memoryview | None) -> dict[str, Any]:
     exposure = np.frombuffer(exposures, "<u4", 1)[0] / 2.0**32 if exposures else (setup["ShutterNs"] or 0) * 1e-9
     levels = {"black_level": setup["BlackLevel"], "white_level": setup["WhiteLevel"]}
     if layout.compression == PACKED_10:
