@@ -75,7 +75,7 @@ def test_onset_lies_on_the_edge_of_the_contact(scene: Scene) -> None:
 def test_onset_frame_is_the_first_inside(scene: Scene) -> None:
     truth = scene.truth
     for frame in (60, 140, LAST):
-        material = truth.material(inside(scene, frame, 100), frame)
+        material = truth.material(inside(scene, frame, 40), frame)
         onset = truth.onset_frame(material)
         assert (onset <= frame).all()
         for point, first in zip(material, onset, strict=True):

@@ -1,9 +1,11 @@
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import Bump, Camera, Press, RidgeTexture, Scene, Slide, rebuild_scene, write_recording
@@ -63,10 +65,21 @@ def test_a_failure_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
     def no_light(self: Scene, picture: int = 0) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Press, "dark", no_light)
-    with pytest.raises(KeyboardInterrupt):
-        write_recording(tmp_path / "trial", Press(**SMALL))
-    assert list(tmp_path.iterdir()) == []
+    def broken(self: Scene, frame: int) -> None:
+        raise OSError("no space left")
+
+    for name, failure, error in (("dark", no_light, KeyboardInterrupt), ("render", broken, OSError)):
+        monkeypatch.setattr(Press, name, failure)
+        with pytest.raises(error):
+            write_recording(tmp_path / "trial", Press(**SMALL))
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_threads_of_torch_are_left_as_they_were(tmp_path: Path) -> None:
+    before = torch.get_num_threads()
+    write_recording(tmp_path / "trial", Press(**SMALL))
+    with ThreadPoolExecutor(1) as fresh:
+        assert fresh.submit(torch.get_num_threads).result() == before == torch.get_num_threads()
 
 
 @pytest.mark.parametrize(
