@@ -1,0 +1,146 @@
+"""The exact median of every window, and the cheaper question whether it lies above a threshold."""
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fingerflow.ops.box_sum import box_sum
+from fingerflow.ops.median_network import MedianProgram, median_program
+
+# Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
+_PIXELS_A_PASS = 1 << 19
+
+_DTYPES = (
+    torch.uint8,
+    torch.int8,
+    torch.int16,
+    torch.int32,
+    torch.int64,
+    torch.float16,
+    torch.bfloat16,
+    torch.float32,
+    torch.float64,
+)
+
+
+def median_filter(frames: Tensor, size: int = 9) -> Tensor:
+    """Median of the `size` x `size` window around each pixel, by the shared network of `median_network`.
+
+    Args:
+        frames: (B, 1, H, W), 8 to 64 bit signed integers, uint8, uint16 or floating. A frame may be smaller than the
+            window.
+        size: window side in pixels, odd.
+
+    Returns:
+        (B, 1, H, W) of the same dtype, at each pixel one of the input values. Outside the frame the nearest pixel
+        counts (`replicate`, as in OpenCV's medianBlur and SciPy's mode "nearest"). For floating frames the result is
+        NaN exactly where the window holds a NaN; infinities are ordered as numbers. The gradient goes to the pixel
+        that is the median and is shared between equal ones.
+
+    Raises:
+        TypeError: the dtype has no order here (bool, complex, uint32, uint64).
+        ValueError: `frames` is not (B, 1, H, W), or `size` is even or under 1.
+    """
+    _check(frames, size)
+    if size == 1 or frames.numel() == 0:
+        return frames.clone()
+    if frames.dtype == torch.uint16:  # torch has no minimum of uint16
+        return median_filter(frames.to(torch.int32), size).to(torch.uint16)
+    if frames.dtype not in _DTYPES:
+        raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
+    program = median_program(size)
+    if frames.device.type != "cpu":
+        return _run(program, frames)
+    at_once = max(1, _PIXELS_A_PASS // frames[0].numel())
+    return torch.cat([_run(program, some) for some in frames.split(at_once)])
+
+
+def median_above(frames: Tensor, threshold: Tensor | float, size: int = 9) -> Tensor:
+    """Where the median of the window lies above a threshold: `median_filter(frames, size) > threshold` by one box sum.
+
+    The median of an odd number of values is above t exactly when more than half of the values are, so counting is
+    enough: 2 log2(size) additions a pixel in place of the network.
+
+    Args:
+        frames: (B, 1, H, W) as for `median_filter`.
+        threshold: a number, or a tensor (B,) with one a frame. A NaN threshold is exceeded nowhere.
+        size: window side in pixels, odd.
+
+    Returns:
+        (B, 1, H, W) bool. A NaN pixel counts as not above, so a window with some NaN is still decided by the rest;
+        `median_filter` gives NaN there, which is above nothing.
+
+    Raises:
+        ValueError: `frames` is not (B, 1, H, W), `size` is even or under 1, or `threshold` has another length than B.
+    """
+    _check(frames, size)
+    if isinstance(threshold, Tensor) and threshold.ndim:
+        if threshold.shape != frames.shape[:1]:
+            raise ValueError(
+                f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one number a frame"
+            )
+        threshold = threshold.to(frames.device).reshape(-1, 1, 1, 1)
+    if frames.dtype == torch.uint16:  # torch has no comparison of uint16
+        frames = frames.to(torch.int32)
+    above = frames > threshold
+    if frames.numel() == 0:
+        return above
+    height, width = frames.shape[-2:]
+    narrow = torch.int16 if size * size < 2**15 else torch.int32
+    count = above[:, :, _replicated(height, size, above), :][..., _replicated(width, size, above)].to(narrow)
+    return box_sum(count, size) > size * size // 2
+
+
+def _check(frames: Tensor, size: int) -> None:
+    if frames.ndim != 4 or frames.shape[1] != 1:
+        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+    if size < 1 or size % 2 == 0:
+        raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size")
+
+
+def _replicated(length: int, size: int, like: Tensor) -> Tensor:
+    """Indices of a line padded by half a window with its end pixels."""
+    half = size // 2
+    return torch.arange(-half, length + half, device=like.device).clamp(0, length - 1)
+
+
+def _run(program: MedianProgram, frames: Tensor) -> Tensor:
+    """Interpret the program on flat planes, one a phase of the tile; each step is one pass over contiguous memory."""
+    batch, _, height, width = frames.shape
+    (rows, columns), (down, right) = program.tile, program.reach
+    tiles_y, tiles_x = -(-height // rows), -(-width // columns)
+    grid_y, grid_x = tiles_y + down, tiles_x + right
+    half = program.size // 2
+    y = (torch.arange(grid_y * rows, device=frames.device) - half).clamp(0, height - 1)
+    x = (torch.arange(grid_x * columns, device=frames.device) - half).clamp(0, width - 1)
+    padded = frames[:, 0].index_select(1, y).index_select(2, x)
+    phases = padded.reshape(batch, grid_y, rows, grid_x, columns).permute(2, 4, 0, 1, 3).reshape(rows * columns, -1)
+
+    # A shift of whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
+    # only where no window begins. Planes are dropped after their last use, so that few are alive.
+    cells = batch * grid_y * grid_x
+    planes = dict(enumerate(phases.unbind()))
+    lengths = dict.fromkeys(planes, cells)
+    pair = None
+    for operation, result, left, right_plane, shift_y, shift_x, released in program.steps:
+        offset = shift_y * grid_x + shift_x
+        if pair != (left, right_plane, offset):  # minimum and maximum of the same two mostly follow each other
+            pair = (left, right_plane, offset)
+            first, second = planes[left], planes[right_plane]
+            length = min(lengths[left], lengths[right_plane] - offset)
+            if length < lengths[right_plane]:
+                second = second[offset : offset + length]
+            if length < lengths[left]:
+                first = first[:length]
+        planes[result] = torch.minimum(first, second) if operation == "minimum" else torch.maximum(first, second)
+        lengths[result] = length
+        for plane in released:
+            del planes[plane]
+
+    medians = []
+    for plane, shift_y, shift_x in program.outputs:
+        offset = shift_y * grid_x + shift_x
+        flat = functional.pad(planes[plane][offset:], (0, cells - lengths[plane] + offset))
+        medians.append(flat.reshape(batch, grid_y, grid_x)[:, :tiles_y, :tiles_x])
+    tiled = torch.stack(medians).reshape(rows, columns, batch, tiles_y, tiles_x).permute(2, 3, 0, 4, 1)
+    return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width].contiguous()

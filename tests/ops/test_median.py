@@ -1,0 +1,101 @@
+"""The median against SciPy and OpenCV, bit for bit; the count against the median."""
+
+import cv2
+import numpy as np
+import pytest
+import scipy.ndimage
+import torch
+
+from fingerflow.ops.median import median_above, median_filter
+
+
+def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
+    filtered = [scipy.ndimage.median_filter(frame[0], size, mode="nearest") for frame in frames.numpy()]
+    return torch.from_numpy(np.stack(filtered))[:, None]
+
+
+@pytest.mark.parametrize("size", [3, 5, 7, 9, 11, 15])
+@pytest.mark.parametrize("shape", [(1, 37, 41), (3, 16, 24), (2, 50, 33)])
+def test_equals_scipy(size: int, shape: tuple[int, int, int]) -> None:
+    generator = torch.Generator().manual_seed(size)
+    frames = torch.randint(0, 256, (shape[0], 1, *shape[1:]), dtype=torch.uint8, generator=generator)
+    assert torch.equal(median_filter(frames, size), scipy_median(frames, size))
+
+
+@pytest.mark.parametrize("size", [3, 5, 7, 9, 13])
+def test_equals_opencv(size: int) -> None:
+    frame = np.random.default_rng(size).integers(0, 256, (61, 47), dtype=np.uint8)
+    filtered = median_filter(torch.from_numpy(frame)[None, None], size)
+    assert np.array_equal(filtered[0, 0].numpy(), cv2.medianBlur(frame, size))
+
+
+@pytest.mark.parametrize(
+    "dtype",
+    [torch.int8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16, torch.float32, torch.float64],
+)
+def test_dtype_does_not_change_the_answer(dtype: torch.dtype) -> None:
+    frames = torch.randint(-60, 60, (2, 1, 21, 26), generator=torch.Generator().manual_seed(1))
+    filtered = median_filter(frames.to(dtype))
+    assert filtered.dtype == dtype
+    assert torch.equal(filtered.long(), scipy_median(frames, 9))
+
+
+def test_uint16_keeps_its_upper_half() -> None:
+    frames = torch.randint(0, 65536, (1, 1, 20, 31), generator=torch.Generator().manual_seed(2))
+    filtered = median_filter(frames.to(torch.uint16), 5)
+    assert filtered.dtype == torch.uint16
+    assert torch.equal(filtered.long(), scipy_median(frames, 5))
+
+
+def test_commutes_with_a_monotone_map() -> None:
+    frames = torch.rand(1, 1, 30, 30, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    assert torch.equal(median_filter(frames.exp(), 7), median_filter(frames, 7).exp())
+
+
+def test_batch_is_independent_of_how_it_is_cut() -> None:
+    frames = torch.randint(0, 256, (5, 1, 512, 320), dtype=torch.uint8, generator=torch.Generator().manual_seed(4))
+    together = median_filter(frames, 3)  # more pixels than one pass takes
+    assert torch.equal(together, torch.cat([median_filter(frame[None], 3) for frame in frames]))
+
+
+def test_input_is_left_as_it_was_and_may_be_a_view() -> None:
+    frames = torch.randint(0, 256, (2, 1, 40, 60), dtype=torch.uint8, generator=torch.Generator().manual_seed(5))
+    before = frames.clone()
+    view = frames[..., 5:35, 3:50:2]
+    assert torch.equal(median_filter(view, 5), median_filter(view.contiguous(), 5))
+    assert torch.equal(frames, before)
+
+
+def test_gradient_goes_to_the_median_pixel() -> None:
+    frames = torch.randperm(64, generator=torch.Generator().manual_seed(6)).double().reshape(1, 1, 8, 8)
+    frames.requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: median_filter(x, 3), frames, eps=1e-3)
+
+
+def test_exports_and_runs_the_same() -> None:
+    class Filter(torch.nn.Module):
+        def forward(self, frames: torch.Tensor) -> torch.Tensor:
+            return median_filter(frames, 5)
+
+    frames = torch.randint(0, 256, (1, 1, 24, 18), dtype=torch.uint8, generator=torch.Generator().manual_seed(7))
+    exported = torch.export.export(Filter(), (frames,)).module()
+    assert torch.equal(exported(frames.flip(-1)), median_filter(frames.flip(-1), 5))
+
+
+@pytest.mark.parametrize("size", [1, 3, 5, 9, 15])
+def test_median_above_is_the_median_above(size: int) -> None:
+    frames = torch.randint(0, 256, (3, 1, 40, 23), dtype=torch.uint8, generator=torch.Generator().manual_seed(8))
+    thresholds = torch.tensor([120.0, 128.0, 133.5])
+    expected = median_filter(frames, size) > thresholds[:, None, None, None]
+    assert torch.equal(median_above(frames, thresholds, size), expected)
+    assert expected.any()
+    assert not expected.all()
+
+
+def test_median_above_takes_a_number_and_wide_windows() -> None:
+    generator = torch.Generator().manual_seed(9)
+    frames = torch.randint(0, 65536, (1, 1, 30, 30), generator=generator).to(torch.uint16)
+    expected = median_filter(frames, 9).to(torch.int32) > 33000
+    assert torch.equal(median_above(frames, 33000, 9), expected)
+    # 185 * 185 passes 2^15: the count needs more than 16 bits.
+    assert median_above(torch.ones(1, 1, 4, 4), 0.5, 185).all()
