@@ -1,0 +1,123 @@
+"""From camera counts to a contact signal: uneven light divided out, contact bright, one byte a pixel."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops.quantile import frame_quantile
+
+# The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
+_FULL_LIGHT = 0.99
+
+
+class NormalizedFrames(NamedTuple):
+    """`frames` (B, 1, H, W): light over that of the empty glass; `valid` (B, 1, H, W) bool: where that is known."""
+
+    frames: Tensor
+    valid: Tensor
+
+
+def normalize_illumination(
+    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = 0.05
+) -> NormalizedFrames:
+    """(frames - dark) / (reference - dark), where the reference, the empty glass, is lit.
+
+    Outside the lit disc the quotient is noise over noise. A pixel is masked (valid False, quotient exactly 1 as for
+    empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile, not positive, or
+    where any input or the quotient is not finite. At the default limit of 5 % one count of camera noise on an 8-bit
+    reference of 200 counts becomes 0.1 in the quotient: already ten times the noise at full light and no better use.
+
+    A saturated pixel is taken at its value, since no dtype tells the camera's white level: the quotient is too small
+    where a frame saturates (bright, never mistaken for contact) and too large where the reference does.
+
+    Args:
+        frames: (B, 1, H, W), integers of 8 to 16 bit or floating, in camera counts.
+        reference: (1 or B, 1, H, W), the empty glass under the same light, in the same counts.
+        dark: (1 or B, 1, H, W), counts without light; None for zero.
+        minimum_illumination: least light, as a fraction of full light, at which a quotient means anything.
+
+    Returns:
+        `frames` float32 (float64 if any input is), `valid` bool, both (B, 1, H, W). Gradients flow where valid.
+
+    Raises:
+        ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
+    """
+    if not 0 <= minimum_illumination < 1:
+        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
+    images = [frames, reference] if dark is None else [frames, reference, dark]
+    for name, image in zip(("frames", "reference", "dark"), images, strict=False):
+        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, len(frames))
+        if not fits or image.shape[1] != 1:
+            raise ValueError(
+                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
+                "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
+            )
+    precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
+    counts, empty, *black = (image.to(precision) for image in images)
+    light = empty - black[0] if black else empty
+    passed = counts - black[0] if black else counts
+
+    step = max(1, min(light.shape[-2:]) // 128)  # some 10,000 pixels tell the quantile of smooth light
+    full_light = frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(precision).reshape(-1, 1, 1, 1)
+    lit = torch.isfinite(light) & (light > 0) & (light > minimum_illumination * full_light)
+    known = lit & torch.isfinite(passed)
+    # Both branches of a where are differentiated: the masked one must be finite too.
+    quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
+    valid = known & torch.isfinite(quotient)
+    return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
+
+
+def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:
+    """How much light a pixel has lost: 1 - quotient, or first quotient - quotient; contact is bright.
+
+    Args:
+        normalized: quotients (B, 1, H, W) of `normalize_illumination`.
+        first: the same at the first instant of contact, (1 or B, 1, H, W), where the signal is to be relative to it.
+
+    Returns:
+        (B, 1, H, W): 0 for no change and wherever either side is masked, 1 for light lost altogether.
+    """
+    if first is None:
+        return 1 - normalized.frames
+    return torch.where(normalized.valid & first.valid, first.frames - normalized.frames, 0.0)
+
+
+def quantize(signal: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
+    """The contact signal in one byte: level = round(255 (signal - low) / (high - low)), saturating.
+
+    One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel; the median and
+    Otsu's threshold run on it. `low` leaves room for pixels brighter than the empty glass.
+
+    Args:
+        signal: any shape, floating. NaN becomes level 0, infinities saturate.
+        low, high: the values of levels 0 and 255.
+
+    Returns:
+        uint8 of the same shape.
+
+    Raises:
+        ValueError: `high` is not above `low`.
+    """
+    scaled = (signal - low) * _levels_per_unit(low, high)
+    return torch.nan_to_num(scaled, nan=0.0).clamp(0, 255).round().to(torch.uint8)
+
+
+def dequantize(levels: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
+    """The contact signal of a level, the inverse of `quantize`: for a threshold found on quantised frames.
+
+    Args:
+        levels: any shape, uint8 or floating; NaN stays NaN.
+        low, high: as given to `quantize`.
+
+    Returns:
+        float32, or the dtype of floating `levels`.
+    """
+    values = levels if levels.is_floating_point() else levels.float()
+    return values / _levels_per_unit(low, high) + low
+
+
+def _levels_per_unit(low: float, high: float) -> float:
+    if not low < high:
+        raise ValueError(f"levels 0 to 255 cannot span {low} to {high}: high must be above low")
+    return 255 / (high - low)

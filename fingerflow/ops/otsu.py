@@ -1,0 +1,168 @@
+"""Otsu's threshold (1979) from a histogram, and how well it separates two classes at all."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class ClassSeparation(NamedTuple):
+    """The pixels at or below a threshold (index 0) and above it (index 1), float64.
+
+    `fractions`, `means`, `deviations` are (B, 2); `separability` (B,) is Otsu's eta, the share of the variance that
+    lies between the two means: 1 for two single values, 2/pi for one Gaussian cut in the middle, 3/4 for one uniform
+    range. A frame well above 2/pi has two classes; one near it is noise, and nothing is in contact.
+    """
+
+    fractions: Tensor
+    means: Tensor
+    deviations: Tensor
+    separability: Tensor
+
+
+def histogram(
+    frames: Tensor, mask: Tensor | None = None, bins: int = 256, value_range: tuple[float, float] | None = None
+) -> Tensor:
+    """Exact counts of pixel values, one histogram a frame.
+
+    Bins are open below and closed above, (low + k w, low + (k + 1) w], so that `frames > edge` splits a frame exactly
+    where the histogram does. The default for uint8, (-1, 255), gives each grey level its own bin.
+
+    Args:
+        frames: (B, 1, H, W), integers or floating.
+        mask: (B or 1, 1, H, W) bool, the pixels that count; None for all.
+        bins: number of bins.
+        value_range: (low, high) in the units of `frames`. Pixels beyond it count in the end bins. NaN and infinities do
+            not count.
+
+    Returns:
+        (B, bins) int64.
+
+    Raises:
+        ValueError: no `value_range` for a dtype other than uint8, or one whose high is not above its low.
+    """
+    low, high = _range(frames, value_range)
+    index = _bin_index(frames, bins, low, high)
+    if mask is not None:
+        index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
+    if torch.compiler.is_exporting():
+        return _count_by_product(index, bins)
+    batch = len(frames)
+    place = torch.arange(batch, device=frames.device, dtype=torch.int32)[:, None] * (bins + 1) + index
+    return torch.bincount(place.flatten(), minlength=batch * (bins + 1)).reshape(batch, bins + 1)[:, :bins]
+
+
+def otsu_threshold(
+    frames: Tensor, mask: Tensor | None = None, value_range: tuple[float, float] | None = None
+) -> Tensor:
+    """The threshold that separates a frame's pixels into two classes with the largest variance between their means.
+
+    256 fixed bins as in OpenCV, so that `frames > threshold` is OpenCV's THRESH_OTSU for uint8. Between two classes
+    with empty bins between them every threshold is equally good: the lowest is given.
+
+    Args:
+        frames, mask: see `histogram`.
+        value_range: (low, high) of the 256 bins; needed unless `frames` is uint8.
+
+    Returns:
+        (B,) float64 in the units of `frames`: the upper edge of the last bin of the lower class. NaN where fewer than
+        two bins are occupied: a blank or saturated frame has no threshold, and `frames > NaN` is empty.
+
+    Raises:
+        ValueError: see `histogram`.
+    """
+    low, high = _range(frames, value_range)
+    counts = histogram(frames, mask, 256, (low, high)).double()
+    level = torch.arange(256, dtype=torch.float64, device=frames.device)
+    # With n pixels of sum s up to a level, and n_all of sum s_all, the variance between the classes is
+    # (s n_all - s_all n)^2 / (n_all^2 n (n_all - n)) (Otsu 1979, eq. 18). Its integers are exact in float64.
+    below, total = counts.cumsum(1), counts.sum(1, keepdim=True)
+    moment = (counts * level).cumsum(1)
+    product = below * (total - below)
+    between = (moment * total - moment[:, -1:] * below).square() / product.clamp(min=1)
+    best = torch.where(between == between.amax(1, keepdim=True), level, 256.0).amin(1)
+    threshold = low + (best + 1) * ((high - low) / 256)
+    return torch.where((product > 0).any(1), threshold, torch.nan)
+
+
+def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = None) -> ClassSeparation:
+    """Means, deviations and Otsu's separability of the two classes that a threshold makes.
+
+    Args:
+        frames: (B, 1, H, W), integers or floating; NaN and infinities do not count.
+        threshold: (B,), as from `otsu_threshold`.
+        mask: (B or 1, 1, H, W) bool, the pixels that count; None for all.
+
+    Returns:
+        `ClassSeparation`; NaN for an empty class, and everywhere where the threshold is NaN. Separability is NaN when
+        either class is empty or all pixels are equal.
+
+    Raises:
+        ValueError: `threshold` is not (B,).
+    """
+    _check(frames)
+    if threshold.shape != frames.shape[:1]:
+        raise ValueError(f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one a frame")
+    values = frames.flatten(1).double()
+    counted = torch.isfinite(values)
+    if mask is not None:
+        counted = counted & mask.expand(frames.shape).flatten(1)
+    limit = threshold.double()[:, None]
+    above = values > limit
+    member = torch.stack([counted & ~above, counted & above], 2).double()  # (B, pixels, 2)
+    # Moments about a value between the classes, so that their squares lose no digits.
+    centre = torch.nan_to_num(limit)
+    from_centre = torch.where(counted, values - centre, 0.0)
+    powers = torch.stack([torch.ones_like(from_centre), from_centre, from_centre.square()], 1)
+    number, first, second = (powers @ member).unbind(1)
+    number = torch.where(limit.isnan(), torch.nan, number)
+    means = first / number
+    variances = (second / number - means.square()).clamp(min=0)
+    means = means + centre
+    fractions = number / number.sum(1, keepdim=True)
+    between = fractions.prod(1) * (means[:, 1] - means[:, 0]).square()
+    separability = between / (between + (fractions * variances).sum(1))
+    return ClassSeparation(fractions, means, variances.sqrt(), separability)
+
+
+def _check(frames: Tensor) -> None:
+    if frames.ndim != 4 or frames.shape[1] != 1:
+        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+
+
+def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[float, float]:
+    _check(frames)
+    if value_range is None:
+        if frames.dtype != torch.uint8:
+            raise ValueError(
+                f"a histogram of {frames.dtype} needs value_range=(low, high): the dtype does not tell the range "
+                "of the values (12-bit frames: (-1, 4095))"
+            )
+        return -1.0, 255.0
+    low, high = value_range
+    if not low < high:
+        raise ValueError(f"value_range {value_range}: high must be above low")
+    return float(low), float(high)
+
+
+def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:
+    """Bin of every pixel (B, H W) int32; `bins` where it does not count."""
+    values = frames.flatten(1)
+    if not frames.is_floating_point() and high - low == bins and low.is_integer():  # one integer a bin
+        if frames.dtype == torch.uint8 and low == -1 and bins == 256:
+            return values.int()
+        return (values.int() - (int(low) + 1)).clamp(0, bins - 1)
+    values = values if values.dtype in (torch.float32, torch.float64) else values.double()
+    counted = torch.isfinite(values)
+    place = ((torch.where(counted, values, low) - low) * (bins / (high - low))).ceil() - 1
+    return torch.where(counted, place.clamp(0, bins - 1), bins).int()
+
+
+def _count_by_product(index: Tensor, bins: int) -> Tensor:
+    """Counts as a product of two one-hot digits, 16 x N by N x 16: no scatter, exact below 2^24 pixels in float32."""
+    digits = torch.arange(16, device=index.device)[:, None]
+    groups = torch.arange(bins // 16 + 1, device=index.device)[:, None]
+    high = (index // 16)[:, None] == groups
+    low = (index % 16)[:, None] == digits
+    counts = high.float() @ low.float().transpose(1, 2)
+    return counts.flatten(1)[:, :bins].long()

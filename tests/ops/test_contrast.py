@@ -1,0 +1,75 @@
+"""Contrast ops against NumPy's quantiles and SciPy's Gaussian, hard cases included."""
+
+import numpy as np
+import pytest
+import scipy.ndimage
+import torch
+
+from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int32, torch.float32, torch.float64])
+def test_stretch_maps_quantiles_to_zero_and_one(dtype: torch.dtype) -> None:
+    values = torch.randint(20, 200, (2, 1, 60, 70), generator=torch.Generator().manual_seed(0))
+    flat = values.flatten(1).numpy()
+    low, high = (np.quantile(flat, q, axis=1, method="inverted_cdf")[:, None, None, None] for q in (0.02, 0.9))
+    expected = np.clip((values.numpy() - low) / (high - low), 0, 1)
+    stretched = stretch_contrast(values.to(dtype), 0.02, 0.9)
+    assert stretched.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
+    assert np.allclose(stretched.numpy(), expected, atol=1e-6)
+
+
+def test_stretch_undoes_gain_and_offset() -> None:
+    values = torch.rand(1, 1, 40, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    # The quantiles carry 2^-24 of the range each.
+    assert (stretch_contrast(3 * values + 7) - stretch_contrast(values)).abs().max() < 1e-6
+
+
+def test_stretch_of_hard_frames() -> None:
+    blank = torch.full((1, 1, 5, 5), 255, dtype=torch.uint8)
+    assert (stretch_contrast(blank) == 0).all()
+    frame = torch.rand(1, 1, 20, 20, generator=torch.Generator().manual_seed(2))
+    frame[0, 0, 0, :3] = torch.tensor([torch.nan, torch.inf, -torch.inf])
+    stretched = stretch_contrast(frame)
+    assert stretched[0, 0, 0, 0].isnan()
+    assert stretched[0, 0, 0, 1:3].tolist() == [1, 0]
+    assert stretched.isnan().sum() == 1
+    assert stretch_contrast(torch.full((1, 1, 3, 3), torch.nan)).isnan().all()
+    assert stretch_contrast(torch.zeros(0, 1, 3, 3)).shape == (0, 1, 3, 3)
+
+
+@pytest.mark.parametrize("sigma", [0.8, 2.0, 5.5])
+def test_unsharp_mask_equals_scipy(sigma: float) -> None:
+    values = torch.rand(2, 1, 40, 31, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    blurred = np.stack([scipy.ndimage.gaussian_filter(v[0], sigma, mode="nearest", truncate=4) for v in values.numpy()])
+    expected = values.numpy() + 1.5 * (values.numpy() - blurred[:, None])
+    assert np.allclose(unsharp_mask(values, sigma, 1.5).numpy(), expected, atol=1e-12)
+
+
+def test_unsharp_mask_of_hard_frames() -> None:
+    blank = torch.full((1, 1, 9, 9), 200, dtype=torch.uint8)
+    assert (unsharp_mask(blank, 2.0) - 200).abs().max() < 1e-3
+    assert unsharp_mask(torch.ones(1, 1, 1, 1), 3.0).item() == pytest.approx(1)  # far smaller than the Gaussian
+    assert unsharp_mask(torch.zeros(0, 1, 9, 9), 2.0).shape == (0, 1, 9, 9)
+    assert unsharp_mask(blank.half(), 1.0).dtype == torch.float32
+
+
+def test_background_is_subtracted_with_sign() -> None:
+    frames = torch.tensor([10, 200], dtype=torch.uint8).reshape(2, 1, 1, 1).expand(2, 1, 3, 3)
+    background = torch.full((1, 1, 3, 3), 50, dtype=torch.uint8)
+    difference = subtract_background(frames, background)
+    assert difference.dtype == torch.float32
+    assert difference[:, 0, 0, 0].tolist() == [-40, 150]
+    assert subtract_background(frames.to(torch.uint16), background.to(torch.uint16))[0, 0, 0, 0] == -40
+
+
+def test_refusals() -> None:
+    frame = torch.zeros(2, 1, 3, 3)
+    with pytest.raises(ValueError, match=r"0\.9 and 0\.1"):
+        stretch_contrast(frame, 0.9, 0.1)
+    with pytest.raises(ValueError, match="sigma is 0"):
+        unsharp_mask(frame, 0)
+    with pytest.raises(ValueError, match=r"background has shape \(3, 1, 3, 3\)"):
+        subtract_background(frame, torch.zeros(3, 1, 3, 3))
+    with pytest.raises(ValueError, match=r"\(3, 3\)"):
+        stretch_contrast(frame[0, 0])

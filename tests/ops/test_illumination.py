@@ -1,0 +1,117 @@
+"""The quotient by the empty glass against its definition, and the byte that carries the contact signal."""
+
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+
+from fingerflow.ops.illumination import contact_signal, dequantize, normalize_illumination, quantize
+
+
+def lamp(height: int = 40, width: int = 50) -> torch.Tensor:
+    """An uneven light, 60 to 200 counts everywhere."""
+    y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
+    return (200 - 70 * (x.square() + y.square()))[None, None].double()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "full", "tolerance"),
+    # Half a count of rounding in frame and reference, over the darkest 60 / 200 of full light.
+    [(torch.uint8, 200, 0.02), (torch.int16, 4000, 1e-3), (torch.uint16, 60000, 7e-5), (torch.float32, 1.0, 1e-6)],
+)
+def test_uneven_light_cancels(dtype: torch.dtype, full: float, tolerance: float) -> None:
+    transmission = torch.rand(3, 1, 40, 50, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    light = lamp() / 200 * full
+    dark = torch.full_like(light, full / 20)
+
+    def recorded(counts: torch.Tensor) -> torch.Tensor:
+        return counts.to(dtype) if dtype.is_floating_point else counts.round().to(dtype)
+
+    frames, reference, black = recorded(transmission * light + dark), recorded(light + dark), recorded(dark)
+    normalized = normalize_illumination(frames, reference, black)
+    assert normalized.frames.dtype == torch.float32
+    assert normalized.valid.all()
+    assert (normalized.frames - transmission).abs().max() < tolerance
+    assert (contact_signal(normalized) - (1 - transmission)).abs().max() < tolerance
+
+
+def test_float64_stays_float64() -> None:
+    light = lamp()
+    normalized = normalize_illumination(light / 3, light)
+    assert normalized.frames.dtype == torch.float64
+    assert (normalized.frames - 1 / 3).abs().max() < 1e-15
+
+
+def test_dark_corners_are_masked_at_the_stated_fraction() -> None:
+    reference = torch.full((1, 1, 100, 100), 200.0)
+    reference[..., 0, :4] = torch.tensor([0.0, 9.9, 10.0, 10.1])
+    frames = torch.full((2, 1, 100, 100), 50.0)
+    normalized = normalize_illumination(frames, reference)
+    assert normalized.valid[0, 0, 0, :4].tolist() == [False, False, False, True]
+    assert (normalized.frames[:, 0, 0, :3] == 1).all()
+    assert normalized.valid[..., 1:, :].all()
+    assert normalize_illumination(frames, reference, minimum_illumination=0.0).valid[0, 0, 0].tolist()[:2] == [
+        False,
+        True,
+    ]
+
+
+def test_hot_pixels_do_not_set_the_level() -> None:
+    reference = torch.full((1, 1, 256, 256), 100.0)
+    reference[..., ::16, ::32] = 65535.0  # 1 pixel in 512
+    assert normalize_illumination(reference / 2, reference).valid.all()
+
+
+def test_one_reference_a_frame() -> None:
+    light = torch.cat([lamp(), 2 * lamp()])
+    normalized = normalize_illumination(light * 0.25, light)
+    assert torch.allclose(normalized.frames, torch.tensor(0.25, dtype=torch.float64))
+
+
+def test_signal_relative_to_the_first_contact() -> None:
+    light = lamp()
+    first = normalize_illumination(0.9 * light, light)
+    later = normalize_illumination(torch.cat([0.9 * light, 0.4 * light]), light)
+    signal = contact_signal(later, first)
+    assert signal[0].abs().max() < 1e-12
+    assert (signal[1] - 0.5).abs().max() < 1e-12
+    first.valid[0, 0, 3, 4] = False
+    assert (contact_signal(later, first)[:, 0, 3, 4] == 0).all()
+
+
+def test_gradient_of_the_quotient() -> None:
+    light = lamp(4, 5)
+    light[0, 0, 0, 0] = 0
+    frames = (light * 0.3).requires_grad_()
+    normalize_illumination(frames, light).frames.sum().backward()
+    assert frames.grad is not None
+    expected = torch.where(light > 0, 1 / light.clamp(min=1), 0.0)
+    assert torch.allclose(frames.grad, expected)
+
+
+def test_levels_round_trip_within_half_a_level() -> None:
+    signal = torch.linspace(-0.25, 1.0, 1001, dtype=torch.float64)
+    levels = quantize(signal)
+    assert levels.dtype == torch.uint8
+    assert levels[0] == 0
+    assert levels[-1] == 255
+    assert (dequantize(levels) - signal).abs().max() <= 1.25 / 255 / 2 + 1e-6
+
+
+def test_rig_background_does_not_explode(shared_data: Path) -> None:
+    """Hundreds of pixels of the empty rig are 0 or nearly so: a plain division is infinite there."""
+    empty, target = (
+        torch.from_numpy(cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE)[:, 640:].copy())[None, None]
+        for name in ("empty.jpg", "piece.jpg")
+    )
+    black = empty == 0
+    assert (target.float() / empty.float()).isinf().any()
+    normalized = normalize_illumination(target, empty)
+    assert black.sum() > 500
+    assert not normalized.valid[black].any()
+    assert normalized.valid[..., 156:356, 220:420].all()  # the lit disc
+    assert (normalized.frames[~normalized.valid] == 1).all()
+    # The brightest count, 101, over 5 % of full light, about 120.
+    assert normalized.frames.max() < 101 / (0.05 * 115)
+    assert torch.equal(normalize_illumination(empty, empty).frames, torch.ones(1, 1, 512, 640))

@@ -1,0 +1,132 @@
+"""Counts against NumPy, thresholds against OpenCV, separability against closed forms."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.ops import otsu
+from fingerflow.ops.otsu import class_separation, histogram, otsu_threshold
+
+
+def opencv_threshold(frame: np.ndarray) -> float:
+    return cv2.threshold(frame, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[0]
+
+
+def two_classes(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+    bright = rng.random(shape) < rng.uniform(0.1, 0.9)
+    low, high = rng.uniform(30, 110), rng.uniform(130, 220)
+    return np.clip(np.where(bright, high, low) + rng.normal(0, rng.uniform(8, 40), shape), 0, 255).astype(np.uint8)
+
+
+def test_threshold_equals_opencv_on_random_frames() -> None:
+    rng = np.random.default_rng(0)
+    frames = np.stack([two_classes(rng, (64, 80)) for _ in range(60)])
+    expected = [opencv_threshold(frame) for frame in frames]
+    assert otsu_threshold(torch.from_numpy(frames)[:, None]).tolist() == expected
+    assert len(set(expected)) > 20
+
+
+def test_threshold_equals_opencv_on_noise() -> None:
+    frames = np.random.default_rng(1).integers(0, 256, (20, 50, 50), dtype=np.uint8)
+    assert otsu_threshold(torch.from_numpy(frames)[:, None]).tolist() == [opencv_threshold(frame) for frame in frames]
+
+
+@pytest.mark.parametrize("name", ["empty", "piece", "triangle1"])
+def test_threshold_equals_opencv_on_the_rig(shared_data: Path, name: str) -> None:
+    frame = cv2.imread(str(shared_data / "rig" / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)
+    for view in (frame, frame[:, 640:].copy()):
+        assert otsu_threshold(torch.from_numpy(view)[None, None]).item() == opencv_threshold(view)
+
+
+def test_mask_is_the_same_as_cutting_out() -> None:
+    frame = torch.from_numpy(two_classes(np.random.default_rng(2), (64, 80)))[None, None]
+    mask = torch.zeros(1, 1, 64, 80, dtype=torch.bool)
+    mask[..., 10:50, 5:60] = True
+    cut = frame[..., 10:50, 5:60]
+    assert torch.equal(histogram(frame, mask), histogram(cut))
+    threshold = otsu_threshold(frame, mask)
+    assert torch.equal(threshold, otsu_threshold(cut))
+    assert torch.equal(class_separation(frame, threshold, mask).means, class_separation(cut, threshold).means)
+
+
+@pytest.mark.parametrize(("dtype", "bits"), [(torch.int16, 10), (torch.int16, 12), (torch.uint16, 16)])
+def test_more_bits_give_the_same_classes(dtype: torch.dtype, bits: int) -> None:
+    """A frame shifted left by some bits, in bins as much wider, has the same classes and the shifted threshold."""
+    frame = torch.from_numpy(two_classes(np.random.default_rng(3), (64, 80)))[None, None]
+    scale = 2 ** (bits - 8)
+    threshold = otsu_threshold(frame)
+    wide = otsu_threshold((frame.int() * scale).to(dtype), value_range=(-scale, 255 * scale))
+    assert torch.equal(wide, threshold * scale)
+
+
+def test_float_frames_split_where_the_bytes_do() -> None:
+    frame = torch.from_numpy(two_classes(np.random.default_rng(4), (64, 80)))[None, None]
+    signal = frame.float() / 255
+    threshold = otsu_threshold(signal, value_range=(-0.5 / 255, 255.5 / 255))
+    assert torch.equal(signal > threshold.item(), frame > otsu_threshold(frame).item())
+
+
+@pytest.mark.parametrize("bins", [256, 100, 7])
+def test_histogram_equals_numpy(bins: int) -> None:
+    values = torch.rand(3, 1, 40, 50, dtype=torch.float64, generator=torch.Generator().manual_seed(5)) * 2 - 1
+    expected = np.stack([np.histogram(v, bins, (-1, 1))[0] for v in values.numpy()])
+    assert np.array_equal(histogram(values, bins=bins, value_range=(-1, 1)).numpy(), expected)
+
+
+def test_histogram_of_integers_counts_each_level() -> None:
+    values = torch.randint(0, 4096, (2, 1, 100, 100), generator=torch.Generator().manual_seed(6))
+    expected = np.stack([np.bincount(v.ravel(), minlength=4096) for v in values.numpy()])
+    for dtype in (torch.uint16, torch.int16, torch.int64):
+        assert np.array_equal(histogram(values.to(dtype), bins=4096, value_range=(-1, 4095)).numpy(), expected)
+
+
+@pytest.mark.parametrize("bins", [256, 30])
+def test_exported_histogram_is_the_same(monkeypatch: pytest.MonkeyPatch, bins: int) -> None:
+    frames = torch.randint(0, 256, (2, 1, 33, 47), dtype=torch.uint8, generator=torch.Generator().manual_seed(7))
+    mask = frames > 20
+    counted = histogram(frames, mask, bins, (-1, 255))
+    monkeypatch.setattr(otsu.torch.compiler, "is_exporting", lambda: True)
+    assert torch.equal(histogram(frames, mask, bins, (-1, 255)), counted)
+
+
+def test_threshold_survives_export() -> None:
+    class Threshold(torch.nn.Module):
+        def forward(self, frames: torch.Tensor) -> torch.Tensor:
+            return otsu_threshold(frames)
+
+    frames = torch.from_numpy(np.stack([two_classes(np.random.default_rng(s), (32, 40)) for s in (8, 9)]))[:, None]
+    exported = torch.export.export(Threshold(), (frames,))
+    assert not any("bincount" in str(node.target) or "scatter" in str(node.target) for node in exported.graph.nodes)
+    assert torch.equal(exported.module()(frames.flip(0)), otsu_threshold(frames.flip(0)))
+
+
+def test_classes_of_two_gaussians() -> None:
+    generator = torch.Generator().manual_seed(10)
+    bright = torch.rand(1, 1, 400, 500, generator=generator) < 0.3
+    noise = torch.randn(1, 1, 400, 500, dtype=torch.float64, generator=generator)
+    frame = torch.where(bright, 10 + noise, -10 + 2 * noise)
+    separation = class_separation(frame, torch.zeros(1))
+    # 200,000 pixels: a standard error of 0.005 in the means, 0.001 in the fraction.
+    assert separation.fractions[0].tolist() == pytest.approx([0.7, 0.3], abs=0.005)
+    assert separation.means[0].tolist() == pytest.approx([-10, 10], abs=0.03)
+    assert separation.deviations[0].tolist() == pytest.approx([2, 1], abs=0.02)
+    between, within = 0.21 * 20**2, 0.7 * 4 + 0.3 * 1
+    assert separation.separability.item() == pytest.approx(between / (between + within), abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("draw", "separability"),
+    [
+        (lambda g: torch.randn(1, 1, 700, 700, generator=g), 2 / math.pi),
+        (lambda g: torch.rand(1, 1, 700, 700, generator=g), 0.75),
+    ],
+)
+def test_one_class_has_the_separability_of_its_shape(draw, separability: float) -> None:  # type: ignore[no-untyped-def]
+    frame = draw(torch.Generator().manual_seed(11))
+    threshold = otsu_threshold(frame, value_range=(-5, 5))
+    # Otsu cuts half a million values at their middle within a few bins of 10/256, where the maximum is flat.
+    assert class_separation(frame, threshold).separability.item() == pytest.approx(separability, abs=0.005)
