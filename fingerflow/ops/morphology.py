@@ -1,0 +1,80 @@
+"""Dilation and erosion of masks by a disc or a diamond, as unions of shifted horizontal runs."""
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+Shape = Literal["disc", "diamond"]
+
+
+def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
+    """Every pixel within `radius` of the mask.
+
+    The disc holds the offsets with dx^2 + dy^2 <= radius^2, the diamond those with |dx| + |dy| <= radius. Each row of
+    either is one run, so a dilation is a union of horizontally widened masks shifted up and down: about 3 radius
+    passes for all of them.
+
+    Args:
+        mask: (B, 1, H, W) bool; outside the frame is background.
+        radius: whole pixels, 0 or more.
+        shape: "disc" or "diamond".
+
+    Returns:
+        (B, 1, H, W) bool.
+
+    Raises:
+        TypeError: `mask` is not bool.
+        ValueError: `mask` is not (B, 1, H, W), `radius` is negative, or `shape` is unknown.
+    """
+    half_widths = _half_widths(mask, radius, shape)
+    height = mask.shape[-2]
+    padded = functional.pad(mask, (0, 0, radius, radius))
+    widened, width = padded, 0
+    result = torch.zeros_like(mask)
+    for half_width in sorted(set(half_widths)):
+        widened, width = _widen(widened, half_width - width), half_width
+        for row, wanted in enumerate(half_widths):
+            if wanted == half_width:
+                result = result | widened[..., row : row + height, :]
+    return result
+
+
+def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
+    """Every pixel whose whole neighbourhood lies in the mask.
+
+    Outside the frame nothing is known, so it takes nothing away (as in OpenCV): contact that the frame cuts off is not
+    eroded from that side. This makes erosion the complement of the dilated background.
+
+    Args, returns, raises: as `dilate`.
+    """
+    _half_widths(mask, radius, shape)
+    return ~dilate(~mask, radius, shape)
+
+
+def _half_widths(mask: Tensor, radius: int, shape: Shape) -> list[int]:
+    """Half width of each row of the shape, from -radius to radius."""
+    if mask.dtype != torch.bool:
+        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
+    if mask.ndim != 4 or mask.shape[1] != 1:
+        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
+    if radius < 0:
+        raise ValueError(f"radius is {radius} px: give 0 or more")
+    rows = range(-radius, radius + 1)
+    if shape == "disc":
+        return [int((radius * radius - y * y) ** 0.5) for y in rows]
+    if shape == "diamond":
+        return [radius - abs(y) for y in rows]
+    raise ValueError(f'shape is {shape!r}: "disc" or "diamond"')
+
+
+def _widen(mask: Tensor, by: int) -> Tensor:
+    """Widen each run by `by` pixels to both sides, doubling the reach of every pass."""
+    covered = 0
+    while covered < by:
+        step = min(covered + 1, by - covered)
+        both = functional.pad(mask, (step, step))
+        mask = both[..., : -2 * step] | mask | both[..., 2 * step :]
+        covered += step
+    return mask

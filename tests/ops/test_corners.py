@@ -1,0 +1,125 @@
+"""Corners against OpenCV's response, a plain greedy loop, and squares whose corners are known."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.ops.corners import corner_response, detect_corners
+
+
+def texture(seed: int, shape: tuple[int, int] = (120, 150), width: float = 2.5) -> np.ndarray:
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=shape), (0, 0), width)
+    return (120 + 40 * noise / noise.std()).clip(0, 255).astype(np.uint8)
+
+
+def greedy(response: np.ndarray, least: float, count: int, distance: float) -> list[tuple[int, int]]:
+    """The rule as OpenCV states it, one candidate at a time."""
+    peaks = response == cv2.dilate(response, np.ones((3, 3)))
+    y, x = np.nonzero(peaks & (response > least))
+    kept: list[tuple[int, int]] = []
+    for i in np.argsort(-response[y, x], kind="stable"):
+        if all((x[i] - a) ** 2 + (y[i] - b) ** 2 >= distance**2 for a, b in kept):
+            kept.append((int(x[i]), int(y[i])))
+    return kept[:count]
+
+
+@pytest.mark.parametrize("window", [3, 7, 9])
+def test_response_equals_opencv(window: int) -> None:
+    frame = texture(0)
+    ours = corner_response(torch.from_numpy(frame)[None, None], window)[0, 0].numpy()
+    # OpenCV scales Sobel's gradient by 1 / (4 window 255) for bytes and sums over the window.
+    theirs = cv2.cornerMinEigenVal(frame, window, ksize=3, borderType=cv2.BORDER_REPLICATE)
+    theirs = theirs * (4 * window * 255) ** 2 / window**2 / 64
+    inner = np.s_[window:-window, window:-window]
+    assert np.allclose(ours[inner], theirs[inner], rtol=1e-3, atol=1e-3 * ours.max())
+
+
+def test_response_is_the_gradient_of_a_known_surface() -> None:
+    """f = a x + b y in quarters: the mean gradient tensor of a saddle is diagonal in closed form."""
+    y, x = torch.meshgrid(torch.arange(41.0) - 20, torch.arange(41.0) - 20, indexing="ij")
+    response = corner_response((3 * x * y)[None, None].double(), 5)
+    # gradient (3 y, 3 x): over 5 x 5 about the centre the mean of 9 y^2 is 9 * 2.
+    assert response[0, 0, 20, 20].item() == pytest.approx(18)
+
+
+@pytest.mark.parametrize("distance", [0, 1, 1.5, 2, 4.9, 5, 7, 10, 23.3])
+def test_selection_equals_the_greedy_rule(distance: float) -> None:
+    frames = np.stack([texture(seed) for seed in (1, 2)])
+    tensor = torch.from_numpy(frames)[:, None]
+    corners = detect_corners(tensor, 200, distance, quality=0.05, noise=0.0)
+    response = corner_response(tensor)
+    for b in range(2):
+        expected = greedy(response[b, 0].numpy(), 0.05 * response[b].max().item(), 200, distance)
+        found = corners.points[b][corners.valid[b]].long()
+        assert found.tolist() == [list(point) for point in expected]
+        x, y = found.unbind(1)
+        assert torch.equal(corners.response[b][corners.valid[b]], response[b, 0, y, x])
+
+
+def test_greedy_rule_among_equals() -> None:
+    """A grid of identical dots: all responses of a kind are equal, so reading order decides."""
+    frame = np.zeros((60, 60), dtype=np.uint8)
+    frame[5::6, 5::6] = 200
+    tensor = torch.from_numpy(frame)[None, None].float()
+    response = corner_response(tensor, 3)
+    corners = detect_corners(tensor, 500, 7.0, window=3, noise=0.0)
+    expected = greedy(response[0, 0].numpy(), 0.01 * response.max().item(), 500, 7.0)
+    assert corners.points[0][corners.valid[0]].tolist() == [list(map(float, point)) for point in expected]
+
+
+def test_distance_is_kept_exactly_and_points_are_strongest_first() -> None:
+    corners = detect_corners(torch.from_numpy(texture(3))[None, None], 700, 6.0)
+    points = corners.points[0][corners.valid[0]]
+    assert len(points) > 50
+    gaps = torch.cdist(points.double(), points.double()).fill_diagonal_(torch.inf)
+    assert gaps.min() >= 6.0
+    assert (corners.response[0][corners.valid[0]].diff() <= 0).all()
+    assert corners.points[0][~corners.valid[0]].isnan().all()
+
+
+def test_corners_of_a_square_are_found() -> None:
+    frame = torch.zeros(1, 1, 60, 70)
+    frame[..., 20:40, 15:45] = 100
+    corners = detect_corners(frame, 10, 10, noise=0.5)
+    assert corners.valid.sum() == 4
+    expected = torch.tensor([[15.0, 20], [44, 20], [15, 39], [44, 39]])
+    # The response is flat over a corner's window: its largest value is within half a window.
+    assert torch.cdist(corners.points[0, :4], expected).amin(1).max() <= 3 * math.sqrt(2)
+
+
+def test_mask_and_border_hold() -> None:
+    frame = torch.from_numpy(texture(4))[None, None]
+    mask = torch.zeros(1, 1, 120, 150, dtype=torch.bool)
+    mask[..., 30:90, 40:110] = True
+    inside = detect_corners(frame, 300, 5.0, mask)
+    x, y = inside.points[0][inside.valid[0]].long().unbind(1)
+    assert len(x) > 20
+    assert mask[0, 0, y, x].all()
+    framed = detect_corners(frame, 300, 5.0, border=15)
+    points = framed.points[0][framed.valid[0]]
+    assert points[:, 0].min() >= 15
+    assert points[:, 0].max() <= 150 - 16
+    assert points[:, 1].min() >= 15
+    assert points[:, 1].max() <= 120 - 16
+
+
+@pytest.mark.parametrize("dtype", [torch.int16, torch.uint16, torch.float16, torch.float32, torch.float64])
+def test_dtype_does_not_change_the_corners(dtype: torch.dtype) -> None:
+    frame = torch.from_numpy(texture(5))[None, None]
+    expected = detect_corners(frame, 100, noise=1.0)
+    corners = detect_corners(frame.to(dtype), 100, noise=1.0)
+    assert torch.equal(corners.points.nan_to_num(-1).float(), expected.points.nan_to_num(-1))
+
+
+def test_brightness_offset_and_gain_do_not_move_corners() -> None:
+    frame = torch.from_numpy(texture(6))[None, None].double()
+    expected, changed = detect_corners(frame, 100), detect_corners(0.5 * frame + 30, 100)
+    assert torch.equal(changed.points.nan_to_num(-1), expected.points.nan_to_num(-1))
+
+
+def test_gradient_of_the_response() -> None:
+    frame = torch.rand(1, 1, 7, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(7)).requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: corner_response(x, 3), frame)

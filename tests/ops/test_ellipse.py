@@ -1,0 +1,69 @@
+"""Moments of rasterised ellipses against the ellipses themselves."""
+
+import math
+
+import pytest
+import torch
+
+from fingerflow.ops.ellipse import fit_ellipse
+
+
+def rasterise(
+    center: tuple[float, float], axes: tuple[float, float], angle: float, shape: tuple[int, int] = (512, 640)
+) -> torch.Tensor:
+    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in shape), indexing="ij")
+    dx, dy = x - center[0], y - center[1]
+    along = dx * math.cos(angle) + dy * math.sin(angle)
+    across = -dx * math.sin(angle) + dy * math.cos(angle)
+    return ((along / axes[0]) ** 2 + (across / axes[1]) ** 2 <= 1)[None, None]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, math.pi / 2, -0.7, -1.5])
+@pytest.mark.parametrize(("center", "axes"), [((320.3, 251.8), (240.0, 190.0)), ((200.2, 300.4), (110.0, 60.0))])
+def test_rasterised_ellipse_to_a_thousandth(
+    angle: float, center: tuple[float, float], axes: tuple[float, float]
+) -> None:
+    """The error is that of counting pixel centres.
+
+    Each of some 540 border pixels is in or out by up to half a pixel, variance 1/12. At a = 110, b = 60 that leaves
+    standard errors of 0.028 px in the centre and 0.03 % in the axes, less for larger ellipses.
+    """
+    ellipse = fit_ellipse(rasterise(center, axes, angle))
+    assert ellipse.center[0].tolist() == pytest.approx(center, abs=0.1)
+    assert ellipse.semi_axes[0].tolist() == pytest.approx(axes, rel=1e-3)
+    assert math.sin(ellipse.angle.item() - angle) == pytest.approx(0, abs=1e-3)  # the axis has no direction
+    assert ellipse.area_px.item() == pytest.approx(math.pi * axes[0] * axes[1], rel=1e-3)
+
+
+def test_ellipse_on_the_lattice() -> None:
+    """Whole centre, axes and right angle: the rows at all four ends are counted or missed together, 0.12 px at most."""
+    ellipse = fit_ellipse(rasterise((200, 300), (110, 60), 0))
+    assert ellipse.center[0].tolist() == pytest.approx((200, 300), abs=1e-10)
+    assert ellipse.semi_axes[0].tolist() == pytest.approx((110, 60), abs=0.15)
+
+
+def test_pixels_are_points_and_not_squares() -> None:
+    """Over 400 small discs in random places the mean axis has no bias, where 1/12 px^2 more would show as 0.0167 px."""
+    generator = torch.Generator().manual_seed(0)
+    offsets = torch.rand(400, 2, generator=generator, dtype=torch.float64)
+    masks = torch.cat([rasterise((20 + x, 20 + y), (10, 10), 0, (41, 41)) for x, y in offsets.tolist()])
+    variance = fit_ellipse(masks).semi_axes.square().mean() / 4
+    assert variance.item() == pytest.approx(25, abs=0.02)
+
+
+def test_angle_turns_from_x_towards_y() -> None:
+    mask = torch.zeros(2, 1, 30, 30, dtype=torch.bool)
+    mask[0, 0] = torch.eye(30, dtype=torch.bool)  # y grows with x
+    mask[1, 0] = torch.eye(30, dtype=torch.bool).flip(1)
+    assert fit_ellipse(mask).angle.tolist() == pytest.approx([math.pi / 4, -math.pi / 4])
+
+
+def test_batch_shift_and_mirror() -> None:
+    mask = rasterise((70.0, 60.0), (40, 25), 0.4, (128, 160))
+    one, moved, mirrored = (fit_ellipse(m) for m in (mask, mask.roll((11, -7), (2, 3)), mask.flip(3)))
+    shift = torch.tensor([[-7.0, 11.0]], dtype=torch.float64)
+    assert torch.allclose(moved.center - one.center, shift, rtol=0, atol=1e-10)
+    assert torch.allclose(moved.semi_axes, one.semi_axes, rtol=1e-12)
+    assert mirrored.angle.item() == pytest.approx(-one.angle.item(), abs=1e-12)
+    together = fit_ellipse(torch.cat([mask, mask.flip(3)]))
+    assert torch.allclose(together.angle, torch.cat([one.angle, mirrored.angle]))
