@@ -21,7 +21,7 @@ def subtract_background(frames: Tensor, background: Tensor) -> Tensor:
         ValueError: shapes that do not fit.
     """
     _check(frames)
-    if background.shape[1:] != frames.shape[1:] or background.shape[0] not in (1, len(frames)):
+    if background.shape[1:] != frames.shape[1:] or background.shape[0] not in (1, frames.shape[0]):
         raise ValueError(
             f"background has shape {tuple(background.shape)} beside frames of {tuple(frames.shape)}: give one frame of "
             "the same size, or one for each"

@@ -47,7 +47,7 @@ def normalize_illumination(
         raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
     images = [frames, reference] if dark is None else [frames, reference, dark]
     for name, image in zip(("frames", "reference", "dark"), images, strict=False):
-        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, len(frames))
+        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
         if not fits or image.shape[1] != 1:
             raise ValueError(
                 f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "

@@ -49,7 +49,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     if frames.dtype not in _DTYPES:
         raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
     program = median_program(size)
-    if frames.device.type != "cpu":
+    if frames.device.type != "cpu" or torch.compiler.is_exporting():
         return _run(program, frames)
     at_once = max(1, _PIXELS_A_PASS // frames[0].numel())
     return torch.cat([_run(program, some) for some in frames.split(at_once)])
@@ -108,7 +108,7 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
     """Interpret the program on flat planes, one a phase of the tile; each step is one pass over contiguous memory."""
     batch, _, height, width = frames.shape
     (rows, columns), (down, right) = program.tile, program.reach
-    tiles_y, tiles_x = -(-height // rows), -(-width // columns)
+    tiles_y, tiles_x = (height + rows - 1) // rows, (width + columns - 1) // columns
     grid_y, grid_x = tiles_y + down, tiles_x + right
     half = program.size // 2
     y = (torch.arange(grid_y * rows, device=frames.device) - half).clamp(0, height - 1)
@@ -143,4 +143,4 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
         flat = functional.pad(planes[plane][offset:], (0, cells - lengths[plane] + offset))
         medians.append(flat.reshape(batch, grid_y, grid_x)[:, :tiles_y, :tiles_x])
     tiled = torch.stack(medians).reshape(rows, columns, batch, tiles_y, tiles_x).permute(2, 3, 0, 4, 1)
-    return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width].contiguous()
+    return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width]
