@@ -35,7 +35,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         (B, 1, H, W) of the same dtype, at each pixel one of the input values. Outside the frame the nearest pixel
         counts (`replicate`, as in OpenCV's medianBlur and SciPy's mode "nearest"). For floating frames the result is
         NaN exactly where the window holds a NaN; infinities are ordered as numbers. The gradient goes to the pixel
-        that is the median and is shared between equal ones.
+        that is the median and is shared between equal ones. Exports with a fixed frame size.
 
     Raises:
         TypeError: the dtype has no order here (bool, complex, uint32, uint64).
