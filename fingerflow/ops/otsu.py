@@ -109,12 +109,12 @@ def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = No
         counted = counted & mask.expand(frames.shape).flatten(1)
     limit = threshold.double()[:, None]
     above = values > limit
-    member = torch.stack([counted & ~above, counted & above], 2).double()  # (B, pixels, 2)
+    member = torch.stack([counted & ~above, counted & above], 1).double()
     # Moments about a value between the classes, so that their squares lose no digits.
     centre = torch.nan_to_num(limit)
     from_centre = torch.where(counted, values - centre, 0.0)
     powers = torch.stack([torch.ones_like(from_centre), from_centre, from_centre.square()], 1)
-    number, first, second = (powers @ member).unbind(1)
+    number, first, second = (powers @ member.mT).unbind(1)
     number = torch.where(limit.isnan(), torch.nan, number)
     means = first / number
     variances = (second / number - means.square()).clamp(min=0)
