@@ -13,7 +13,7 @@ DISC_RADII = (0.015, 0.15)
 RING_RADII_PX = tuple(6 * 2 ** (step / 4) for step in range(4))
 # Mean agreement of the brightness gradient with the outward direction: 1 is a perfect disc, 0 is chance.
 LEAST_AGREEMENT = 0.4
-MOST_CANDIDATES = 20
+MOST_CANDIDATES = 16
 # What a fit must show to be called a disc. On the lab's frames the true discs have a coverage of 0.98 to 1, an edge
 # within 0.04 of the radius and a significance of 17 to 41; texture reaches 8.
 LEAST_COVERAGE = 0.75

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.calibration.calibration import Calibration
@@ -42,9 +43,9 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
             _draw_discs(axes, images[side], [pair[side] for pair in calibration.discs])
             axes.set_title(f"{name} view of the target")
         _draw_hole(figure.add_subplot(grid[0, 2]), hole_image, calibration)
-        blends = [figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])]
-        _draw_blends(*blends, images, calibration.affine, calibration.similarity)
-        for axes in blends:
+        blend, checker = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
+        _draw_blends(blend, checker, images, calibration.affine, calibration.similarity)
+        for axes in (blend, checker):
             for _, disc in calibration.discs:
                 axes.plot(*disc.center, "+", color="yellow", markersize=8, markeredgewidth=0.8)
         details = grid[1, 2].subgridspec(2, len(calibration.discs))
@@ -72,6 +73,7 @@ def _draw_discs(axes: Axes, image: Array, discs: list[Disc]) -> None:
             textcoords="offset pixels",
             color="yellow",
             fontsize=11,
+            path_effects=[withStroke(linewidth=3, foreground="black")],
         )
 
 
@@ -130,7 +132,9 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 
 
 def _visible(image: Array) -> NDArray[np.uint8]:
-    """8 bits, stretched so that the shade is as readable as the light; for the eye only."""
-    low, high = np.percentile(image, (0.5, 99.5))
-    stretched = np.clip((image - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.createCLAHE(clipLimit=4, tileGridSize=(6, 6)).apply(stretched), dtype=np.uint8)
+    """8 bits with the uneven light taken out over an eighth of the view; for the eye only."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
+    light = cv2.GaussianBlur(smooth, (0, 0), max(1.0, min(image.shape) / 8))
+    flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
+    low, high = np.percentile(flat, (0.5, 99.5))
+    return np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)

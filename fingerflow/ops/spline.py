@@ -45,7 +45,9 @@ def spline_basis_derivative(x: Tensor, order: int) -> Tensor:
     distance = x.abs()
     if order == 1:
         return -torch.sign(x) * ((distance < 1).to(x.dtype) + 0.5 * (distance == 1).to(x.dtype))
-    return torch.sign(x) * (4 * (1 - distance).clamp_min(0) ** 2 - (2 - distance).clamp_min(0) ** 2) / 2
+    # The inner branch is free of sign(x), whose derivative would be lost at the knot that every integer position is.
+    outer = -torch.sign(x) * (2 - distance).clamp_min(0) ** 2 / 2
+    return torch.where(distance < 1, x * (1.5 * distance - 2), outer)
 
 
 def spline_weights(fraction: Tensor, order: int) -> tuple[Tensor, Tensor]:
