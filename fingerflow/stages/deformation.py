@@ -1,0 +1,234 @@
+"""Displacement since contact, its gradient, strain and strain energy, from the tracks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+from scipy.spatial import Delaunay, QhullError
+from torch import Tensor
+
+from fingerflow.graphs import FieldsGraph
+from fingerflow.ops.scattered_to_grid import scattered_to_grid
+from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.triangles import triangle_areas, triangle_gradients
+from fingerflow.stages.contact import ContactSeries
+from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.tracking import TrackSeries
+
+DISPLACEMENT_GIVES = frozenset(
+    {"onset_frame", "reference_position", "displacement", "global_displacement", "global_displacement_vector"}
+)
+FIELDS_GIVE = frozenset(
+    {
+        "divergence",
+        "curl",
+        "divergence_std",
+        "median_divergence",
+        "median_divergence_std",
+        "median_curl",
+        "median_strain",
+        "median_divergence_rate",
+        "median_strain_rate",
+    }
+)
+STRAIN_GIVES = frozenset(
+    {"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"}
+)
+_FRAMES = 16  # a batch
+_GRID_MM = 0.25  # between the nodes over which medians are taken
+
+
+@dataclass
+class Displacement:
+    """Displacement since the onset of contact, mm; NaN before it and for points that never touch.
+
+    Attributes:
+        onset: (N,) first frame in which the contact covers the point, -1 for never.
+        reference: (N, 2) position at onset, mm.
+        displacement: (F, N, 2) mm.
+        deviation: (F, N) mm, standard deviation of a component.
+        vector: (F, 2) mm, median component by component (the lab's script takes the x median twice).
+    """
+
+    onset: NDArray[np.int32]
+    reference: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    vector: NDArray[np.float64]
+
+
+@dataclass
+class FieldSeries:
+    """Fields at the points (F, N) and their medians over the gross contact (F,), strain as (exx, eyy, exy)."""
+
+    divergence: NDArray[np.float32]
+    curl: NDArray[np.float32]
+    divergence_std: NDArray[np.float32]
+    median_divergence: NDArray[np.float64]
+    median_divergence_std: NDArray[np.float64]
+    median_curl: NDArray[np.float64]
+    median_strain: NDArray[np.float64]
+
+
+@dataclass
+class StrainSeries:
+    """Strain of triangles (F, M, 3), energy density (F, M) mJ/mm^3 and total (F,) mJ; triangles (M, 3)."""
+
+    triangles: NDArray[np.int32]
+    strain: NDArray[np.float32]
+    density: NDArray[np.float32]
+    energy: NDArray[np.float64]
+
+
+def glass_positions(inputs: Inputs, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., 2) px of the topographic view to mm on the glass."""
+    matrix = inputs.topography_to_contact
+    result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * inputs.mm_per_px
+    return result
+
+
+def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) -> Displacement:
+    """Displacement of each point from where it was when the contact first covered it."""
+    position = glass_positions(inputs, tracks.position)
+    touched = covered & np.isfinite(position).all(-1)
+    onset = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
+    numbers = np.arange(len(onset))
+    never = onset < 0
+    reference = np.where(never[:, None], np.nan, position[onset, numbers])
+    displacement = position - reference
+    displacement[np.arange(len(position))[:, None] < onset] = np.nan
+    scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
+    deviation = scale * np.hypot(tracks.deviation, tracks.deviation[onset, numbers]).astype(np.float64)
+    deviation[np.isnan(displacement).any(-1)] = np.nan
+    return Displacement(onset, reference, displacement, deviation, _median(displacement, axis=1))
+
+
+def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> FieldSeries:
+    """Divergence, curl and strain by local fits in reference coordinates, and their medians over the gross contact."""
+    settings = inputs.scene.fields
+    graph = FieldsGraph(settings.gauge_length_mm, settings.strain)
+    count, points = moved.displacement.shape[:2]
+    series = FieldSeries(
+        *(np.full((count, points), np.nan, dtype=np.float32) for _ in range(3)),
+        *(np.full(count, np.nan) for _ in range(3)),
+        np.full((count, 3), np.nan),
+    )
+    reference = _tensor(inputs, moved.reference)[None]
+    grid = _grid(contact)
+    for first in range(0, count, _FRAMES):
+        part = slice(first, min(first + _FRAMES, count))
+        displacement = _tensor(inputs, moved.displacement[part])
+        variance = _tensor(inputs, moved.deviation[part]) ** 2
+        found = graph(reference, displacement, variance)
+        series.divergence[part] = found.divergence.cpu()
+        series.curl[part] = found.curl.cpu()
+        series.divergence_std[part] = found.divergence_std.cpu()
+        if grid is None:
+            continue
+        at_points = torch.cat((found.divergence[..., None], found.curl[..., None], found.strain), dim=-1)
+        current = reference + displacement
+        nodes = scattered_to_grid(
+            current, at_points, _tensor(inputs, grid[0]), _tensor(inputs, grid[1]), settings.gauge_length_mm / 2
+        )
+        inside = _inside(contact, part, *grid)
+        medians = _median(np.where(inside[:, None], nodes.cpu().numpy(), np.nan).reshape(len(inside), 5, -1), axis=2)
+        series.median_divergence[part] = medians[:, 0]
+        series.median_curl[part] = medians[:, 1]
+        series.median_strain[part] = medians[:, 2:]
+    # The median of n independent values deviates by sqrt(pi / 2n); fits that share points are not independent: as many
+    # count as have room side by side.
+    area = np.maximum(contact.gross_area / (np.pi / 4 * settings.gauge_length_mm**2), 1)
+    series.median_divergence_std[:] = _median(series.divergence_std, axis=1) * np.sqrt(np.pi / 2 / area)
+    return series
+
+
+def strains(inputs: Inputs, moved: Displacement) -> StrainSeries:
+    """Strain on the Delaunay triangles of the reference positions, and its energy."""
+    settings = inputs.scene.fields
+    triangles = _triangulate(moved.reference)
+    count = len(moved.displacement)
+    series = StrainSeries(
+        triangles,
+        np.full((count, len(triangles), 3), np.nan, dtype=np.float32),
+        np.full((count, len(triangles)), np.nan, dtype=np.float32),
+        np.zeros(count),
+    )
+    reference = _tensor(inputs, moved.reference)[None]
+    corners = torch.from_numpy(triangles.astype(np.int64)).to(inputs.device)
+    areas = triangle_areas(reference, corners)
+    for first in range(0, count, _FRAMES):
+        part = slice(first, min(first + _FRAMES, count))
+        gradient = triangle_gradients(reference, corners, _tensor(inputs, moved.displacement[part]))
+        strain = green_lagrange(gradient, settings.strain)
+        density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio)
+        series.strain[part] = strain.cpu()
+        series.density[part] = density.cpu()
+        series.energy[part] = (density * areas).nansum(-1).cpu() * settings.depth_mm
+    return series
+
+
+def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:
+    """Time derivative (F, ...) per second: the slope of a parabola fitted over ``window_s`` (Savitzky & Golay 1964).
+
+    Each run of finite values is differentiated by itself; a run shorter than the window gives NaN.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else np.nan
+    length = max(3, 2 * round(window_s / step / 2) + 1) if np.isfinite(step) else 3
+    flat = values.reshape(len(values), -1)
+    result = np.full(flat.shape, np.nan)
+    for column in range(flat.shape[1]):
+        finite = np.isfinite(flat[:, column])
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], finite.astype(np.int8), [0]))))
+        for start, end in edges.reshape(-1, 2):
+            if end - start >= length:
+                result[start:end, column] = savgol_filter(flat[start:end, column], length, 2, deriv=1, delta=step)
+    return result.reshape(values.shape)
+
+
+def _triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
+    finite = np.flatnonzero(np.isfinite(reference).all(-1))
+    if len(finite) < 3:
+        return np.zeros((0, 3), dtype=np.int32)
+    try:
+        return finite[Delaunay(reference[finite]).simplices].astype(np.int32)
+    except QhullError:  # all on one line
+        return np.zeros((0, 3), dtype=np.int32)
+
+
+def _grid(contact: ContactSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Nodes x and y that cover the contact of all frames; None where there is none."""
+    reach = contact.semi_axes[:, :1]
+    if not np.isfinite(reach).any():
+        return None
+    low = np.nanmin(contact.center - reach, axis=0)
+    high = np.nanmax(contact.center + reach, axis=0)
+    x, y = (np.arange(start, end + _GRID_MM, _GRID_MM) for start, end in zip(low, high, strict=True))
+    return x, y
+
+
+def _inside(
+    contact: ContactSeries, part: slice, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(n, H, W) which nodes lie in the ellipse of the gross contact."""
+    angle = contact.angle[part, None, None]
+    across = x[None, None, :] - contact.center[part, 0, None, None]
+    down = y[None, :, None] - contact.center[part, 1, None, None]
+    along = across * np.cos(angle) + down * np.sin(angle)
+    beside = down * np.cos(angle) - across * np.sin(angle)
+    axes = np.maximum(contact.semi_axes[part], 1e-9)
+    inside: NDArray[np.bool_] = (along / axes[:, 0, None, None]) ** 2 + (beside / axes[:, 1, None, None]) ** 2 <= 1
+    return inside
+
+
+def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:
+    return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(inputs.device)
+
+
+def _median(values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
+    """Median of what is finite; NaN, without a warning, where nothing is."""
+    empty = np.isnan(values).all(axis=axis, keepdims=True)
+    result = np.nanmedian(np.where(empty, 0.0, values), axis=axis)
+    return np.where(empty.squeeze(axis), np.nan, result)

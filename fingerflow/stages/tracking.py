@@ -1,0 +1,148 @@
+"""Points of the skin through all frames of the topography view."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.errors import FingerflowError
+from fingerflow.graphs import TrackGraph
+from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.tracking import TrackStatus
+from fingerflow.stages.inputs import Inputs
+
+GIVES = frozenset(
+    {
+        "position",
+        "position_px",
+        "position_std_px",
+        "forward_backward_error",
+        "status",
+        "tracked_share",
+        "forward_backward_median",
+    }
+)
+_WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
+
+
+@dataclass
+class TrackSeries:
+    """Tracks of all frames, px of the topography view; NaN where the status is not TRACKED."""
+
+    position: NDArray[np.float64]
+    deviation: NDArray[np.float32]
+    error: NDArray[np.float32]
+    status: NDArray[np.uint8]
+
+
+class TrackingStage:
+    """Follows points from frame to frame, in the order of time or against it.
+
+    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found so
+    far: errors do not add up. From frame to frame they do.
+    """
+
+    def __init__(self, inputs: Inputs, region: Tensor) -> None:
+        """``region`` (1, 1, h, w) bool: where to look for points, px of the contact view."""
+        view = inputs.scene.views.topography
+        if view is None:
+            raise FingerflowError(
+                f"{inputs.scene.path}: tracking needs the topographic view; add [views.topography] with rows and columns"
+            )
+        self._inputs = inputs
+        self._view = view
+        self._settings = inputs.scene.tracking
+        self._graph = TrackGraph(
+            self._settings.window_px,
+            self._settings.forward_backward_limit_px,
+            self._settings.search_px,
+            self._settings.gain_offset,
+        )
+        self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
+        self._region = region
+        self._template: Tensor | None = None
+        self._start = torch.empty(0)
+        self._last = torch.empty(0)
+        self.series: TrackSeries | None = None
+
+    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], gross: Tensor) -> NDArray[np.bool_]:
+        """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers, (n, N)."""
+        images = self._inputs.view(frames, self._view)
+        covered = []
+        for number, (index, image) in enumerate(zip(indices, images, strict=True)):
+            self._step(int(index), image[None])
+            covered.append(self._covered(gross[number, 0]))
+        return torch.stack(covered).cpu().numpy()
+
+    def _step(self, index: int, image: Tensor) -> None:
+        if self._template is None:
+            self._begin(image)
+            position = self._start
+            deviation = torch.zeros_like(position[0, :, 0])
+            error, status = deviation, torch.zeros_like(deviation, dtype=torch.uint8)
+        else:
+            keyframes = self._settings.template == "keyframe"
+            warp = self._warp() if keyframes else None
+            tracks = self._graph(self._template, image, self._start, self._last, warp)
+            position, error, status = tracks.points, tracks.error[0], tracks.status[0]
+            deviation = tracks.covariance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()[0]
+            if keyframes:
+                # A point that is lost in one frame may be found again in the next, near where it was last.
+                self._last = torch.where(position.isfinite(), position, self._last)
+            else:
+                self._template, self._start, self._last = image, position, position
+        assert self.series is not None
+        self.series.position[index] = position[0].cpu()
+        self.series.deviation[index] = deviation.cpu()
+        self.series.error[index] = error.cpu()
+        self.series.status[index] = status.cpu()
+
+    def _begin(self, image: Tensor) -> None:
+        """Chooses the points in the first frame."""
+        settings = self._settings
+        height, width = image.shape[-2:]
+        row, column = torch.meshgrid(
+            torch.arange(height, device=image.device), torch.arange(width, device=image.device), indexing="ij"
+        )
+        places = torch.stack((column, row), dim=-1).reshape(-1, 2).float()
+        mask = self._inside(self._region[0, 0], places).view(1, 1, height, width)
+        border = settings.window_px // 2 + 2
+        corners = detect_corners(
+            image, settings.points, settings.min_distance_px, mask, window=settings.window_px, border=border
+        )
+        points = corners.points[:, corners.valid[0]]
+        if points.shape[1] < 3:
+            raise FingerflowError(
+                f"{self._inputs.recording.path}: {points.shape[1]} points with texture were found in the contact region of the "
+                "topographic view, at least 3 are needed. Check [views.topography], the calibration and the focus."
+            )
+        self._template, self._start, self._last = image, points, points
+        count = (len(self._inputs.recording), points.shape[1])
+        self.series = TrackSeries(
+            position=np.full((*count, 2), np.nan),
+            deviation=np.full(count, np.nan, dtype=np.float32),
+            error=np.full(count, np.nan, dtype=np.float32),
+            status=np.full(count, TrackStatus.NOT_FINITE, dtype=np.uint8),
+        )
+
+    def _warp(self) -> Tensor | None:
+        """Deformation gradient F of the skin since the template, at each point."""
+        fit = local_gradients(self._start, self._last - self._start, gauge_length=_WARP_GAUGE_PX)
+        return fit.gradient.nan_to_num(0.0) + torch.eye(2, device=fit.gradient.device)
+
+    def _covered(self, gross: Tensor) -> Tensor:
+        """(N,) whether the contact (h, w) lies over a point."""
+        return self._inside(gross, self._last[0])
+
+    def _inside(self, mask: Tensor, points: Tensor) -> Tensor:
+        """Value of a mask of the contact view at points (P, 2) of the topographic view; False beyond the mask or for NaN."""
+        place = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).round()
+        height, width = mask.shape
+        x, y = place[:, 0], place[:, 1]
+        within = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        column = torch.where(within, x, 0.0).long()
+        row = torch.where(within, y, 0.0).long()
+        return mask[row, column] & within
