@@ -1,3 +1,28 @@
 """fingerflow: contact area, skin motion and strain from high-speed recordings of a fingertip on glass."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from fingerflow.pipeline import process as process
+    from fingerflow.recordings import open_forces as open_forces
+    from fingerflow.recordings import open_recording as open_recording
+    from fingerflow.scene import load_scene as load_scene
+
+__all__ = ["__version__", "load_scene", "open_forces", "open_recording", "process"]
+
+_HOMES = {
+    "process": "fingerflow.pipeline",
+    "open_forces": "fingerflow.recordings",
+    "open_recording": "fingerflow.recordings",
+    "load_scene": "fingerflow.scene",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Loads a public function, and with it torch and the rest, when it is first used."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'fingerflow' has no attribute {name!r}")

@@ -1,0 +1,218 @@
+"""The command line: one command a function, no logic."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fingerflow.errors import FingerflowError
+
+app = typer.Typer(
+    help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True, add_completion=False
+)
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
+Outputs = Annotated[list[str] | None, typer.Option("--output", help="A variable that is wanted; may be repeated. Default: all.")]
+
+
+@app.command()
+def demo(folder: Annotated[Path, typer.Argument(help="Where to write.")] = Path("fingerflow-demo"), as_json: AsJson = False) -> None:
+    """Simulate a press, process it, and compare with its known truth."""
+    from fingerflow.comparison import as_text, compare
+    from fingerflow.report import write_report
+    from fingerflow.result import save_result
+    from fingerflow.scene import load_scene
+    from fingerflow.synthetic import rebuild_scene
+
+    if (folder / "truth.json").exists():
+        shutil.rmtree(folder)  # an earlier demo: only a folder that this command wrote holds the truth of a scene
+    _simulate("press", folder)
+    scene = load_scene(folder / "scene.toml")
+    result = _process(scene, None, quiet=as_json)
+    save_result(result, folder / "result.h5")
+    rows = compare(result, rebuild_scene(folder))
+    report = write_report(result, scene, folder, rows)
+    if as_json:
+        _print_json({"report": str(report), "comparison": [row._asdict() for row in rows]})
+    else:
+        typer.echo(f"{as_text(rows)}\n\nresult: {folder / 'result.h5'}\nreport: {report}")
+
+
+@app.command()
+def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
+    """Write a commented scene file to fill in."""
+    from fingerflow.scene import scene_text
+
+    if path.exists():
+        raise FingerflowError(f"{path} exists already; name another file or remove it")
+    path.write_text(scene_text(), encoding="utf-8")
+    typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
+
+
+@app.command()
+def info(recording: Path, as_json: AsJson = False) -> None:
+    """Say what a recording holds, without reading its frames."""
+    from fingerflow.recordings import open_recording
+
+    found = open_recording(recording)
+    facts = {
+        "path": str(found.path),
+        "frames": len(found),
+        "rows": found.frame_shape[0],
+        "columns": found.frame_shape[1],
+        "bit_depth": found.bit_depth,
+        "dtype": str(found.dtype),
+        "frame_rate_hz": found.frame_rate,
+        "first_time_s": None if found.times is None or not len(found) else float(found.times[0]),
+        "warnings": list(found.warnings),
+    }
+    if as_json:
+        _print_json(facts)
+    else:
+        typer.echo("\n".join(f"{name:14} {value}" for name, value in facts.items()))
+
+
+@app.command()
+def calibrate(
+    ring: Annotated[Path, typer.Option(help="Frame of the ring that gives the scale.")],
+    target: Annotated[Path | None, typer.Option(help="Frame of the target with three discs, for two views.")] = None,
+    background: Annotated[Path | None, typer.Option(help="Frame of the empty glass.")] = None,
+    hole_radius_mm: Annotated[float, typer.Option(help="Radius of the ring's hole.")] = 2.75,
+    output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path("calibration.toml"),
+    as_json: AsJson = False,
+) -> None:
+    """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
+    from fingerflow import calibration
+    from fingerflow.recordings import open_recording
+    from fingerflow.result import write_whole
+    from fingerflow.views import View
+
+    frames = {name: None if path is None else open_recording(path)[0] for name, path in (("ring", ring), ("target", target), ("background", background))}
+    assert frames["ring"] is not None
+    rows, columns = frames["ring"].shape
+    half = columns // 2
+    views = {"contact": View((0, rows), (0, columns))}
+    if target is not None:
+        views = {"topography": View((0, rows), (0, half)), "contact": View((0, rows), (half, columns))}
+    found = calibration.calibrate(frames["target"], frames["ring"], views, hole_radius_mm, frames["background"])
+    picture = output.with_suffix(".png")
+    write_whole(picture, lambda part: calibration.draw_overlay(part, found, frames["target"], frames["ring"]))
+    write_whole(output, lambda part: part.write_text(found.to_toml(), encoding="utf-8"))
+    facts: dict[str, Any] = {
+        "mm_per_px": found.mm_per_px,
+        "hole_radius_px": found.hole.radius_px,
+        "affine": None if found.affine is None else found.affine.matrix.tolist(),
+        "similarity_rms_px": None if found.similarity is None else found.similarity.rms_px,
+        "warnings": list(found.warnings),
+        "calibration": str(output),
+        "picture": str(picture),
+    }
+    if as_json:
+        _print_json(facts)
+    else:
+        typer.echo("\n".join(f"{name:18} {value}" for name, value in facts.items()))
+
+
+@app.command()
+def simulate(kind: Annotated[str, typer.Argument(help="press or slide")], folder: Path) -> None:
+    """Write a synthetic recording with known truth, and a scene file for it."""
+    _simulate(kind, folder)
+    typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
+
+
+@app.command()
+def process(
+    scene: Path,
+    outputs: Outputs = None,
+    to: Annotated[Path | None, typer.Option(help="Result file; default result.h5 beside the scene.")] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda ...")] = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Compute a scene and save the result."""
+    from fingerflow.result import save_result
+    from fingerflow.scene import load_scene
+
+    path = to or scene.parent / "result.h5"
+    result = _process(load_scene(scene), outputs, quiet=as_json, device=device)
+    save_result(result, path)
+    if as_json:
+        _print_json({"result": str(path), "variables": sorted(map(str, result.data_vars)), "warnings": json.loads(result.attrs["warnings"])})
+    else:
+        for warning in json.loads(result.attrs["warnings"]):
+            typer.echo(f"warning: {warning}", err=True)
+        typer.echo(f"result: {path}")
+
+
+@app.command()
+def report(scene: Path, result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None) -> None:
+    """Write report.html and overlay.mp4 of a processed scene."""
+    from fingerflow.report import write_report
+    from fingerflow.result import load_result
+    from fingerflow.scene import load_scene
+
+    stored = load_result(result or scene.parent / "result.h5")
+    typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
+
+
+@app.command("export-table")
+def export_table(result: Path, table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")]) -> None:
+    """Write a result as CSV (one row a frame) or .mat (everything)."""
+    from fingerflow import result as results
+
+    results.export_table(results.load_result(result), table)
+    typer.echo(f"{table} was written")
+
+
+def main() -> None:
+    """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    try:
+        app(standalone_mode=False)
+    except FingerflowError as error:
+        typer.echo(f"fingerflow: {error}", err=True)
+        sys.exit(2)
+    except typer.Exit as stop:
+        sys.exit(stop.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
+        sys.exit(130)
+    except Exception as error:
+        # Wrong usage: typer's own message, with the place in the command line.
+        if hasattr(error, "show") and hasattr(error, "exit_code"):
+            error.show()
+            sys.exit(error.exit_code)
+        raise
+
+
+def _simulate(kind: str, folder: Path) -> None:
+    from fingerflow.scene import scene_text
+    from fingerflow.synthetic import Press, Slide, write_recording
+
+    kinds = {"press": Press, "slide": Slide}
+    if kind not in kinds:
+        raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
+    recorded = kinds[kind]()
+    write_recording(folder, recorded)
+    matrix = [list(row) for row in recorded.topography_to_contact]
+    text = scene_text(
+        frames="frames.npy",
+        frame_rate=recorded.frame_rate,
+        background="empty.npy",
+        dark="dark.npy",
+        contact=recorded.views["contact"],
+        topography=recorded.views["topography"],
+        forces="forces.csv",
+        calibration=f"mm_per_px = {recorded.mm_per_px}\ntopography_to_contact = {matrix}",
+    )
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+
+
+def _process(scene: Any, outputs: list[str] | None, quiet: bool, device: str = "auto") -> Any:
+    from fingerflow.pipeline import process as run
+
+    return run(scene, outputs, device=device, progress=not quiet)
+
+
+def _print_json(facts: Any) -> None:
+    typer.echo(json.dumps(facts, indent=1))

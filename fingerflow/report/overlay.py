@@ -1,0 +1,67 @@
+"""The video: both views with contact, points and displacement."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import xarray as xr
+
+from fingerflow.recordings import open_recording
+from fingerflow.report.views import ViewPainter
+from fingerflow.result import write_whole
+from fingerflow.scene import Scene
+
+_MOST_FRAMES = 300
+_RATE = 30  # frames a second of the video
+_ARROW_PX = 40  # length that the largest displacements are drawn with
+
+
+def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
+    """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into it."""
+    write_whole(path, lambda part: _encode(result, scene, part))
+    return path
+
+
+def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
+    count = result.sizes["frame"]
+    frames = np.unique(np.linspace(0, count - 1, min(count, _MOST_FRAMES)).round().astype(int))
+    scale = _arrow_scale(result)
+    times = result["time"].values
+    force = result["normal_force"].values if "normal_force" in result else None
+    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
+        painter = ViewPainter(result, scene, recording)
+        painter.paint(int(frames[-1]))  # sets the contrast where the finger is in view
+        with av.open(str(path), "w") as container:
+            name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+            stream = container.add_stream(name, rate=_RATE)
+            stream.pix_fmt = "yuv420p"
+            stream.time_base = Fraction(1, _RATE)
+            stream.bit_rate = 8_000_000
+            for frame in frames:
+                picture = painter.paint(int(frame), scale)
+                text = f"{times[frame]:+.3f} s"
+                if force is not None and np.isfinite(force[frame]):
+                    text += f"   {force[frame]:.2f} N"
+                if scale:
+                    text += f"   arrows {scale:.3g} x"
+                cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+                # Video needs even sides.
+                picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+                stream.height, stream.width = picture.shape[:2]
+                for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")):
+                    container.mux(packet)
+            for packet in stream.encode():
+                container.mux(packet)
+
+
+def _arrow_scale(result: xr.Dataset) -> float:
+    """Factor, of two digits at most, that makes large displacements visible; 0 where there are none."""
+    if "displacement" not in result:
+        return 0.0
+    length = np.linalg.norm(result["displacement"].values, axis=-1)
+    if not np.isfinite(length).any():
+        return 0.0
+    largest = float(np.nanquantile(length, 0.98)) / float(result.attrs["mm_per_px"])
+    return float(f"{_ARROW_PX / largest:.1g}") if largest > 0 else 0.0

@@ -1,0 +1,62 @@
+"""One HTML page with everything in it."""
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import xarray as xr
+from jinja2 import Environment
+
+from fingerflow.recordings import open_recording
+from fingerflow.report import figures
+from fingerflow.report.overlay import write_overlay
+from fingerflow.report.views import ViewPainter
+from fingerflow.result import write_whole
+from fingerflow.scene import Scene
+
+
+def write_report(result: xr.Dataset, scene: Scene, folder: Path, comparison: Sequence[Any] = ()) -> Path:
+    """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
+
+    ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
+    """
+    write_overlay(result, scene, folder / "overlay.mp4")
+    frame = _most_contact(result)
+    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
+        picture = ViewPainter(result, scene, recording).paint(frame)
+    encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+    sections = [(f"Frame {frame}: contact and points", encoded)]
+    if "ellipse_semi_axes" in result:
+        sections.append(("Contact", figures.areas(result)))
+    if "median_divergence" in result and "global_displacement" in result:
+        sections.append(("Deformation, medians over the gross contact", figures.medians(result)))
+    if "strain" in result and "divergence" in result and result.sizes["triangle"]:
+        sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
+    if "tracked_share" in result:
+        sections.append(("Quality", figures.quality(result)))
+    seconds = json.loads(result.attrs["stage_seconds"])
+    count = result.sizes["frame"]
+    template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
+    html = template.render(
+        attrs=result.attrs,
+        settings={name: value for name, value in json.loads(result.attrs["settings"]).items() if isinstance(value, dict)},
+        warnings=json.loads(result.attrs["warnings"]),
+        comparison=comparison,
+        sections=[(title, base64.b64encode(data).decode("ascii")) for title, data in sections],
+        stages=[(name, value, 1000 * value / count) for name, value in seconds.items()],
+        sizes=dict(result.sizes),
+    )
+    path = folder / "report.html"
+    write_whole(path, lambda part: part.write_text(html, encoding="utf-8"))
+    return path
+
+
+def _most_contact(result: xr.Dataset) -> int:
+    if "gross_contact_area" not in result:
+        return result.sizes["frame"] - 1
+    return int(np.argmax(result["gross_contact_area"].fillna(0).values))

@@ -1,0 +1,93 @@
+"""The two views of a frame as pictures, and what is drawn over them."""
+
+import json
+from typing import Any
+
+import cv2
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.recordings import Recording
+from fingerflow.scene import Scene
+from fingerflow.views import View
+
+Picture = NDArray[np.uint8]
+CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), (255, 210, 60)
+
+
+class ViewPainter:
+    """Draws contact, points and displacement of a frame over its views; colours are RGB."""
+
+    def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
+        self._result = result
+        self._scene = scene
+        self._recording = recording
+        self._size = float(result.attrs["mm_per_px"])
+        matrix = np.vstack((np.array(json.loads(result.attrs["topography_to_contact"])), (0, 0, 1)))
+        self._to_topography = np.linalg.inv(matrix)[:2]
+        self._levels: dict[str, tuple[float, float]] = {}
+        self._first = scene.recording.first_frame
+
+    def paint(self, frame: int, arrow_scale: float = 0.0) -> Picture:
+        """Both views of a frame (by its place in the result), side by side, (H, W, 3)."""
+        picture = self._recording[self._first + frame]
+        parts = []
+        for name, view in (("topography", self._scene.views.topography), ("contact", self._scene.views.contact)):
+            if view is not None:
+                part = self._grey(name, picture, view)
+                matrix = self._to_topography if name == "topography" else np.array([[1.0, 0, 0], [0, 1.0, 0]])
+                self._ellipse(part, frame, matrix)
+                self._points(part, frame, matrix, arrow_scale)
+                parts.append(part)
+        height = min(part.shape[0] for part in parts)
+        return np.ascontiguousarray(np.concatenate([part[:height] for part in parts], axis=1))
+
+    def _grey(self, name: str, picture: NDArray[Any], view: View) -> Picture:
+        part = view.crop(picture).astype(np.float32)
+        if name not in self._levels:
+            # One contrast for all frames, from the first that is drawn: a video must not flicker.
+            self._levels[name] = (float(np.percentile(part, 0.5)), float(np.percentile(part, 99.8)))
+        low, high = self._levels[name]
+        grey = np.clip((part - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+        return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
+
+    def _ellipse(self, part: Picture, frame: int, matrix: NDArray[np.float64]) -> None:
+        if "ellipse_angle" not in self._result:
+            return
+        center = self._result["ellipse_center"].values[frame]
+        axes = self._result["ellipse_semi_axes"].values[frame]
+        angle = float(self._result["ellipse_angle"].values[frame])
+        if not np.isfinite(angle):
+            return
+        turn = np.linspace(0, 2 * np.pi, 120)
+        along, beside = axes[0] * np.cos(turn), axes[1] * np.sin(turn)
+        x = center[0] + along * np.cos(angle) - beside * np.sin(angle)
+        y = center[1] + along * np.sin(angle) + beside * np.cos(angle)
+        outline = self._pixels(np.stack((x, y), axis=1), matrix)
+        cv2.polylines(part, [np.round(outline * 8).astype(np.int32)], True, CONTACT, 1, cv2.LINE_AA, 3)
+
+    def _points(self, part: Picture, frame: int, matrix: NDArray[np.float64], arrow_scale: float) -> None:
+        if "position" not in self._result:
+            return
+        positions = self._result["position"].values
+        now = self._pixels(positions[frame], matrix)
+        start = self._pixels(positions[0], matrix)
+        moved = self._result["displacement"].values[frame] if "displacement" in self._result else None
+        for k, point in enumerate(now):
+            if np.isfinite(point).all():
+                cv2.circle(part, _eighths(point), 10, TRACKED, -1, cv2.LINE_AA, 3)
+                if moved is not None and arrow_scale and np.isfinite(moved[k]).all():
+                    tip = self._pixels(positions[frame, k] + arrow_scale * moved[k], matrix)
+                    cv2.line(part, _eighths(point), _eighths(tip), ARROW, 1, cv2.LINE_AA, 3)
+            elif np.isfinite(start[k]).all():
+                cv2.circle(part, _eighths(start[k]), 10, LOST, -1, cv2.LINE_AA, 3)
+
+    def _pixels(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        result: NDArray[np.float64] = millimetres / self._size @ matrix[:, :2].T + matrix[:, 2]
+        return result
+
+
+def _eighths(point: NDArray[np.float64]) -> tuple[int, int]:
+    """A position in eighths of a pixel, which OpenCV draws to."""
+    return round(float(point[0]) * 8), round(float(point[1]) * 8)
