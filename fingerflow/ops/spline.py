@@ -50,7 +50,7 @@ def spline_basis_derivative(x: Tensor, order: int) -> Tensor:
     return torch.where(distance < 1, x * (1.5 * distance - 2), outer)
 
 
-def spline_weights(fraction: Tensor, order: int) -> tuple[Tensor, Tensor]:
+def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
 
     Args:
@@ -58,15 +58,23 @@ def spline_weights(fraction: Tensor, order: int) -> tuple[Tensor, Tensor]:
         order: 1 or 3.
 
     Returns:
-        Two tensors ``fraction.shape + (order + 1,)``; the first coefficient is ``floor - (order - 1) / 2``.
+        Two tuples of ``order + 1`` tensors; the first is for the coefficient at ``floor - (order - 1) / 2``.
     """
-    first = (1 - order) // 2
-    taps = torch.arange(first, first + order + 1, device=fraction.device, dtype=fraction.dtype)
-    distance = fraction.unsqueeze(-1) - taps
-    value = spline_basis(distance, order)
+    rest = 1 - fraction
     if order == 1:
-        # The slope between the two samples, also on the left knot, where the basis itself has a kink.
-        derivative = torch.stack((-torch.ones_like(fraction), torch.ones_like(fraction)), dim=-1)
-    else:
-        derivative = spline_basis_derivative(distance, order)
-    return value, derivative
+        return (rest, fraction), (-torch.ones_like(fraction), torch.ones_like(fraction))
+    # The four pieces of the cubic B-spline (Unser 1999), which at the two ends are b3(1 + t) and b3(2 - t).
+    square, rest_square = fraction * fraction, rest * rest
+    value = (
+        rest_square * rest / 6,
+        2 / 3 + square * (fraction / 2 - 1),
+        2 / 3 + rest_square * (rest / 2 - 1),
+        square * fraction / 6,
+    )
+    slope = (
+        rest_square / -2,
+        fraction * (1.5 * fraction - 2),
+        rest * (2 - 1.5 * rest),
+        square / 2,
+    )
+    return value, slope

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fingerflow.ops.spline import spline_basis, spline_basis_derivative, spline_weights
+from fingerflow.ops.spline import spline_weights
 
 
 def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
@@ -52,7 +52,7 @@ def sample_windows(
     if warp is not None:
         return _sample_warped(coefficients, image_index, points, size, order, warp)
     whole = points.detach().floor()
-    weights, slopes = spline_weights(points - whole, order)
+    weights, slopes = (torch.stack(taps, dim=-1) for taps in spline_weights(points - whole, order))
     patch = cut_windows(coefficients, image_index, whole.long() - size // 2 - (order - 1) // 2, size + order)
     rows = _convolve(patch, weights[:, 1], size, dim=1)
     rows_slope = _convolve(patch, slopes[:, 1], size, dim=1)
@@ -82,29 +82,24 @@ def _sample_warped(
     # (P, size, size) positions; the window's rows are y, its columns x.
     x = points[:, 0, None, None] + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
     y = points[:, 1, None, None] + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
-    whole_x, whole_y = x.detach().floor(), y.detach().floor()
-    fraction_x, fraction_y = x - whole_x, y - whole_y
-    first = (1 - order) // 2
+    first, last = (1 - order) // 2, (order + 1) // 2
+    # Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
+    whole_x = x.detach().floor().clamp(-first, width - 1 - last)
+    whole_y = y.detach().floor().clamp(-first, height - 1 - last)
+    weights_x, slopes_x = spline_weights(x - whole_x, order)
+    weights_y, slopes_y = spline_weights(y - whole_y, order)
     flat = coefficients.reshape(-1)
-    columns, weights_x, slopes_x = [], [], []
-    for k in range(first, first + order + 1):
-        columns.append((whole_x.long() + k).clamp(0, width - 1))
-        weights_x.append(spline_basis(fraction_x - k, order))
-        slopes_x.append(spline_basis_derivative(fraction_x - k, order))
-    value = torch.zeros_like(x)
-    along_x = torch.zeros_like(x)
-    along_y = torch.zeros_like(x)
-    for k in range(first, first + order + 1):
-        row = (whole_y.long() + k).clamp(0, height - 1) + image_index[:, None, None] * height
+    index = (whole_y.long() + first + image_index[:, None, None] * height) * width + (whole_x.long() + first)
+    value, along_x, along_y = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
+    for k in range(order + 1):
         row_value, row_slope = torch.zeros_like(x), torch.zeros_like(x)
-        for column, weight, slope in zip(columns, weights_x, slopes_x, strict=True):
-            sample = flat[row * width + column]
-            row_value = torch.addcmul(row_value, weight, sample)
-            row_slope = torch.addcmul(row_slope, slope, sample)
-        weight_y = spline_basis(fraction_y - k, order)
-        value = torch.addcmul(value, weight_y, row_value)
-        along_x = torch.addcmul(along_x, weight_y, row_slope)
-        along_y = torch.addcmul(along_y, spline_basis_derivative(fraction_y - k, order), row_value)
+        for j in range(order + 1):
+            sample = flat.take(index + (k * width + j))
+            row_value = torch.addcmul(row_value, weights_x[j], sample)
+            row_slope = torch.addcmul(row_slope, slopes_x[j], sample)
+        value = torch.addcmul(value, weights_y[k], row_value)
+        along_x = torch.addcmul(along_x, weights_y[k], row_slope)
+        along_y = torch.addcmul(along_y, slopes_y[k], row_value)
     # Chain rule: d/dw = A^T d/dx.
     gradient = torch.stack(
         (

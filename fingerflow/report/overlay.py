@@ -32,10 +32,12 @@ def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
     force = result["normal_force"].values if "normal_force" in result else None
     with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         painter = ViewPainter(result, scene, recording)
-        painter.paint(int(frames[-1]))  # sets the contrast where the finger is in view
+        # Sets the contrast where the finger is in view. Video needs even sides.
+        height, width = (side // 2 * 2 for side in painter.paint(int(frames[-1])).shape[:2])
         with av.open(str(path), "w") as container:
             name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
             stream = container.add_stream(name, rate=_RATE)
+            stream.height, stream.width = height, width
             stream.pix_fmt = "yuv420p"
             stream.time_base = Fraction(1, _RATE)
             stream.bit_rate = 8_000_000
@@ -47,10 +49,8 @@ def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
                 if scale:
                     text += f"   arrows {scale:.3g} x"
                 cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
-                # Video needs even sides.
-                picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-                stream.height, stream.width = picture.shape[:2]
-                for packet in stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")):
+                picture = np.ascontiguousarray(picture[:height, :width])
+                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
                     container.mux(packet)
             for packet in stream.encode():
                 container.mux(packet)
