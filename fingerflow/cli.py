@@ -11,14 +11,20 @@ import typer
 from fingerflow.errors import FingerflowError
 
 app = typer.Typer(
-    help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True, add_completion=False
+    help="Contact area, skin motion and strain from recordings of a fingertip on glass.",
+    no_args_is_help=True,
+    add_completion=False,
 )
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
-Outputs = Annotated[list[str] | None, typer.Option("--output", help="A variable that is wanted; may be repeated. Default: all.")]
+Outputs = Annotated[
+    list[str] | None, typer.Option("--output", help="A variable that is wanted; may be repeated. Default: all.")
+]
 
 
 @app.command()
-def demo(folder: Annotated[Path, typer.Argument(help="Where to write.")] = Path("fingerflow-demo"), as_json: AsJson = False) -> None:
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Where to write.")] = Path("fingerflow-demo"), as_json: AsJson = False
+) -> None:
     """Simulate a press, process it, and compare with its known truth."""
     from fingerflow.comparison import as_text, compare
     from fingerflow.report import write_report
@@ -80,7 +86,9 @@ def calibrate(
     target: Annotated[Path | None, typer.Option(help="Frame of the target with three discs, for two views.")] = None,
     background: Annotated[Path | None, typer.Option(help="Frame of the empty glass.")] = None,
     hole_radius_mm: Annotated[float, typer.Option(help="Radius of the ring's hole.")] = 2.75,
-    output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path("calibration.toml"),
+    output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path(
+        "calibration.toml"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
@@ -89,16 +97,20 @@ def calibrate(
     from fingerflow.result import write_whole
     from fingerflow.views import View
 
-    frames = {name: None if path is None else open_recording(path)[0] for name, path in (("ring", ring), ("target", target), ("background", background))}
-    assert frames["ring"] is not None
-    rows, columns = frames["ring"].shape
+    frames = {
+        name: None if path is None else open_recording(path)[0]
+        for name, path in (("ring", ring), ("target", target), ("background", background))
+    }
+    ring_frame = frames["ring"]
+    assert ring_frame is not None
+    rows, columns = ring_frame.shape
     half = columns // 2
     views = {"contact": View((0, rows), (0, columns))}
     if target is not None:
         views = {"topography": View((0, rows), (0, half)), "contact": View((0, rows), (half, columns))}
-    found = calibration.calibrate(frames["target"], frames["ring"], views, hole_radius_mm, frames["background"])
+    found = calibration.calibrate(frames["target"], ring_frame, views, hole_radius_mm, frames["background"])
     picture = output.with_suffix(".png")
-    write_whole(picture, lambda part: calibration.draw_overlay(part, found, frames["target"], frames["ring"]))
+    write_whole(picture, lambda part: calibration.draw_overlay(part, found, frames["target"], ring_frame))
     write_whole(output, lambda part: part.write_text(found.to_toml(), encoding="utf-8"))
     facts: dict[str, Any] = {
         "mm_per_px": found.mm_per_px,
@@ -138,7 +150,13 @@ def process(
     result = _process(load_scene(scene), outputs, quiet=as_json, device=device)
     save_result(result, path)
     if as_json:
-        _print_json({"result": str(path), "variables": sorted(map(str, result.data_vars)), "warnings": json.loads(result.attrs["warnings"])})
+        _print_json(
+            {
+                "result": str(path),
+                "variables": sorted(map(str, result.data_vars)),
+                "warnings": json.loads(result.attrs["warnings"]),
+            }
+        )
     else:
         for warning in json.loads(result.attrs["warnings"]):
             typer.echo(f"warning: {warning}", err=True)
@@ -146,7 +164,9 @@ def process(
 
 
 @app.command()
-def report(scene: Path, result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None) -> None:
+def report(
+    scene: Path, result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None
+) -> None:
     """Write report.html and overlay.mp4 of a processed scene."""
     from fingerflow.report import write_report
     from fingerflow.result import load_result

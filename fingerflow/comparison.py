@@ -11,7 +11,8 @@ from fingerflow.synthetic import Scene
 
 
 class Comparison(NamedTuple):
-    """One quantity: measured and true value in the last frame, and the error over all frames that ``error_of`` names."""
+    """One quantity: measured and true value in the last frame, and the error over all frames that ``error_of``
+    names."""
 
     quantity: str
     unit: str
@@ -29,10 +30,18 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
     last = scene.n_frames - 1
     rows = []
 
-    def relative(quantity: str, name: str, values: NDArray[np.float64], true: NDArray[np.float64], large: NDArray[np.bool_]) -> None:
+    def relative(
+        quantity: str, name: str, values: NDArray[np.float64], true: NDArray[np.float64], large: NDArray[np.bool_]
+    ) -> None:
         error = np.abs(values[large] / true[large] - 1)
         rows.append(
-            Comparison(quantity, name, values[last], true[last], f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})")
+            Comparison(
+                quantity,
+                name,
+                values[last],
+                true[last],
+                f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})",
+            )
         )
 
     gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
@@ -44,7 +53,9 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
     relative("real contact area", "mm²", result["real_contact_area"].values, real, some)
     relative("gross contact area", "mm²", result["gross_contact_area"].values, gross, large)
     ellipses = [truth.ellipse(i) for i in range(scene.n_frames)]
-    axes = np.array([(np.nan, np.nan) if ellipse is None else sorted(ellipse.semi_axes, reverse=True) for ellipse in ellipses])
+    axes = np.array(
+        [(np.nan, np.nan) if ellipse is None else sorted(ellipse.semi_axes, reverse=True) for ellipse in ellipses]
+    )
     for k, name in enumerate(("semi-major axis", "semi-minor axis")):
         relative(name, "mm", result["ellipse_semi_axes"].values[:, k], axes[:, k], large)
     if "position_px" not in result:
@@ -57,7 +68,10 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
     distance = np.linalg.norm(pixels[last] - true_pixels, axis=-1)[tracked]
     rows.append(
         Comparison(
-            "position of a point, last frame", "px", float(np.sqrt((distance**2).mean())), 0.0,
+            "position of a point, last frame",
+            "px",
+            float(np.sqrt((distance**2).mean())),
+            0.0,
             f"{np.sqrt((distance**2).mean()):.4f} RMS, {distance.max():.3f} worst",
         )
     )
@@ -68,7 +82,9 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
     true_displacement = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
     displacement = float(result["global_displacement"].values[last])
     rows.append(
-        Comparison("global displacement", "mm", displacement, true_displacement, f"{displacement - true_displacement:+.4f} mm")
+        Comparison(
+            "global displacement", "mm", displacement, true_displacement, f"{displacement - true_displacement:+.4f} mm"
+        )
     )
     strain = result["median_strain"].values
     for quantity, measured, true in (
@@ -81,7 +97,10 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
         error = 1000 * (measured - np.array(true))
         rows.append(
             Comparison(
-                quantity, "µm/mm", float(1000 * measured[-1]), float(1000 * true[-1]),
+                quantity,
+                "µm/mm",
+                float(1000 * measured[-1]),
+                float(1000 * true[-1]),
                 f"{error[-1]:+.2f} (worst frame: {error[np.nanargmax(np.abs(error))]:+.2f})",
             )
         )

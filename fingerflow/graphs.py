@@ -17,7 +17,6 @@ from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.strain_uncertainty import divergence_deviation
 from fingerflow.ops.tracking import Tracks, track_points
 
-
 _LEAST_DENSITY = 0.2  # share of a contact that touches at least; fingertips show 0.3 to 0.6
 
 
@@ -45,8 +44,10 @@ class ContactGraph(nn.Module):
 
     Args:
         median_px: odd side of the median.
-        gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by it,
-            which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges end at its
+        gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by
+        it,
+            which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
+            end at its
             border, and not where they run along it; see :meth:`gross` for what is done instead.
     """
 
@@ -89,7 +90,8 @@ class ContactGraph(nn.Module):
     def gross(self, real: Tensor) -> Tensor:
         """The region that the micro-junctions span: where their density exceeds half of what it is inside.
 
-        The density is their mean over about two ridges (three box means). At a straight border of the region the smoothed
+        The density is their mean over about two ridges (three box means). At a straight border of the region the
+        smoothed
         density has fallen to one half, whatever the ridges' direction, so the border is found without bias.
         """
         side = 2 * self.gross_radius_px + 1
@@ -141,7 +143,8 @@ class TrackGraph(nn.Module):
 
 
 class Fields(NamedTuple):
-    """Fields at Q places of B frames: divergence, curl (B, Q), strain (B, Q, 3), standard deviation of divergence (B, Q)."""
+    """Fields at Q places of B frames: divergence, curl (B, Q), strain (B, Q, 3), standard deviation of divergence (B,
+    Q)."""
 
     divergence: Tensor
     curl: Tensor
@@ -157,7 +160,9 @@ class FieldsGraph(nn.Module):
         self.gauge_length = gauge_length
         self.measure = measure
 
-    def forward(self, reference: Tensor, displacement: Tensor, variance: Tensor, queries: Tensor | None = None) -> Fields:
+    def forward(
+        self, reference: Tensor, displacement: Tensor, variance: Tensor, queries: Tensor | None = None
+    ) -> Fields:
         """(B, N, 2) reference positions and displacements of one unit, variance (B, N) of a component in its square."""
         fit = local_gradients(reference, displacement, queries, gauge_length=self.gauge_length, variance=variance)
         assert fit.covariance is not None  # a variance was given

@@ -21,7 +21,9 @@ from fingerflow.stages.tracking import TrackingStage
 _BATCH = 8  # frames in memory at a time
 
 
-def process(scene: Scene, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False) -> xr.Dataset:
+def process(
+    scene: Scene, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False
+) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
     Args:

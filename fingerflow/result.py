@@ -86,7 +86,9 @@ def _contact(outcome: Outcome) -> None:
         return
     outcome.add("contact_threshold", ("frame",), contact.threshold, "1", "share of light lost that counts as contact")
     outcome.add("real_contact_area", ("frame",), contact.real_area, "mm2", "area of the micro-junctions")
-    outcome.add("gross_contact_area", ("frame",), contact.gross_area, "mm2", "area of the region that the contact spans")
+    outcome.add(
+        "gross_contact_area", ("frame",), contact.gross_area, "mm2", "area of the region that the contact spans"
+    )
     outcome.add("ellipse_center", ("frame", "xy"), contact.center, "mm", "centre of the gross contact on the glass")
     outcome.add("ellipse_semi_axes", ("frame", "axis"), contact.semi_axes, "mm", "semi-axes of the gross contact")
     outcome.add("ellipse_angle", ("frame",), contact.angle, "rad", "major axis of the gross contact, from x towards y")
@@ -125,11 +127,19 @@ def _displacement(outcome: Outcome) -> None:
     if moved is None:
         return
     onset = np.where(moved.onset < 0, -1, moved.onset + outcome.inputs.scene.recording.first_frame)
-    outcome.add("onset_frame", ("point",), onset, "1", "first frame in which the contact covers the point, -1 for never")
+    outcome.add(
+        "onset_frame", ("point",), onset, "1", "first frame in which the contact covers the point, -1 for never"
+    )
     outcome.add("reference_position", ("point", "xy"), moved.reference, "mm", "position at onset")
     outcome.add("displacement", ("frame", "point", "xy"), moved.displacement, "mm", "displacement since onset")
     outcome.add("global_displacement_vector", ("frame", "xy"), moved.vector, "mm", "median displacement, by component")
-    outcome.add("global_displacement", ("frame",), np.linalg.norm(moved.vector, axis=1), "mm", "length of the median displacement")
+    outcome.add(
+        "global_displacement",
+        ("frame",),
+        np.linalg.norm(moved.vector, axis=1),
+        "mm",
+        "length of the median displacement",
+    )
 
 
 def _fields(outcome: Outcome) -> None:
@@ -145,16 +155,26 @@ def _fields(outcome: Outcome) -> None:
     over = "over the gross contact"
     outcome.add("median_divergence", ("frame",), fields.median_divergence, "1", f"median divergence {over}")
     outcome.add(
-        "median_divergence_std", ("frame",), fields.median_divergence_std, "1", "standard deviation of the median divergence"
+        "median_divergence_std",
+        ("frame",),
+        fields.median_divergence_std,
+        "1",
+        "standard deviation of the median divergence",
     )
     outcome.add("median_curl", ("frame",), fields.median_curl, "rad", f"median curl {over}")
     component = ("frame", "strain_component")
     outcome.add("median_strain", component, fields.median_strain, "1", f"median strain {over}", measure=settings.strain)
     times, window = outcome.inputs.times, settings.rate_window_s
     outcome.add(
-        "median_divergence_rate", ("frame",), rate(fields.median_divergence, times, window), "1/s", "rate of median_divergence"
+        "median_divergence_rate",
+        ("frame",),
+        rate(fields.median_divergence, times, window),
+        "1/s",
+        "rate of median_divergence",
     )
-    outcome.add("median_strain_rate", component, rate(fields.median_strain, times, window), "1/s", "rate of median_strain")
+    outcome.add(
+        "median_strain_rate", component, rate(fields.median_strain, times, window), "1/s", "rate of median_strain"
+    )
 
 
 def _strain(outcome: Outcome) -> None:
@@ -202,7 +222,11 @@ def export_table(result: xr.Dataset, path: Path) -> None:
         for name, values in {"time": result["time"], **result.data_vars}.items():
             if values.dims == ("frame",):
                 columns[f"{name} ({values.attrs['units']})"] = values.values
-            elif len(values.dims) == 2 and values.dims[0] == "frame" and values.dims[1] in ("xy", "axis", "strain_component"):
+            elif (
+                len(values.dims) == 2
+                and values.dims[0] == "frame"
+                and values.dims[1] in ("xy", "axis", "strain_component")
+            ):
                 for k, part in enumerate(result[values.dims[1]].values):
                     columns[f"{name}_{part} ({values.attrs['units']})"] = values.values[:, k]
         rows = np.column_stack([result["frame"].values, *columns.values()])

@@ -195,14 +195,17 @@ def load_scene(path: str | Path) -> Scene:
     """Reads a scene file.
 
     Raises:
-        FingerflowError: the file is missing or is no TOML, a key is unknown, a value has the wrong type or range, a file
+        FingerflowError: the file is missing or is no TOML, a key is unknown, a value has the wrong type or range, a
+        file
             that it names is missing; with the line and the remedy.
     """
     path = Path(path).resolve()
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise FingerflowError(f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one") from error
+        raise FingerflowError(
+            f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one"
+        ) from error
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -228,7 +231,9 @@ def _explain(path: Path, text: str, detail: ErrorDetails) -> str:
     if detail["type"] == "missing":
         return f"{place} is missing; add it, `fingerflow init` shows how"
     message = detail["msg"].removeprefix("Value error, ")
-    return f"{place} is {detail['input']!r}: {message}" if not isinstance(detail["input"], dict) else f"{place}: {message}"
+    return (
+        f"{place} is {detail['input']!r}: {message}" if not isinstance(detail["input"], dict) else f"{place}: {message}"
+    )
 
 
 def _line(text: str, keys: list[str]) -> int:
@@ -256,14 +261,17 @@ def _keys_of(tables: list[str]) -> list[str]:
     return sorted([*keys, "file"] if model is CalibrationSettings else keys)
 
 
+_TOPOGRAPHY, _CONTACT = View((0, 512), (0, 640)), View((0, 512), (640, 1280))
+
+
 def scene_text(
     *,
     frames: str = "frames.cine",
     frame_rate: float | None = None,
     background: str = "empty.cine",
     dark: str | None = None,
-    contact: View = View((0, 512), (640, 1280)),
-    topography: View = View((0, 512), (0, 640)),
+    contact: View = _CONTACT,
+    topography: View = _TOPOGRAPHY,
     forces: str | None = None,
     calibration: str = 'file = "calibration.toml"',
 ) -> str:

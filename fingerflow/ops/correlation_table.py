@@ -1,6 +1,7 @@
 """Correlation tables: all that the steps of Lucas-Kanade need to know of an image, computed once a point.
 
-The normal equation of a translation is b(y) = sum_w g(w) (S(y + w) - T(w)) = 0, with the template T and its gradient g on
+The normal equation of a translation is b(y) = sum_w g(w) (S(y + w) - T(w)) = 0, with the template T and its gradient
+g on
 the window offsets w. S is a spline, S(y + w) = sum_k b(y - k) c[k + w], therefore
 
     b(y) = sum_k b(y - k) C[k] - sum_w g T,      C[k] = sum_w g(w) c[k + w].

@@ -9,8 +9,10 @@ from torch import Tensor
 def estimate_noise(images: Tensor) -> Tensor:
     """Standard deviation of white noise, in grey levels.
 
-    The mean absolute response of the mask [1 -2 1]^T [1 -2 1], which cancels any image that is locally a sum of a function of
-    x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq. 4). Fine texture adds to it: the value is an
+    The mean absolute response of the mask [1 -2 1]^T [1 -2 1], which cancels any image that is locally a sum of a
+    function of
+    x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq. 4). Fine texture adds to it:
+    the value is an
     upper bound that is close where structures are wider than about 8 px.
 
     Args:

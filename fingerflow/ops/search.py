@@ -6,7 +6,8 @@ from torch import Tensor
 
 from fingerflow.ops.windows import cut_windows
 
-# The template of the search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more than one
+# The template of the search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
+# than one
 # of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them apart.
 _WIDENING = 3
 _CHUNK = 128  # points a pass, which bounds the memory of the transforms
@@ -26,7 +27,8 @@ def search_windows(
     Works on the images at half resolution through the Fourier transform, so it serves as the start of
     :func:`~fingerflow.ops.tracking.track_points`, not in its place: the answer is good to about a pixel.
 
-    A pyramid of Lucas-Kanade would be cheaper, but does not work on skin: ridges are a narrow band of frequencies, the levels that
+    A pyramid of Lucas-Kanade would be cheaper, but does not work on skin: ridges are a narrow band of frequencies,
+    the levels that
     could bridge 50 px contain none of them, and what remains there is the illumination, which does not move.
 
     Args:
@@ -97,7 +99,8 @@ def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
 
 
 def _box_sum(x: Tensor, size: int) -> Tensor:
-    """Sums over size x size windows of (P, h, w), by running sums along each axis in float64 (differences of long sums)."""
+    """Sums over size x size windows of (P, h, w), by running sums along each axis in float64 (differences of long
+    sums)."""
     total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
     total = total[:, size:] - total[:, :-size]
     total = F.pad(total.cumsum(2), (1, 0))

@@ -12,9 +12,11 @@ from fingerflow.ops.search import search_windows
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.windows import sample_windows
 
-# A window has texture in every direction if its weaker gradient energy is this many times what noise alone would give it.
+# A window has texture in every direction if its weaker gradient energy is this many times what noise alone would give
+# it.
 _TEXTURE_TO_NOISE = 2.0
-# What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient, by order. For order 3 it
+# What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient, by order. For
+# order 3 it
 # depends on the fractional position by 2 % and less, for order 1 by 20 %.
 _VALUE_NOISE = {1: 0.115, 3: 0.0907}
 _GRADIENT_NOISE = {1: 0.0854, 3: 0.0488}
@@ -41,7 +43,8 @@ class Tracks(NamedTuple):
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
         error: (B, N) px, forward-backward distance; NaN where it could not be computed.
-        covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor; NaN as ``points``.
+        covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor;
+        NaN as ``points``.
         status: (B, N) uint8, a :class:`TrackStatus`.
     """
 
@@ -67,8 +70,10 @@ def track_points(
 ) -> Tracks:
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
-    The estimate solves sum_w g (S_current(y + w) - S_previous(p + w)) = 0 for y: Lucas & Kanade (1981) with the template's
-    gradient g, evaluated through correlation tables. Gradients flow to the images and to ``points`` through ``points`` of
+    The estimate solves sum_w g (S_current(y + w) - S_previous(p + w)) = 0 for y: Lucas & Kanade (1981) with the
+    template's
+    gradient g, evaluated through correlation tables. Gradients flow to the images and to ``points`` through
+    ``points`` of
     the result (implicit differentiation, first order); error, covariance and status carry none.
 
     Args:
@@ -80,10 +85,13 @@ def track_points(
         warp: (B, N, 2, 2) deformation gradient F: an offset w in ``previous`` is F w in ``current``. Default identity.
         order: of the spline, 3 or 1 (faster to evaluate, less accurate).
         gain_offset: solve for brightness gain and offset of each window too.
-        search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in x and
-            y, and only they; 0 never searches. The prediction alone reaches about 2 px, or a third of the texture's period.
+        search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in
+        x and
+            y, and only they; 0 never searches. The prediction alone reaches about 2 px, or a third of the texture's
+            period.
         forward_backward_limit: px, points beyond it are flagged.
-        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave unexplained.
+        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+        unexplained.
 
     Raises:
         ValueError: shapes that do not fit, an even window, an unknown order.
@@ -173,7 +181,8 @@ class _Pair(NamedTuple):
         forward_backward_limit: float,
         mismatch_limit: float,
     ) -> Tracks:
-        """Forward, backward, and the verdict, for (P, 2) points; without ``back_guess`` the way back starts with the motion
+        """Forward, backward, and the verdict, for (P, 2) points; without ``back_guess`` the way back starts with the
+        motion
         that was predicted, reversed, so that it has as far to go as the way there."""
         given = start.isfinite().all(-1) & guess.isfinite().all(-1)
         inverse_warp = None
@@ -244,7 +253,8 @@ class _Pair(NamedTuple):
     def _solve(
         self, which: int, guess: Tensor, template: Tensor, gradient: Tensor, hessian: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Position of each template in image ``which`` (finite, without derivative), and whether it solves the equations."""
+        """Position of each template in image ``which`` (finite, without derivative), and whether it solves the
+        equations."""
         with torch.no_grad():
             match = find_templates(
                 self.coefficients[which],
@@ -272,7 +282,8 @@ class _Pair(NamedTuple):
         return found - (_inverse_2x2(jacobian) * residual[:, None, :]).sum(-1)
 
     def _compare(self, reference: Tensor, matched: Tensor) -> tuple[Tensor, Tensor]:
-        """Noise variance of a pixel that the residual shows, and the share of the template that the match does not explain."""
+        """Noise variance of a pixel that the residual shows, and the share of the template that the match does not
+        explain."""
         samples = self.window**2
         a = reference - reference.mean((-1, -2), keepdim=True)
         b = matched - matched.mean((-1, -2), keepdim=True)

@@ -34,7 +34,9 @@ def medians(result: xr.Dataset) -> bytes:
     (upper_left, upper_right), (lower_left, lower_right) = figure.subplots(2, 2)
     x, name = abscissa(result)
     value, spread = 1000 * result["median_divergence"].values, 1000 * result["median_divergence_std"].values
-    upper_left.fill_between(x, value - 2 * spread, value + 2 * spread, color=INK, alpha=0.2, linewidth=0, label="± 2 std")
+    upper_left.fill_between(
+        x, value - 2 * spread, value + 2 * spread, color=INK, alpha=0.2, linewidth=0, label="± 2 std"
+    )
     upper_left.plot(x, value, color=INK, label="divergence")
     upper_left.plot(x, 1000 * result["median_curl"].values, color="#d1495b", label="curl")
     upper_left.set(xlabel=name, ylabel="median (µm/mm)")

@@ -19,7 +19,8 @@ _ARROW_PX = 40  # length that the largest displacements are drawn with
 
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
-    """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into it."""
+    """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into
+    it."""
     write_whole(path, lambda part: _encode(result, scene, part))
     return path
 
@@ -37,6 +38,7 @@ def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
         with av.open(str(path), "w") as container:
             name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
             stream = container.add_stream(name, rate=_RATE)
+            assert isinstance(stream, av.VideoStream)  # both codecs are of video
             stream.height, stream.width = height, width
             stream.pix_fmt = "yuv420p"
             stream.time_base = Fraction(1, _RATE)

@@ -44,7 +44,9 @@ def write_report(result: xr.Dataset, scene: Scene, folder: Path, comparison: Seq
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
     html = template.render(
         attrs=result.attrs,
-        settings={name: value for name, value in json.loads(result.attrs["settings"]).items() if isinstance(value, dict)},
+        settings={
+            name: value for name, value in json.loads(result.attrs["settings"]).items() if isinstance(value, dict)
+        },
         warnings=json.loads(result.attrs["warnings"]),
         comparison=comparison,
         sections=[(title, base64.b64encode(data).decode("ascii")) for title, data in sections],

@@ -106,8 +106,10 @@ class ContactStage:
         threshold = float(self._graph.otsu(frame, self._reference, self._dark))
         if not np.isfinite(threshold):
             raise FingerflowError(
-                f"{self._inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where most contact was "
+                f"{self._inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "
+                f"most contact was "
                 f"expected, no part of the contact view is darker than the background by more than its noise. Check "
-                f"[views.contact] and [background] in {self._inputs.scene.path}, or set [contact] threshold to a number."
+                f"[views.contact] and [background] in {self._inputs.scene.path}, or set [contact] threshold to "
+                f"a number."
             )
         return threshold

@@ -33,9 +33,7 @@ FIELDS_GIVE = frozenset(
         "median_strain_rate",
     }
 )
-STRAIN_GIVES = frozenset(
-    {"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"}
-)
+STRAIN_GIVES = frozenset({"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"})
 _FRAMES = 16  # a batch
 _GRID_MM = 0.25  # between the nodes over which medians are taken
 
@@ -111,9 +109,13 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
     graph = FieldsGraph(settings.gauge_length_mm, settings.strain)
     count, points = moved.displacement.shape[:2]
     series = FieldSeries(
-        *(np.full((count, points), np.nan, dtype=np.float32) for _ in range(3)),
-        *(np.full(count, np.nan) for _ in range(3)),
-        np.full((count, 3), np.nan),
+        divergence=np.full((count, points), np.nan, dtype=np.float32),
+        curl=np.full((count, points), np.nan, dtype=np.float32),
+        divergence_std=np.full((count, points), np.nan, dtype=np.float32),
+        median_divergence=np.full(count, np.nan),
+        median_divergence_std=np.full(count, np.nan),
+        median_curl=np.full(count, np.nan),
+        median_strain=np.full((count, 3), np.nan),
     )
     reference = _tensor(inputs, moved.reference)[None]
     grid = _grid(contact)
@@ -209,9 +211,7 @@ def _grid(contact: ContactSeries) -> tuple[NDArray[np.float64], NDArray[np.float
     return x, y
 
 
-def _inside(
-    contact: ContactSeries, part: slice, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _inside(contact: ContactSeries, part: slice, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(n, H, W) which nodes lie in the ellipse of the gross contact."""
     angle = contact.angle[part, None, None]
     across = x[None, None, :] - contact.center[part, 0, None, None]

@@ -36,7 +36,8 @@ class Inputs:
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """A view of frames (n, H, W) as (n, 1, h, w) on the device. uint16 becomes int32, which torch can compute with."""
+        """A view of frames (n, H, W) as (n, 1, h, w) on the device. uint16 becomes int32, which torch can compute
+        with."""
         part = np.ascontiguousarray(view.crop(frames))
         if part.dtype == np.uint16:
             part = part.astype(np.int32)
@@ -54,7 +55,8 @@ class Inputs:
         still = open_recording(path)
         if still.frame_shape != self.recording.frame_shape:
             raise FingerflowError(
-                f"{path}: the background has frames of {_size(still.frame_shape)}, the recording {self.recording.path} of "
+                f"{path}: the background has frames of {_size(still.frame_shape)}, the recording "
+                f"{self.recording.path} of "
                 f"{_size(self.recording.frame_shape)}; record the background with the same camera settings"
             )
         mean = still[:_REFERENCE_FRAMES].read().mean(axis=0, dtype=np.float64)
@@ -71,7 +73,8 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
     if settings.first_frame >= len(recording):
         raise FingerflowError(
-            f"{scene.path}: recording.first_frame is {settings.first_frame}, but {settings.frames} has {len(recording)} "
+            f"{scene.path}: recording.first_frame is {settings.first_frame}, but {settings.frames} has "
+            f"{len(recording)} "
             f"frames, 0 to {len(recording) - 1}"
         )
     warnings = list(recording.warnings)

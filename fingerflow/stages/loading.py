@@ -20,7 +20,8 @@ class Loading:
 
 
 def load(inputs: Inputs) -> Loading | None:
-    """The forces of the scene, aligned to the trigger and low-passed to the frame rate; None where the scene has none."""
+    """The forces of the scene, aligned to the trigger and low-passed to the frame rate; None where the scene has
+    none."""
     settings = inputs.scene.forces
     if settings is None:
         return None

@@ -41,7 +41,8 @@ class TrackSeries:
 class TrackingStage:
     """Follows points from frame to frame, in the order of time or against it.
 
-    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found so
+    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion
+    found so
     far: errors do not add up. From frame to frame they do.
     """
 
@@ -50,7 +51,8 @@ class TrackingStage:
         view = inputs.scene.views.topography
         if view is None:
             raise FingerflowError(
-                f"{inputs.scene.path}: tracking needs the topographic view; add [views.topography] with rows and columns"
+                f"{inputs.scene.path}: tracking needs the topographic view; add [views.topography] with rows "
+                f"and columns"
             )
         self._inputs = inputs
         self._view = view
@@ -69,7 +71,8 @@ class TrackingStage:
         self.series: TrackSeries | None = None
 
     def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], gross: Tensor) -> NDArray[np.bool_]:
-        """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers, (n, N)."""
+        """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
+        (n, N)."""
         images = self._inputs.view(frames, self._view)
         covered = []
         for number, (index, image) in enumerate(zip(indices, images, strict=True)):
@@ -116,7 +119,8 @@ class TrackingStage:
         points = corners.points[:, corners.valid[0]]
         if points.shape[1] < 3:
             raise FingerflowError(
-                f"{self._inputs.recording.path}: {points.shape[1]} points with texture were found in the contact region of the "
+                f"{self._inputs.recording.path}: {points.shape[1]} points with texture were found in the "
+                f"contact region of the "
                 "topographic view, at least 3 are needed. Check [views.topography], the calibration and the focus."
             )
         self._template, self._start, self._last = image, points, points
@@ -138,7 +142,8 @@ class TrackingStage:
         return self._inside(gross, self._last[0])
 
     def _inside(self, mask: Tensor, points: Tensor) -> Tensor:
-        """Value of a mask of the contact view at points (P, 2) of the topographic view; False beyond the mask or for NaN."""
+        """Value of a mask of the contact view at points (P, 2) of the topographic view; False beyond the mask or for
+        NaN."""
         place = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).round()
         height, width = mask.shape
         x, y = place[:, 0], place[:, 1]
