@@ -201,15 +201,19 @@ def load_scene(path: str | Path) -> Scene:
     """
     path = Path(path).resolve()
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FingerflowError(
             f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one"
         ) from error
+    except UnicodeDecodeError as error:
+        raise FingerflowError(f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8") from error
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}") from error
+    if "path" in values:
+        raise FingerflowError(f"{path}, line {_line(text, ['path'])}: path is not a key of a scene file; remove it")
     try:
         return Scene.model_validate({**values, "path": path}, context={"folder": path.parent})
     except ValidationError as error:

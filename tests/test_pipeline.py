@@ -66,7 +66,9 @@ def test_areas_against_truth(result: xr.Dataset, press: Path) -> None:
     truth = rebuild_scene(press).truth
     for frame in (12, 18, 23):
         assert result["real_contact_area"].values[frame] == pytest.approx(truth.real_contact_area_mm2(frame), rel=0.02)
-        assert result["gross_contact_area"].values[frame] == pytest.approx(truth.gross_contact_area_mm2(frame), rel=0.05)
+        assert result["gross_contact_area"].values[frame] == pytest.approx(
+            truth.gross_contact_area_mm2(frame), rel=0.05
+        )
 
 
 def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
@@ -214,3 +216,25 @@ def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Pat
 
 def test_recording_is_read_lazily(press: Path) -> None:
     assert len(open_recording(press / "frames.npy", frame_rate=24.0)) == 24
+
+
+def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> None:
+    import av
+
+    from fingerflow.comparison import compare
+    from fingerflow.report import write_report
+
+    page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/png;base64,") == 5
+    assert "median divergence" in text
+    assert "http" not in text.replace("http-equiv", "")  # self-contained
+    with av.open(str(tmp_path / "overlay.mp4")) as video:
+        assert sum(1 for _ in video.decode(video=0)) == 24
+
+
+def test_report_of_areas_alone(scene: Scene, tmp_path: Path) -> None:
+    from fingerflow.report import write_report
+
+    page = write_report(process(scene, ["gross_contact_area"]), scene, tmp_path)
+    assert page.read_text(encoding="utf-8").count("data:image/png;base64,") == 2

@@ -57,10 +57,11 @@ def build_table(
     patch = cut_windows(coefficients, image_index, center - size // 2 - reach - 1, size + positions - 1)
     patch = patch - level[:, None, None]
     # One product a point contracts the window's columns, for all its rows against all rows and shifts of the patch ...
-    shifted = patch.unfold(2, positions, 1).transpose(1, 2).reshape(count, size, -1)
+    shifted = patch.unfold(2, positions, 1).transpose(1, 2)
+    shifted = shifted.reshape(count, size, (size + positions - 1) * positions)
     product = gradient.transpose(1, 2).reshape(count, size * 2, size) @ shifted
     # ... then the rows that belong together are summed: C[ky, kx] = sum_r product[r, ky + r, kx].
-    product = product.view(count, size, 2, -1)
+    product = product.view(count, size, 2, (size + positions - 1) * positions)
     block = positions * positions
     table = product[:, 0, :, :block]
     for row in range(1, size):

@@ -19,9 +19,11 @@ def estimate_noise(images: Tensor) -> Tensor:
         images: (B, 1, H, W), any real dtype, H and W at least 3.
 
     Returns:
-        (B,) float; NaN where the image holds a non-finite pixel.
+        (B,) float, of the part of the image without non-finite pixels; NaN where there is none.
     """
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
     x = x[..., :-2, :] - 2 * x[..., 1:-1, :] + x[..., 2:, :]
     x = x[..., :-2] - 2 * x[..., 1:-1] + x[..., 2:]
-    return math.sqrt(math.pi / 2) / 6 * x.abs().mean((1, 2, 3))
+    response = x.abs()
+    response = torch.where(response.isfinite(), response, torch.nan)
+    return math.sqrt(math.pi / 2) / 6 * response.nanmean((1, 2, 3))

@@ -1,0 +1,49 @@
+"""Calibration on the real frames of the rig: everything is found without hand-set coordinates."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fingerflow.calibration import Calibration, calibrate, draw_overlay
+from fingerflow.errors import FingerflowError
+from fingerflow.views import View
+
+VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640, 1280))}
+
+
+@pytest.fixture(scope="module")
+def frames(shared_data: Path) -> dict[str, np.ndarray]:
+    names = {"target": "triangle1.jpg", "ring": "piece.jpg", "empty": "empty.jpg"}
+    return {key: cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE) for key, name in names.items()}
+
+
+def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path) -> None:
+    found = calibrate(frames["target"], frames["ring"], VIEWS, background=frames["empty"])
+    assert len(found.discs) == 3
+    assert found.mm_per_px == pytest.approx(0.034, rel=0.03)  # about 80 px for 2.75 mm, as the data's notes say
+    assert found.affine is not None
+    assert np.linalg.det(found.affine.matrix[:, :2]) == pytest.approx(1.0, abs=0.25)
+    draw_overlay(tmp_path / "overlay.png", found, frames["target"], frames["ring"])
+    assert cv2.imread(str(tmp_path / "overlay.png")).shape[0] > 300
+    (tmp_path / "calibration.toml").write_text(found.to_toml())
+    again = Calibration.from_toml(tmp_path / "calibration.toml")
+    assert again.mm_per_px == found.mm_per_px
+    np.testing.assert_array_equal(again.topography_to_contact, found.topography_to_contact)
+
+
+def test_noise_moves_nothing(frames: dict[str, np.ndarray]) -> None:
+    """Two grey levels of noise move scale and discs by a few hundredths of a pixel."""
+    noise = np.random.default_rng(0).normal(scale=2, size=frames["target"].shape)
+    noisy = np.clip(np.round(frames["target"] + noise), 0, 255).astype(np.uint8)
+    plain = calibrate(frames["target"], frames["ring"], VIEWS, background=frames["empty"])
+    other = calibrate(noisy, frames["ring"], VIEWS, background=frames["empty"])
+    for pair, again in zip(plain.discs, other.discs, strict=True):
+        for disc, same in zip(pair, again, strict=True):
+            assert np.hypot(*np.subtract(disc.center, same.center)) < 0.3
+
+
+def test_a_blank_target_is_named(frames: dict[str, np.ndarray]) -> None:
+    with pytest.raises(FingerflowError, match="disc"):
+        calibrate(np.full_like(frames["target"], 90), frames["ring"], VIEWS)

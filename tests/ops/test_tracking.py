@@ -1,0 +1,212 @@
+"""Tracking against exact shifts of an analytic texture, and against the Cramer-Rao bound."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
+from fingerflow.synthetic import RidgeTexture, texture_image
+
+MM = 0.0325
+SHAPE = (400, 480)
+TEXTURE = RidgeTexture(centre=(7.0, 6.0))
+
+
+def grey(x: Tensor, y: Tensor) -> Tensor:
+    return 110 + 80 * TEXTURE(x, y)
+
+
+def picture(shift: tuple[float, float], noise: float, seed: int) -> Tensor:
+    clean = texture_image(grey, SHAPE, MM, lambda x, y: (x - shift[0] * MM, y - shift[1] * MM))
+    generator = torch.Generator().manual_seed(seed)
+    noisy = clean + noise * torch.randn(clean.shape, generator=generator, dtype=clean.dtype)
+    return noisy.round().clamp(0, 255).to(torch.uint8)
+
+
+@pytest.fixture(scope="module")
+def points() -> Tensor:
+    mask = torch.zeros(1, 1, *SHAPE, dtype=torch.bool)
+    mask[..., 40:-40, 40:-40] = True
+    found = detect_corners(picture((0, 0), 0, 0), 500, 8.0, mask, window=21)
+    return found.points[:, found.valid[0]]
+
+
+def bound(points: Tensor, noise: float, window: int = 21) -> float:
+    """Root mean square of the distance that no unbiased estimate beats: sqrt of the mean trace of 2 sigma^2 G^-1."""
+    offset = torch.arange(-(window // 2), window // 2 + 1, dtype=torch.float64)
+    x = (points[0, :, 0, None, None].double() + offset).expand(-1, window, -1).clone().requires_grad_()
+    y = (points[0, :, 1, None, None].double() + offset[:, None]).expand(-1, -1, window).clone().requires_grad_()
+    gx, gy = torch.autograd.grad(grey(x * MM, y * MM).sum(), (x, y))
+    g = torch.stack((gx.flatten(1), gy.flatten(1)), dim=1)
+    covariance = 2 * (noise**2 + 1 / 12) * torch.linalg.inv(g @ g.transpose(1, 2))
+    return float(covariance.diagonal(dim1=1, dim2=2).sum(-1).mean().sqrt())
+
+
+@pytest.mark.parametrize("noise", [0, 1, 2, 5])
+@pytest.mark.parametrize("fraction", [0.0, 0.37])
+def test_error_is_at_the_bound_and_without_bias(points: Tensor, noise: float, fraction: float) -> None:
+    """1.1 x the bound; bias 0.001 px beyond three standard errors of the mean, all that so many points can show."""
+    start = points + fraction
+    errors = []
+    for seed, shift in enumerate((0.0, 0.25, 0.5, 0.9)):
+        if noise == 0 and shift == 0:
+            continue  # nothing moved and nothing differs: exact
+        motion = (shift, 0.6 * shift)
+        tracks = track_points(picture((0, 0), noise, 2 * seed), picture(motion, noise, 2 * seed + 1), start)
+        assert (tracks.status == TrackStatus.TRACKED).all()
+        errors.append((tracks.points - start - torch.tensor(motion))[0].double())
+    error = torch.cat(errors)
+    assert error.square().sum(-1).mean().sqrt() < 1.1 * bound(start, noise)
+    assert (error.mean(0).abs() < 0.001 + 3 * error.std(0) / math.sqrt(len(error))).all()
+
+
+def test_equal_images_do_not_move(points: Tensor) -> None:
+    image = picture((0, 0), 2, 0)
+    tracks = track_points(image, image, points + 0.3)
+    torch.testing.assert_close(tracks.points, points + 0.3, atol=1e-4, rtol=0)
+
+
+def test_covariance_is_that_of_the_errors(points: Tensor) -> None:
+    """e' C^-1 e has mean 2 in theory; smoothing makes the stated covariance a little large, hence a mean below."""
+    tracks = track_points(picture((0, 0), 2, 1), picture((0.4, 0.2), 2, 2), points)
+    error = (tracks.points - points - torch.tensor((0.4, 0.2)))[0]
+    squares = (error[:, None] @ torch.linalg.inv(tracks.covariance[0]) @ error[..., None]).mean()
+    assert 1.2 < float(squares) < 2.3
+
+
+@pytest.mark.parametrize("search", [0, 64])
+@pytest.mark.parametrize("motion", [(5.0, 0.0), (4.0, 3.0), (50.0, 0.0), (40.0, 30.0)])
+def test_large_motion_is_found_or_flagged(points: Tensor, motion: tuple[float, float], search: int) -> None:
+    tracks = track_points(picture((0, 0), 2, 3), picture(motion, 2, 4), points, search=search)
+    tracked = tracks.status == TrackStatus.TRACKED
+    distance = (tracks.points - points - torch.tensor(motion)).norm(dim=-1)
+    assert (tracked & (distance > 0.5)).float().mean() <= 0.005
+    if search:
+        assert tracked.float().mean() > 0.75  # the others are mostly those that leave the frame
+        assert distance[tracked].square().mean().sqrt() < 0.05
+
+
+def test_warp_is_needed_and_serves(points: Tensor) -> None:
+    stretch = torch.tensor([[1.05, 0.02], [-0.03, 1.06]], dtype=torch.float64)
+    centre = torch.tensor([240.0, 200.0], dtype=torch.float64)
+    back = torch.linalg.inv(stretch)
+
+    def mapping(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        x, y = x / MM - centre[0], y / MM - centre[1]
+        return (
+            (back[0, 0] * x + back[0, 1] * y + centre[0]) * MM,
+            (back[1, 0] * x + back[1, 1] * y + centre[1]) * MM,
+        )
+
+    first = texture_image(grey, SHAPE, MM).float()
+    second = texture_image(grey, SHAPE, MM, mapping).float()
+    truth = ((points.double() - centre) @ stretch.T + centre).float()
+    warp = stretch.float().expand(1, points.shape[1], 2, 2)
+    with_warp = track_points(first, second, points, initial=truth + 0.3, warp=warp)
+    without = track_points(first, second, points, initial=truth + 0.3)
+    inside = with_warp.status == TrackStatus.TRACKED
+    assert inside.float().mean() > 0.9
+    assert (with_warp.points - truth)[inside].norm(dim=-1).max() < 0.02
+    plain = without.status == TrackStatus.TRACKED
+    assert (without.points - truth)[plain].norm(dim=-1).median() > 0.05
+
+
+def test_gain_and_offset(points: Tensor) -> None:
+    first = texture_image(grey, SHAPE, MM).float()
+    second = 0.8 * texture_image(grey, SHAPE, MM, lambda x, y: (x - 0.4 * MM, y)).float() + 20
+    tracks = track_points(first, second, points, gain_offset=True)
+    assert (tracks.status == TrackStatus.TRACKED).all()
+    assert (tracks.points - points - torch.tensor((0.4, 0.0))).norm(dim=-1).max() < 0.01
+
+
+@pytest.mark.parametrize("gain_offset", [False, True])
+@pytest.mark.parametrize("order", [1, 3])
+def test_derivative_with_respect_to_images_and_points(order: int, gain_offset: bool) -> None:
+    y, x = torch.meshgrid(*(torch.arange(float(n), dtype=torch.float64) for n in (24, 26)), indexing="ij")
+
+    def wave(x: Tensor, y: Tensor) -> Tensor:
+        return 100 + 40 * torch.sin(0.7 * x + 0.3 * y) + 30 * torch.cos(0.5 * y - 0.2 * x) + 10 * torch.sin(0.9 * y + x)
+
+    first = wave(x, y)[None, None].requires_grad_()
+    second = wave(x - 0.3, y + 0.2)[None, None].requires_grad_()
+    # Order 1 has kinks at whole pixels, order 3 has none.
+    places = [[12.3, 11.2], [13.2, 12.4]] if order == 1 else [[12.3, 11.2], [13.0, 12.0]]
+    start = torch.tensor([places], dtype=torch.float64, requires_grad=True)
+
+    def found(a: Tensor, b: Tensor, p: Tensor) -> Tensor:
+        return track_points(a, b, p, 7, order=order, gain_offset=gain_offset, mismatch_limit=1.0).points
+
+    assert torch.autograd.gradcheck(found, (first, second, start), eps=1e-6, atol=1e-5, rtol=1e-4, fast_mode=True)
+
+
+def status(tracks: Tracks) -> list[int]:
+    return tracks.status[0].tolist()
+
+
+def test_nothing_to_track_is_said(points: Tensor) -> None:
+    blank = torch.full((1, 1, *SHAPE), 255, dtype=torch.uint8)
+    assert set(status(track_points(blank, blank, points))) == {TrackStatus.NO_TEXTURE}
+    generator = torch.Generator().manual_seed(0)
+    noise = (100 + 3 * torch.randn(1, 1, *SHAPE, generator=generator)).round().to(torch.uint8)
+    assert TrackStatus.TRACKED not in status(track_points(noise, noise.flip(3), points))
+    grating = (100 + 50 * torch.sin(torch.arange(SHAPE[1]) / 3.0)).expand(1, 1, *SHAPE)
+    assert set(status(track_points(grating, grating, points))) == {TrackStatus.NO_TEXTURE}
+
+
+def test_one_bad_pixel_spoils_only_its_window(points: Tensor) -> None:
+    image = picture((0, 0), 1, 5).float()
+    for bad in (torch.nan, torch.inf):
+        spoiled = image.clone()
+        x, y = points[0, 0].long().tolist()
+        spoiled[0, 0, y, x] = bad
+        tracks = track_points(image, spoiled, points)
+        near = (points[0] - points[0, 0]).abs().amax(-1) <= 13
+        assert tracks.points[0, 0].isnan().all()
+        assert (tracks.status[0, ~near] == TrackStatus.TRACKED).all()
+
+
+def test_border_missing_points_and_batches(points: Tensor) -> None:
+    first, second = picture((0, 0), 1, 6), picture((0.3, 0.1), 1, 7)
+    odd = torch.tensor([[[3.0, 200.0], [475.0, 200.0], [1e6, 5.0], [torch.nan, 5.0], [200.0, 200.0]]])
+    found = status(track_points(first, second, odd))
+    assert found[:3] == [TrackStatus.LEFT_FRAME] * 3
+    assert found[3] == TrackStatus.NOT_FINITE
+    single = track_points(first, second, points)
+    both = track_points(torch.cat((first, second)), torch.cat((second, first)), torch.cat((points, points)))
+    torch.testing.assert_close(both.points[:1], single.points, atol=1e-4, rtol=0)
+    assert track_points(first, second, points[:, :0]).points.shape == (1, 0, 2)
+    assert track_points(first[:0], second[:0], points[:0]).points.shape[0] == 0
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_deep_images(points: Tensor, bits: int) -> None:
+    scale = 2 ** (bits - 8)
+    images = [(texture_image(grey, SHAPE, MM, lambda x, y, d=d: (x - d * MM, y)) * scale).round() for d in (0.0, 0.6)]
+    for dtype in (torch.int32, torch.uint16, torch.float32):
+        tracks = track_points(images[0].to(dtype), images[1].to(dtype), points)
+        assert (tracks.points - points - torch.tensor((0.6, 0.0))).norm(dim=-1).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"window": 20}, "odd"),
+        ({"order": 2}, "order"),
+        ({"points": torch.zeros(1, 3)}, "points"),
+        ({"points": torch.zeros(1, 3, 2, dtype=torch.int64)}, "floating"),
+        ({"current": torch.zeros(1, 1, 40, 41)}, "same shape"),
+        ({"initial": torch.zeros(1, 2, 2)}, "initial"),
+        ({"warp": torch.zeros(1, 3, 2)}, "warp"),
+    ],
+)
+def test_wrong_arguments_are_named(change: dict[str, object], said: str) -> None:
+    arguments: dict[str, object] = {
+        "previous": torch.zeros(1, 1, 40, 40),
+        "current": torch.zeros(1, 1, 40, 40),
+        "points": torch.zeros(1, 3, 2),
+    }
+    with pytest.raises(ValueError, match=said):
+        track_points(**{**arguments, **change})  # type: ignore[arg-type]
