@@ -12,7 +12,8 @@ from fingerflow.ops.ellipse import Ellipse, fit_ellipse
 from fingerflow.ops.illumination import contact_signal, dequantize, normalize_illumination, quantize
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.median import median_above, median_filter
-from fingerflow.ops.otsu import class_separation, otsu_threshold
+from fingerflow.ops.otsu import class_separation, histogram, otsu_threshold
+from fingerflow.ops.quantile import median_of_counts
 from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.strain_uncertainty import divergence_deviation
 from fingerflow.ops.tracking import Tracks, track_points
@@ -43,15 +44,14 @@ class ContactGraph(nn.Module):
     """Frames of the contact view to contact masks, areas and ellipse (Willemet et al. 2021, supplement, figure S3 A).
 
     Args:
-        median_px: odd side of the median.
+        median_px: odd side of the median. It rounds the ends of the ridges: 3 leaves the real contact area of a
+            fingertip as it is, 5 takes about 1 % of it and 9 (the paper's) about 4 %.
         gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by
-        it,
-            which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
-            end at its
-            border, and not where they run along it; see :meth:`gross` for what is done instead.
+            it, which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
+            end at its border, and not where they run along it; see :meth:`gross` for what is done instead.
     """
 
-    def __init__(self, median_px: int = 9, gross_radius_px: int = 8) -> None:
+    def __init__(self, median_px: int = 3, gross_radius_px: int = 8) -> None:
         super().__init__()
         self.median_px = median_px
         self.gross_radius_px = gross_radius_px
@@ -59,53 +59,67 @@ class ContactGraph(nn.Module):
     def forward(
         self, frames: Tensor, reference: Tensor, dark: Tensor | None = None, threshold: Tensor | None = None
     ) -> Contact:
-        """(B, 1, H, W) frames, (1, 1, H, W) reference and dark; ``threshold`` (B,) or None for Otsu's of each frame."""
-        levels, _ = self.levels(frames, reference, dark)
+        """(B, 1, H, W) frames, (1, 1, H, W) reference and dark; ``threshold`` (B,), or None for each frame's own."""
+        normalized = normalize_illumination(frames, reference, dark)
+        signal = contact_signal(normalized)
         if threshold is None:
-            threshold = self.otsu(frames, reference, dark)
-        real = median_above(levels.float(), _level(threshold), self.median_px)
+            threshold = self._threshold(signal, normalized.valid)
+        real = median_above(signal, threshold, self.median_px)
         gross = self.gross(real)
         area = gross.sum((1, 2, 3), dtype=torch.float64)
         return Contact(real, gross, real.sum((1, 2, 3), dtype=torch.float64), area, fit_ellipse(gross), threshold)
 
-    def levels(self, frames: Tensor, reference: Tensor, dark: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The share of light lost in one byte, and where the glass is lit."""
-        normalized = normalize_illumination(frames, reference, dark)
-        return quantize(contact_signal(normalized)), normalized.valid
+    def threshold(self, frames: Tensor, reference: Tensor, dark: Tensor | None = None) -> Tensor:
+        """(B,) share of light lost half-way between touching ridges and the skin beside them; NaN without contact.
 
-    def otsu(self, frames: Tensor, reference: Tensor, dark: Tensor | None = None) -> Tensor:
-        """(B,) Otsu's threshold of the median-filtered signal; NaN where a frame shows no two classes."""
-        levels, valid = self.levels(frames, reference, dark)
-        smooth = median_filter(levels, self.median_px)
-        threshold = otsu_threshold(smooth, valid)
-        classes = class_separation(smooth, threshold, valid)
+        Otsu's threshold of the median-filtered signal splits the pixels into classes, and so finds the gross region.
+        Most of the rest is empty glass, brighter than the skin between ridges, which pulls Otsu's threshold down
+        and the area up by 2 %. Half-way between the medians of the two classes inside the gross region is where the
+        blurred edge of a ridge has its true place.
+        """
+        normalized = normalize_illumination(frames, reference, dark)
+        return self._threshold(contact_signal(normalized), normalized.valid)
+
+    def gross(self, real: Tensor) -> Tensor:
+        """The region that the micro-junctions span: where their density exceeds about half of what it is inside.
+
+        The density is their mean over about two ridges (three box means). At a straight border the smoothed density
+        has fallen to one half of that inside, whatever the ridges' direction; at a border curved outwards to less.
+        How much less is read from the region itself, smoothed in the same way. The region and the density inside
+        depend on each other: a fixed point, near after few rounds.
+        """
+        density = self._smooth(real)
+        region = density > 0.25
+        for _ in range(2):
+            region = density > _inside(real, region) / 2
+        neighbours = box_sum(F.pad(region.float(), (1,) * 4), 3)
+        level = _mean(self._smooth(region), (neighbours > 0) & (neighbours < 9)).clamp(0.25, 0.5)
+        for _ in range(2):
+            region = density > _inside(real, region) * level
+        return largest_component(fill_holes(region))
+
+    def _threshold(self, signal: Tensor, valid: Tensor) -> Tensor:
+        smooth = median_filter(quantize(signal), self.median_px)
+        otsu = otsu_threshold(smooth, valid)
+        classes = class_separation(smooth, otsu, valid)
         distance = dequantize(classes.means[:, 1]) - dequantize(classes.means[:, 0])
         # Contact takes at least a twentieth of the light; two halves of noise lie closer together.
         apart = distance > torch.maximum(torch.tensor(0.05), 6 * classes.deviations[:, 0] * (1.25 / 255))
-        # Otsu's threshold is the highest level of the darker class, and empty levels above it split as well: the
-        # middle between the two means is where a blurred edge has its true place.
-        middle = (dequantize(classes.means[:, 1]) + dequantize(classes.means[:, 0])) / 2
-        return torch.where(apart & threshold.isfinite(), middle, torch.nan)
+        real = smooth > otsu.reshape(-1, 1, 1, 1)
+        gross = self.gross(real) & valid
+        ridges = median_of_counts(histogram(smooth, gross & real))
+        valleys = median_of_counts(histogram(smooth, gross & ~real))
+        # Contact without gaps has no valleys: the empty glass stands for them.
+        valleys = torch.where(valleys.isfinite(), valleys, classes.means[:, 0])
+        return torch.where(apart & otsu.isfinite(), dequantize((ridges + valleys) / 2), torch.nan)
 
-    def gross(self, real: Tensor) -> Tensor:
-        """The region that the micro-junctions span: where their density exceeds half of what it is inside.
-
-        The density is their mean over about two ridges (three box means). At a straight border of the region the
-        smoothed
-        density has fallen to one half, whatever the ridges' direction, so the border is found without bias.
-        """
+    def _smooth(self, mask: Tensor) -> Tensor:
+        """Three box means of side 2 r + 1, zero beyond the frame."""
         side = 2 * self.gross_radius_px + 1
-        density = real.float()
+        density = mask.float()
         for _ in range(3):
             density = box_sum(F.pad(density, (self.gross_radius_px,) * 4), side) / side**2
-        # The density inside follows from the region, and the region from it: a fixed point, near after three rounds.
-        inside = torch.full_like(density[:, :, :1, :1], 0.5)
-        region = density > inside / 2
-        for _ in range(3):
-            share = (real & region).sum((2, 3), keepdim=True) / region.sum((2, 3), keepdim=True).clamp_min(1)
-            inside = share.clamp(_LEAST_DENSITY, 1.0)
-            region = density > inside / 2
-        return largest_component(fill_holes(region))
+        return density
 
 
 class TrackGraph(nn.Module):
@@ -174,6 +188,11 @@ class FieldsGraph(nn.Module):
         )
 
 
-def _level(threshold: Tensor) -> Tensor:
-    """The threshold of the signal in levels of :func:`quantize`, between two of them."""
-    return (threshold - (-0.25)) * (255 / 1.25)
+def _inside(real: Tensor, region: Tensor) -> Tensor:
+    """Share (B, 1, 1, 1) of the region that touches."""
+    return _mean(real.float(), region).clamp(_LEAST_DENSITY, 1.0)
+
+
+def _mean(values: Tensor, mask: Tensor) -> Tensor:
+    """Mean (B, 1, 1, 1) of the values where the mask holds; 0 where it holds nowhere."""
+    return (values * mask).sum((2, 3), keepdim=True) / mask.sum((2, 3), keepdim=True).clamp_min(1)

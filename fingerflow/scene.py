@@ -148,7 +148,7 @@ class CalibrationSettings(_Table):
 class ContactSettings(_Table):
     """[contact]"""
 
-    median_px: OddSide = 9
+    median_px: OddSide = 3
     threshold: Literal["reference_frame", "per_frame"] | Annotated[float, Field(gt=0, lt=1)] = "reference_frame"
     gross_radius_px: Annotated[int, Field(ge=1)] = 8
 
@@ -314,7 +314,7 @@ frames = "{background}"       # without a finger; several frames are averaged
 {calibration}
 
 [contact]
-median_px = 9                 # side of the median window
+median_px = 3                 # side of the median; the paper has 9, which rounds the ends of ridges
 threshold = "reference_frame" # Otsu's in the frame of largest force; or "per_frame", or a share of light lost, 0.25
 gross_radius_px = 8           # half the distance between ridges, or a little more
 

@@ -38,8 +38,8 @@ def test_template_is_a_scene(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("median_px = 9", "median_pix = 9", "did you mean 'median_px'"),
-        ("median_px = 9", "median_px = 8", "odd"),
+        ("median_px = 3", "median_pix = 3", "did you mean 'median_px'"),
+        ("median_px = 3", "median_px = 8", "odd"),
         ("points = 700", "points = 2", "greater than or equal to 3"),
         ("points = 700", 'points = "many"', "many"),
         ('frames = "frames.npy"', 'frames = "other.npy"', "does not exist"),

@@ -103,7 +103,7 @@ class ContactStage:
         if not isinstance(setting, str):
             return float(setting)
         frame = self._inputs.view(self._inputs.recording[[self.reference_frame]].read(), self._view)
-        threshold = float(self._graph.otsu(frame, self._reference, self._dark))
+        threshold = float(self._graph.threshold(frame, self._reference, self._dark))
         if not np.isfinite(threshold):
             raise FingerflowError(
                 f"{self._inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "
