@@ -1,0 +1,46 @@
+"""The machine, versions and threads that a measurement belongs to."""
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import cv2
+import torch
+
+_PACKAGES = ("fingerflow-engine", "torch", "opencv-contrib-python-headless", "numpy", "scipy", "scikit-image", "kornia")
+
+
+def share_cores() -> None:
+    """Gives OpenCV as many threads as torch has."""
+    cv2.setNumThreads(torch.get_num_threads())
+
+
+def describe() -> dict[str, dict[str, str | int | None]]:
+    """Machine, versions and threads, for the record of a run."""
+    return {
+        "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
+        "threads": {
+            "torch": torch.get_num_threads(),
+            "opencv": cv2.getNumThreads(),
+            "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
+        },
+    }
+
+
+def _processor() -> str:
+    """The model name, which Linux keeps elsewhere than Python looks."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,153 @@
+"""Image operations on one frame of 512 x 640 px of a simulated press, beside OpenCV, SciPy, scikit-image and kornia.
+
+`time_to_peer` is over the first way of each operation: OpenCV's, or SciPy's where OpenCV has none (its median of 16-bit
+frames ends at 5 x 5). `same` is the share that agrees with fingerflow: of the pixels at least 4 px inside the frame, of
+the pixels that a threshold splits alike, or of fingerflow's corners. 16-bit frames hold 12 bits. The contact path goes
+from an 8-bit frame and the empty glass to the pixels in contact: illumination quotient, one byte a pixel, median 9 x 9,
+Otsu's threshold within the lit disc, count; OpenCV's has the lit disc and the reference prepared beforehand. Corners
+are 700 at most (100 with --quick) and 7 px apart; goodFeaturesToTrack treats the border of the frame differently and
+knows no noise.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import kornia
+import numpy as np
+import scipy.ndimage
+import skimage.filters
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from bench.rows import Row
+from bench.timing import time_in_turns
+from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.illumination import contact_signal, normalize_illumination, quantize
+from fingerflow.ops.median import median_filter
+from fingerflow.ops.otsu import otsu_threshold
+from fingerflow.synthetic import Camera, Press
+
+OURS = "fingerflow"
+BORDER = 4  # px that libraries pad in their own way: half of the largest median window
+
+
+class Operation(NamedTuple):
+    """Several ways to the same result, the peer first; all give (H, W) images, or all give (N, 2) corners."""
+
+    name: str
+    ways: dict[str, Callable[[], Tensor]]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row an operation and way."""
+    part = (slice(192, 320), slice(240, 400)) if quick else (slice(None), slice(None))
+    eight, twelve = (Press(camera=Camera(bit_depth=bits)) for bits in (8, 12))
+    frame, wide = (_view(scene, "contact", scene.render(299), part) for scene in (eight, twelve))
+    empty = _view(eight, "contact", eight.empty(), part)
+    skin = _view(eight, "topography", eight.render(299), part)
+    operations = [
+        *(_median(image, size) for image in (frame, wide) for size in (5, 9)),
+        _otsu(frame),
+        _contact(frame, empty),
+        _corners(skin, 100 if quick else 700),
+    ]
+    rows: list[Row] = []
+    for operation in operations:
+        times = time_in_turns(operation.ways, next(iter(operation.ways)), rounds=2 if quick else 9)
+        ours = operation.ways[OURS]()
+        for name, way in operation.ways.items():
+            same = None if name == OURS else _agreement(ours, way())
+            rows.append({"operation": operation.name, "way": name, **times[name].cells(), "same": same})
+    return rows
+
+
+def _view(scene: Press, name: str, picture: NDArray[np.integer], part: tuple[slice, slice]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(scene.views[name].crop(picture)[part]))[None, None]
+
+
+def _agreement(ours: Tensor, theirs: Tensor) -> float:
+    if ours.shape[-1] == 2:
+        known = {tuple(corner) for corner in theirs.tolist()}
+        return sum(tuple(corner) in known for corner in ours.tolist()) / len(ours)
+    inside = slice(BORDER, -BORDER)
+    return (ours[inside, inside] == theirs[inside, inside]).double().mean().item()
+
+
+def _median(frame: Tensor, size: int) -> Operation:
+    pixels = frame[0, 0].numpy()
+    square = np.ones((size, size), dtype=bool)
+
+    def with_kornia() -> Tensor:
+        median = kornia.filters.median_blur(frame.float(), size, border_type="replicate")
+        return median[0, 0].to(frame.dtype)
+
+    ways: dict[str, Callable[[], Tensor]] = {
+        "opencv": lambda: torch.from_numpy(cv2.medianBlur(pixels, size)),
+        "scipy": lambda: torch.from_numpy(scipy.ndimage.median_filter(pixels, size, mode="nearest")),
+        "scikit-image": lambda: torch.from_numpy(skimage.filters.rank.median(pixels, square)),
+        "kornia": with_kornia,
+        OURS: lambda: median_filter(frame, size)[0, 0],
+    }
+    if frame.dtype == torch.uint16:
+        del ways["scikit-image"]  # it warns itself that it is not made for so many levels
+        if size > 5:
+            del ways["opencv"]
+    return Operation(f"median {size} x {size}, {8 * frame.element_size()} bit", ways)
+
+
+def _otsu(frame: Tensor) -> Operation:
+    pixels = frame[0, 0].numpy()
+
+    def with_opencv() -> Tensor:
+        return torch.from_numpy(cv2.threshold(pixels, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1]) > 0
+
+    return Operation(
+        "Otsu's threshold, 8 bit",
+        {
+            "opencv": with_opencv,
+            "scikit-image": lambda: torch.from_numpy(pixels > skimage.filters.threshold_otsu(pixels)),
+            "kornia": lambda: frame[0, 0] > kornia.filters.otsu_threshold(frame)[1],
+            OURS: lambda: (frame > otsu_threshold(frame)[:, None, None, None])[0, 0],
+        },
+    )
+
+
+def _contact(frame: Tensor, empty: Tensor) -> Operation:
+    pixels, reference = frame[0, 0].numpy(), empty[0, 0].numpy().astype(np.float32)
+    lit = (normalize_illumination(frame, empty).valid[0, 0]).numpy()
+    unlit, lit_byte = ~lit, lit.astype(np.uint8)
+
+    def with_opencv() -> Tensor:
+        quotient = cv2.divide(pixels, reference, dtype=cv2.CV_32F)
+        quotient[unlit] = 1
+        # round(255 (1 - quotient + 0.25) / 1.25), saturating
+        levels = cv2.addWeighted(quotient, -204, quotient, 0, 255, dtype=cv2.CV_8U)
+        smooth = cv2.medianBlur(levels, 9)
+        threshold, _ = cv2.thresholdWithMask(smooth, np.zeros_like(smooth), lit_byte, 0, 1, cv2.THRESH_OTSU)
+        _, contact = cv2.threshold(smooth, threshold, 255, cv2.THRESH_BINARY)
+        cv2.countNonZero(contact)
+        return torch.from_numpy(contact) > 0
+
+    def with_fingerflow() -> Tensor:
+        normalized = normalize_illumination(frame, empty)
+        smooth = median_filter(quantize(contact_signal(normalized)), 9)
+        contact = smooth > otsu_threshold(smooth, normalized.valid)[:, None, None, None]
+        contact.sum((1, 2, 3))
+        return contact[0, 0]
+
+    return Operation("contact path, 8 bit", {"opencv": with_opencv, OURS: with_fingerflow})
+
+
+def _corners(skin: Tensor, count: int) -> Operation:
+    pixels = skin[0, 0].numpy()
+
+    def with_opencv() -> Tensor:
+        return torch.from_numpy(np.asarray(cv2.goodFeaturesToTrack(pixels, count, 0.01, 7.0, blockSize=7))[:, 0])
+
+    def with_fingerflow() -> Tensor:
+        corners = detect_corners(skin, count, 7.0, quality=0.01, window=7)
+        return corners.points[0, corners.valid[0]]
+
+    return Operation(f"{count} corners, 8 bit", {"opencv": with_opencv, OURS: with_fingerflow})

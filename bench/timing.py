@@ -1,0 +1,45 @@
+"""Times of several ways to do the same, measured in turns so that all meet the same machine."""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+
+class Timing(NamedTuple):
+    """Median and 10th to 90th percentile of repeated runs in ms, and the median ratio to the peer's time."""
+
+    median_ms: float
+    low_ms: float
+    high_ms: float
+    to_peer: float
+
+    def cells(self) -> dict[str, float]:
+        """The columns of a row."""
+        return {"ms": self.median_ms, "ms_p10": self.low_ms, "ms_p90": self.high_ms, "time_to_peer": self.to_peer}
+
+
+def time_in_turns(candidates: Mapping[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, Timing]:
+    """Runs all candidates one after the other, `rounds` times after two rounds of warm-up.
+
+    Other work on the machine slows a whole round rather than one candidate, so the ratio is taken within each round.
+
+    Args:
+        candidates: what to call, by name.
+        peer: the one that the ratios refer to.
+        rounds: at least 2.
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in candidates}
+    for number in range(-2, rounds):
+        for name, call in candidates.items():
+            start = time.perf_counter()
+            call()
+            if number >= 0:
+                seconds[name].append(time.perf_counter() - start)
+    return {name: _timing(runs, seconds[peer]) for name, runs in seconds.items()}
+
+
+def _timing(runs: list[float], peer_runs: list[float]) -> Timing:
+    deciles = statistics.quantiles(runs, n=10, method="inclusive")
+    ratios = [run / other for run, other in zip(runs, peer_runs, strict=True)]
+    return Timing(1e3 * statistics.median(runs), 1e3 * deciles[0], 1e3 * deciles[-1], statistics.median(ratios))

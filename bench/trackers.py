@@ -1,0 +1,98 @@
+"""This project's tracker and OpenCV's behind one call: forward, backward, and whether the point is accepted."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.ops.tracking import TrackStatus, track_points
+
+# 30 steps or 1e-4 px: ten times as many steps, or a limit of 1e-6 px, change no digit that is reported.
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-4)
+
+
+class Found(NamedTuple):
+    """Positions (1, N, 2) px, and which of them (N,) the tracker itself calls good."""
+
+    points: Tensor
+    accepted: Tensor
+
+
+Tracker = Callable[..., Found]
+
+
+def track_fingerflow(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    window: int = 21,
+    *,
+    initial: Tensor | None = None,
+    warp: Tensor | None = None,
+    order: int = 3,
+    search: int = 0,
+    limit: float = 1.0,
+) -> Found:
+    """`fingerflow.ops.track_points`; it tracks back by itself. ``limit`` px is that of the forward-backward error."""
+    with torch.no_grad():
+        tracks = track_points(
+            previous,
+            current,
+            points,
+            window,
+            initial=initial,
+            warp=warp,
+            order=order,
+            search=search,
+            forward_backward_limit=limit,
+        )
+    return Found(tracks.points, tracks.status[0] == TrackStatus.TRACKED)
+
+
+def track_opencv(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    window: int = 21,
+    *,
+    initial: Tensor | None = None,
+    levels: int = 0,
+    limit: float = 1.0,
+) -> Found:
+    """`cv2.calcOpticalFlowPyrLK` there and back; accepted if it found both ways and returns within ``limit`` px."""
+    first, second = previous[0, 0].numpy(), current[0, 0].numpy()
+    start = points[0].numpy()
+    guess = start if initial is None else initial[0].numpy()
+    there, found = _lucas_kanade(first, second, start, guess, window, levels)
+    back, found_back = _lucas_kanade(second, first, there, there - (guess - start), window, levels)
+    accepted = found & found_back & (np.linalg.norm(back - start, axis=-1) <= limit)
+    return Found(torch.from_numpy(there)[None], torch.from_numpy(accepted))
+
+
+def _lucas_kanade(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    start: NDArray[np.float32],
+    guess: NDArray[np.float32],
+    window: int,
+    levels: int,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    points, status, _ = cv2.calcOpticalFlowPyrLK(
+        first,
+        second,
+        start[:, None],
+        guess[:, None].copy(),
+        winSize=(window, window),
+        maxLevel=levels,
+        criteria=_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return points[:, 0].astype(np.float32, copy=False), status[:, 0] == 1
+
+
+#: Peer first.
+TRACKERS: dict[str, Tracker] = {"opencv": track_opencv, "fingerflow": track_fingerflow}
