@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.median_network import MedianProgram, median_program
 
@@ -44,6 +45,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
     _check(frames, size)
     if size == 1 or frames.numel() == 0:
         return frames.clone()
+    if frames.dtype in kernels.MEDIAN_DTYPES and size <= kernels.LARGEST_MEDIAN and kernels.serve(frames):
+        return kernels.median(frames, size)
     if frames.dtype == torch.uint16:  # torch has no minimum of uint16
         return median_filter(frames.to(torch.int32), size).to(torch.uint16)
     if frames.dtype not in _DTYPES:

@@ -1,0 +1,186 @@
+"""Writes the C++ of the median networks from the one generator `fingerflow/ops/median_network.py`.
+
+    python kernels/generate_median.py median_networks.h
+
+A program works on planes, one value a tile. The C++ here goes down the frame one row of tiles at a time and keeps, of
+every plane, only the rows that are still read. Three numbers place a step:
+
+- its *lead*: how many rows of tiles ahead of the row of medians it runs, so that what it is read for lies behind it;
+- its *pass*: within one row of tiles the steps run in a few passes from left to right; a value read from a tile further
+  right comes from an earlier pass, everything else stays in a register;
+- its *slot*: where a value that another pass or a later row reads is kept.
+"""
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from fingerflow.ops.median_network import MedianProgram, Step, median_program
+
+SIZES = (3, 5, 7, 9)
+
+
+class Read(NamedTuple):
+    """Where an operand is found: `age` rows ago and `columns` tiles to the right of the reading step."""
+
+    age: int
+    columns: int
+
+
+class Placement:
+    """Leads, passes and slots of a program's planes."""
+
+    def __init__(self, program: MedianProgram) -> None:
+        self.program = program
+        rows, columns = program.tile
+        self.inputs = list(range(rows * columns))
+        self.leads = self._leads()
+        self.passes = self._passes()
+        self.spans = self._spans()
+        self.rings, self.scratch, self.scratch_slots = self._slots()
+        self.ages = 1 + max(age for _, _, age, _ in self._reads())
+
+    def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
+        lead = self.leads[step.result]
+        return (
+            (step.left, Read(self.leads[step.left] - lead, 0)),
+            (step.right, Read(self.leads[step.right] - lead - step.rows, step.columns)),
+        )
+
+    def _reads(self) -> list[tuple[int, int, int, int]]:
+        """(reader, plane, age, columns) of every operand."""
+        return [(step.result, plane, *read) for step in self.program.steps for plane, read in self.operands(step)]
+
+    def _leads(self) -> dict[int, int]:
+        assert all((plane.rows, plane.columns) == (0, 0) for plane in self.program.outputs)
+        leads = {output.plane: 0 for output in self.program.outputs}
+        for step in reversed(self.program.steps):
+            lead = leads[step.result]
+            leads[step.left] = max(leads.get(step.left, 0), lead)
+            leads[step.right] = max(leads.get(step.right, 0), lead + step.rows)
+        return leads
+
+    def _passes(self) -> dict[int, int]:
+        passes = dict.fromkeys(self.inputs, 0)
+        for step in self.program.steps:
+            assert step.columns >= 0
+            passes[step.result] = max(
+                passes[plane] + (read.columns > 0 and plane not in self.inputs) if read.age == 0 else 0
+                for plane, read in self.operands(step)
+            )
+        return passes
+
+    def _spans(self) -> dict[int, int]:
+        """How many tiles beyond the last one of a row each plane is computed for."""
+        spans = dict.fromkeys(self.leads, 0)
+        for step in reversed(self.program.steps):
+            for plane, read in self.operands(step):
+                spans[plane] = max(spans[plane], spans[step.result] + read.columns)
+        return spans
+
+    def _slots(self) -> tuple[dict[int, int], dict[int, int], int]:
+        """Slots of planes read from later rows, which stay, and of those read from later passes, which are reused."""
+        aged = {plane for _, plane, age, _ in self._reads() if age} | set(self.inputs)
+        rings = {plane: slot for slot, plane in enumerate(sorted(aged))}
+        last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
+        for reader, plane, _, _ in self._reads():
+            if plane not in rings and self.passes[reader] > self.passes[plane]:
+                last_pass[plane] = max(last_pass.get(plane, 0), self.passes[reader])
+        free: list[int] = []
+        busy: list[tuple[int, int]] = []  # (last pass, slot)
+        slots, count = {}, 0
+        for plane in sorted(last_pass, key=lambda plane: (self.passes[plane], plane)):
+            free += sorted(slot for last, slot in busy if last < self.passes[plane])
+            busy = [(last, slot) for last, slot in busy if last >= self.passes[plane]]
+            if free:
+                slot = free.pop()
+            else:
+                slot, count = count, count + 1
+            slots[plane] = slot
+            busy.append((last_pass[plane], slot))
+        return rings, slots, count
+
+
+def network_source(program: MedianProgram) -> str:
+    """A struct with the constants of the program and one static function that runs one row of tiles."""
+    place = Placement(program)
+    (rows, columns), right = program.tile, program.reach[1]
+    passes = 1 + max(place.passes.values())
+    constants = {
+        "kSize": program.size,
+        "kTileRows": rows,
+        "kTileColumns": columns,
+        "kReachRight": right,
+        "kAges": place.ages,
+        "kRingSlots": len(place.rings),
+        "kScratchSlots": place.scratch_slots,
+        "kWarmUp": max(place.leads.values()),
+    }
+    lines = [f"template <class Pixel>\nstruct MedianNetwork{program.size} {{"]
+    lines += [f"    static constexpr int {name} = {value};" for name, value in constants.items()]
+    for name, values in (
+        ("kInputSlots", [place.rings[plane] for plane in place.inputs]),
+        ("kInputLeads", [place.leads[plane] for plane in place.inputs]),
+        ("kOutputSlots", [place.scratch[output.plane] for output in program.outputs]),
+    ):
+        lines.append(f"    static constexpr int {name}[] = {{{', '.join(map(str, values))}}};")
+    arguments = "Pixel* const* FINGERFLOW_RESTRICT ring, Pixel* FINGERFLOW_RESTRICT scratch, long tiles"
+    lines.append(f"    static void run({arguments}) {{")
+    for number in range(passes):
+        lines += _pass_source(place, number)
+    return "\n".join([*lines, "    }", "};", ""])
+
+
+def _pass_source(place: Placement, number: int) -> list[str]:
+    steps = [step for step in place.program.steps if place.passes[step.result] == number]
+    span = max(place.spans[step.result] for step in steps)
+    loaded: dict[tuple[int, Read], str] = {}
+    body: list[str] = []
+    ages: set[int] = set()
+
+    def value(plane: int, read: Read) -> str:
+        in_register = plane not in place.inputs and read == (0, 0) and place.passes[plane] == number
+        if in_register:
+            return f"v{plane}"
+        if (plane, read) not in loaded:
+            name = f"a{plane}_{read.age}_{read.columns}"
+            if plane in place.rings:
+                ages.add(read.age)
+                where = f"r{read.age}[{place.rings[plane]} * kStride<Pixel> + x + {read.columns}]"
+            else:
+                where = f"scratch[{place.scratch[plane]} * kStride<Pixel> + x + {read.columns}]"
+            body.append(f"            const Pixel {name} = {where};")
+            loaded[plane, read] = name
+        return loaded[plane, read]
+
+    for step in steps:
+        first, second = (value(plane, read) for plane, read in place.operands(step))
+        function = "lesser" if step.operation == "minimum" else "greater"
+        body.append(f"            const Pixel v{step.result} = {function}({first}, {second});")
+        for slots, array in ((place.rings, "r0"), (place.scratch, "scratch")):
+            if step.result in slots:
+                ages |= {0} if array == "r0" else set()
+                body.append(f"            {array}[{slots[step.result]} * kStride<Pixel> + x] = v{step.result};")
+    pointers = [f"            Pixel* const FINGERFLOW_RESTRICT r{age} = ring[{age}];" for age in sorted(ages)]
+    head = f"        {{  // pass {number}"
+    loop = [f"            const long end = whole_lanes<Pixel>(tiles + {span});", "            FINGERFLOW_INDEPENDENT"]
+    return [
+        head,
+        *pointers,
+        *loop,
+        "            for (long x = 0; x < end; ++x) {",
+        *("    " + b for b in body),
+        "            }",
+        "        }",
+    ]
+
+
+def main(path: str) -> None:
+    parts = [network_source(median_program(size)) for size in SIZES]
+    Path(path).write_text("// Written by kernels/generate_median.py.\n#pragma once\n\n" + "\n".join(parts))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

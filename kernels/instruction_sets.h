@@ -1,0 +1,42 @@
+// One library holds the hot loops compiled for several instruction sets and picks one when it runs.
+//
+// A source of hot loops is compiled once a set, with FINGERFLOW_ISA naming the namespace of its code. Such a source
+// calls no template or inline function of the standard library: the linker keeps one copy of those for all sets.
+#pragma once
+
+#ifdef FINGERFLOW_X86
+#define FINGERFLOW_FOR_EACH_SET(declaration) \
+    namespace baseline {                     \
+    declaration                              \
+    }                                        \
+    namespace avx2 {                         \
+    declaration                              \
+    }                                        \
+    namespace avx512 {                       \
+    declaration                              \
+    }
+#define FINGERFLOW_PICK(function) (fingerflow::pick(baseline::function, avx2::function, avx512::function))
+#else
+#define FINGERFLOW_FOR_EACH_SET(declaration) \
+    namespace baseline {                     \
+    declaration                              \
+    }
+#define FINGERFLOW_PICK(function) (baseline::function)
+#endif
+
+namespace fingerflow {
+
+enum InstructionSet { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
+
+InstructionSet instruction_set();
+
+template <class Function>
+Function* pick(Function* baseline, Function* avx2, Function* avx512) {
+    switch (instruction_set()) {
+        case kAvx512: return avx512;
+        case kAvx2: return avx2;
+        default: return baseline;
+    }
+}
+
+}  // namespace fingerflow

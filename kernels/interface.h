@@ -1,0 +1,24 @@
+// What fingerflow/kernels.py calls. Plain C, so that one library serves every Python, without its headers and without
+// its lock. Shapes, strides and dtypes are checked there. Strides are in pixels. A function returns 0, or 1 when the
+// system had no memory or no thread to give.
+#pragma once
+
+#include <cstdint>
+
+#ifdef _WIN32
+#define FINGERFLOW_EXPORT extern "C" __declspec(dllexport)
+#else
+#define FINGERFLOW_EXPORT extern "C" __attribute__((visibility("default")))
+#endif
+
+// Changes with every signature below.
+FINGERFLOW_EXPORT int fingerflow_interface();
+
+// The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
+// -1 for all that the processor has. Returns the one taken. For tests; every set gives the same answers.
+FINGERFLOW_EXPORT int fingerflow_limit_instruction_set(int most);
+
+// Medians of size x size windows of `batch` frames, uint8 or uint16 as `pixel_bytes` says; `medians` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height,
+                                        std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
+                                        int pixel_bytes, int size, int threads);

@@ -1,0 +1,63 @@
+"""Builds the compiled kernels, `fingerflow._kernels`; everything else about the package is in pyproject.toml.
+
+A plain C library that `fingerflow.kernels` opens with ctypes: no Python header, no binding generator, no torch. Hot
+sources are compiled once an instruction set. Where no compiler is found the install goes on without the library.
+"""
+
+import platform
+import runpy
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+KERNELS = Path("kernels")
+HOT = ["median_strip"]  # compiled for every instruction set
+PLAIN = ["instruction_sets", "median", "parallel"]
+
+# -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it.
+GNU_FLAGS = ["-std=c++17", "-O3", "-fvisibility=hidden", "-ffp-contract=off", "-fno-math-errno", "-pthread", "-g0"]
+GNU_SETS = {
+    "baseline": [],
+    "avx2": ["-mavx2"],
+    "avx512": ["-mavx512bw", "-mavx512vl", "-mavx512dq", "-mprefer-vector-width=512"],
+}
+MSVC_FLAGS = ["/std:c++17", "/O2", "/EHsc", "/fp:precise"]
+MSVC_SETS = {"baseline": [], "avx2": ["/arch:AVX2"], "avx512": ["/arch:AVX512"]}
+
+
+class BuildKernels(build_ext):
+    def build_extension(self, ext: Extension) -> None:
+        folder = Path(self.build_temp)
+        folder.mkdir(parents=True, exist_ok=True)
+        runpy.run_path(str(KERNELS / "generate_median.py"))["main"](str(folder / "median_networks.h"))
+        microsoft = self.compiler.compiler_type == "msvc"
+        flags, sets = (MSVC_FLAGS, MSVC_SETS) if microsoft else (GNU_FLAGS, GNU_SETS)
+        on_x86 = platform.machine().lower() in ("x86_64", "amd64")
+        macros = [("FINGERFLOW_X86", "1")] if on_x86 else []
+        includes = [str(KERNELS), str(folder)]
+
+        def compile_for(
+            stems: list[str], output: Path, more_macros: list[tuple[str, str]], more: list[str]
+        ) -> list[str]:
+            sources = [str(KERNELS / f"{stem}.cpp") for stem in stems]
+            return self.compiler.compile(
+                sources, str(output), [*macros, *more_macros], includes, extra_postargs=[*flags, *more]
+            )
+
+        objects = compile_for(PLAIN, folder, [], [])
+        for name, more in sets.items():
+            if on_x86 or name == "baseline":
+                objects += compile_for(HOT, folder / name, [("FINGERFLOW_ISA", name)], more)
+        library = self.get_ext_fullpath(ext.name)
+        Path(library).parent.mkdir(parents=True, exist_ok=True)
+        self.compiler.link_shared_object(
+            objects, library, extra_postargs=[] if microsoft else ["-pthread"], target_lang="c++"
+        )
+
+
+sources = [str(KERNELS / f"{stem}.cpp") for stem in PLAIN + HOT]
+setup(
+    ext_modules=[Extension("fingerflow._kernels", sources, language="c++", optional=True)],
+    cmdclass={"build_ext": BuildKernels},
+)
