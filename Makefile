@@ -26,13 +26,16 @@ $(BIN)/python:
 	  { echo "fingerflow needs Python 3.11 or newer; $$($(PYTHON) --version) was found. Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
+# The compiled kernels are part of the install: their sources count like the list of dependencies.
+KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) fingerflow/ops/median_network.py
+
+$(VENV)/installed: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	@touch $@
 
-$(VENV)/installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed-dev: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@ $(VENV)/installed
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info fingerflow-demo
+	rm -rf $(VENV) build dist *.egg-info fingerflow/_kernels* fingerflow-demo

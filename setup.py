@@ -37,18 +37,12 @@ class BuildKernels(build_ext):
         macros = [("FINGERFLOW_X86", "1")] if on_x86 else []
         includes = [str(KERNELS), str(folder)]
 
-        def compile_for(
-            stems: list[str], output: Path, more_macros: list[tuple[str, str]], more: list[str]
-        ) -> list[str]:
-            sources = [str(KERNELS / f"{stem}.cpp") for stem in stems]
-            return self.compiler.compile(
-                sources, str(output), [*macros, *more_macros], includes, extra_postargs=[*flags, *more]
-            )
-
-        objects = compile_for(PLAIN, folder, [], [])
+        objects = self.compiler.compile(paths(PLAIN), str(folder), macros, includes, extra_postargs=flags)
         for name, more in sets.items():
             if on_x86 or name == "baseline":
-                objects += compile_for(HOT, folder / name, [("FINGERFLOW_ISA", name)], more)
+                named = [*macros, ("FINGERFLOW_ISA", name)]
+                output = str(folder / name)
+                objects += self.compiler.compile(paths(HOT), output, named, includes, extra_postargs=[*flags, *more])
         library = self.get_ext_fullpath(ext.name)
         Path(library).parent.mkdir(parents=True, exist_ok=True)
         self.compiler.link_shared_object(
@@ -56,8 +50,11 @@ class BuildKernels(build_ext):
         )
 
 
-sources = [str(KERNELS / f"{stem}.cpp") for stem in PLAIN + HOT]
+def paths(stems: list[str]) -> list[str]:
+    return [str(KERNELS / f"{stem}.cpp") for stem in stems]
+
+
 setup(
-    ext_modules=[Extension("fingerflow._kernels", sources, language="c++", optional=True)],
+    ext_modules=[Extension("fingerflow._kernels", paths(PLAIN + HOT), language="c++", optional=True)],
     cmdclass={"build_ext": BuildKernels},
 )
