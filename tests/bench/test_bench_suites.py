@@ -1,0 +1,126 @@
+"""Every suite in its quick form: the rows are there, and the accuracy is what the README says. Times are not judged."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+from bench.rows import Row, Skipped, number
+from bench.suites import dic, drift, image_ops, interpolant, large_motion, speed_against_error, tracking
+
+
+@pytest.fixture(autouse=True)
+def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Times are not judged, so one run each is enough."""
+    from bench import timing
+
+    def once(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
+        assert peer in candidates
+        assert rounds >= 2
+        return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}
+
+    for suite in (dic, image_ops, interpolant, large_motion, speed_against_error, tracking):
+        monkeypatch.setattr(suite, "time_in_turns", once)
+
+
+def one(rows: Sequence[Row], **wanted: object) -> Row:
+    (row,) = [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+    return row
+
+
+def test_tracking() -> None:
+    """At the bound (0.8 to 1.15: 150 points tell it to 5 %) whatever the noise; OpenCV is not where noise is low."""
+    rows = tracking.run(quick=True)
+    still = one(rows, noise=0, start="whole pixel", shift=0.0, tracker="fingerflow")
+    assert still["rms_px"] == 0
+    assert still["over_bound"] is None
+    for noise in (0, 2):
+        for start in ("whole pixel", "anywhere"):
+            ours = one(rows, noise=noise, start=start, shift="all", tracker="fingerflow")
+            theirs = one(rows, noise=noise, start=start, shift="all", tracker="opencv")
+            assert 0.8 < number(ours, "over_bound") < 1.15
+            assert number(ours, "over_bound") < number(theirs, "over_bound") + 0.05
+            assert ours["accepted"] == theirs["accepted"] == 1
+            assert "ms" in ours
+    assert number(one(rows, noise=0, start="whole pixel", shift="all", tracker="opencv"), "over_bound") > 2
+
+
+def test_large_motion() -> None:
+    """The search finds 50 px at the precision of small motion; OpenCV accepts wrong places, fingerflow none."""
+    rows = large_motion.run(quick=True)
+    for distance in (5, 50):
+        found = one(rows, motion_px=distance, tracker="fingerflow, search 64 px")
+        assert number(found, "accepted") > 0.98
+        assert number(found, "rms_px") < 0.04
+        assert one(rows, motion_px=distance, tracker="fingerflow")["wrong"] == 0
+    assert number(one(rows, motion_px=50, tracker="opencv, 4 levels"), "wrong") > 0.05
+
+
+def test_drift() -> None:
+    """Errors add up from frame to frame and not from a keyframe, by the twelfth frame already."""
+    rows = drift.run(quick=True)
+    walk, key = (one(rows, frame=12, tracker=f"fingerflow, {way}") for way in ("frame to frame", "keyframe"))
+    assert number(key, "over_bound") < 1.25
+    assert number(walk, "over_bound") > number(key, "over_bound")
+    assert key["accepted"] == 1
+    assert {row["frame"] for row in rows} == {1, 3, 10, 12}
+
+
+def test_dic(shared_data: Path) -> None:
+    """Displacement to 0.03 px at the noise of this sample (5 grey levels), strain to 0.0015 in du/dx.
+
+    The gain of 2,000 overlapping windows has a standard error of 2 %, nearly the same noise for both trackers.
+    """
+    rows = dic.run(quick=True)
+    ours, theirs = one(rows, tracker="fingerflow"), one(rows, tracker="opencv")
+    assert number(ours, "accepted") > 0.99
+    assert number(ours, "u_rms_px") < 0.03
+    assert number(ours, "v_rms_px") < 0.03
+    assert number(ours, "strain_rms_ue") < 1500
+    assert abs(number(ours, "u_gain") - 1) < 0.05
+    assert number(theirs, "u_gain") - number(ours, "u_gain") > 0.03
+    parts = number(ours, "u_systematic_px") ** 2 + number(ours, "u_random_px") ** 2
+    assert parts == pytest.approx(number(ours, "u_rms_px") ** 2, rel=1e-6)
+
+
+def test_dic_without_its_data_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(dic, "FOLDER", tmp_path / "shared" / "data" / "dic" / "sample14")
+    with pytest.raises(Skipped, match="shared/data/dic/sample14"):
+        dic.run(quick=True)
+
+
+def test_interpolant() -> None:
+    """At noise 5 an exact cubic spline pulls by more than 0.1 px at fractions of a pixel; the smoothed one does not."""
+    rows = interpolant.run(quick=True)
+    exact, smooth = (one(rows, noise=5, fraction=0.3, interpolant=f"cubic, {kind}") for kind in ("exact", "smoothed"))
+    assert abs(number(exact, "bias_px")) > 0.1
+    assert abs(number(smooth, "bias_px")) < 0.015
+    assert 0.8 < number(smooth, "over_bound") < 1.15
+    assert 25 < (number(exact, "slope_noise") / number(smooth, "slope_noise")) ** 2 < 60
+    without_noise = one(rows, noise=0, fraction=0.3, interpolant="bilinear")
+    assert number(without_noise, "over_bound") > 1.5 * number(
+        one(rows, noise=0, fraction=0.3, interpolant="cubic, smoothed"), "over_bound"
+    )
+
+
+def test_speed_against_error(tmp_path: Path) -> None:
+    rows = speed_against_error.run(quick=True)
+    assert len(rows) == 2 * len(speed_against_error.TRACKERS)
+    for row in rows:
+        assert 0.75 < number(row, "over_bound") < 1.4, row
+    assert one(rows, window_px=21, tracker="fingerflow, cubic")["wrong"] == 0
+    speed_against_error.draw(rows, tmp_path / "figure.png")
+    pixels = plt.imread(tmp_path / "figure.png")
+    assert pixels.shape[0] > 600
+    assert 0.01 < (pixels[..., :3].min(-1) < 0.9).mean() < 0.3  # something is drawn, on a white ground
+
+
+def test_image_ops() -> None:
+    """Medians, thresholds and contact are the same pixels everywhere; corners but for those at the border."""
+    rows = image_ops.run(quick=True)
+    same = {(row["operation"], row["way"]): row["same"] for row in rows if row["way"] != "fingerflow"}
+    corners = {key: value for key, value in same.items() if "corners" in str(key[0])}
+    assert len(same) == 4 + 4 + 3 + 2 + 3 + 1 + 1
+    assert all(number({"same": value}, "same") > 0.8 for value in corners.values())
+    assert all(value == 1 for key, value in same.items() if key not in corners), same
