@@ -157,9 +157,16 @@ class TrackGraph(nn.Module):
 
 
 class Fields(NamedTuple):
-    """Fields at Q places of B frames: divergence, curl (B, Q), strain (B, Q, 3), standard deviation of divergence (B,
-    Q)."""
+    """Fields at Q places of B frames.
 
+    Attributes:
+        displacement: (B, Q, 2), unit of the positions.
+        divergence, curl: (B, Q).
+        strain: (B, Q, 3) as (exx, eyy, exy).
+        divergence_std: (B, Q).
+    """
+
+    displacement: Tensor
     divergence: Tensor
     curl: Tensor
     strain: Tensor
@@ -177,10 +184,14 @@ class FieldsGraph(nn.Module):
     def forward(
         self, reference: Tensor, displacement: Tensor, variance: Tensor, queries: Tensor | None = None
     ) -> Fields:
-        """(B, N, 2) reference positions and displacements of one unit, variance (B, N) of a component in its square."""
+        """(B, N, 2) reference positions and displacements of one unit, variance (B, N) of a component in its square.
+
+        ``queries`` (B, Q, 2) are reference positions too; the points themselves by default.
+        """
         fit = local_gradients(reference, displacement, queries, gauge_length=self.gauge_length, variance=variance)
         assert fit.covariance is not None  # a variance was given
         return Fields(
+            fit.value,
             divergence(fit.gradient),
             curl(fit.gradient),
             green_lagrange(fit.gradient, self.measure),

@@ -158,7 +158,7 @@ class TrackingSettings(_Table):
 
     points: Annotated[int, Field(ge=3)] = 700
     window_px: Annotated[OddSide, Field(ge=5)] = 25
-    min_distance_px: Positive = 7.0
+    min_distance_px: Positive = 6.0
     direction: Literal["forward", "backward"] = "forward"
     template: Literal["keyframe", "previous"] = "keyframe"
     forward_backward_limit_px: Positive = 1.0
@@ -169,7 +169,7 @@ class TrackingSettings(_Table):
 class FieldSettings(_Table):
     """[fields]"""
 
-    gauge_length_mm: Positive = 2.0
+    gauge_length_mm: Positive = 1.6
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = "green_lagrange"
     young_modulus_mpa: Positive = 1.0
     poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.4
@@ -321,7 +321,7 @@ gross_radius_px = 8           # half the distance between ridges, or a little mo
 [tracking]
 points = 700
 window_px = 25
-min_distance_px = 7.0
+min_distance_px = 6.0
 direction = "forward"         # or "backward", from the last frame
 template = "keyframe"         # or "previous": from frame to frame, errors add up
 forward_backward_limit_px = 1.0
@@ -329,7 +329,7 @@ search_px = 0                 # how far to search for points that moved more tha
 gain_offset = false           # true where the light changes during the recording
 
 [fields]
-gauge_length_mm = 2.0         # diameter over which a gradient is fitted
+gauge_length_mm = 1.6         # diameter over which a gradient is fitted
 strain = "green_lagrange"     # or "as_printed" (Willemet et al. 2021, eq. 1), "infinitesimal"
 young_modulus_mpa = 1.0
 poisson_ratio = 0.4

@@ -10,10 +10,10 @@ from scipy.spatial import Delaunay, QhullError
 from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph
-from fingerflow.ops.scattered_to_grid import scattered_to_grid
 from fingerflow.ops.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.triangles import triangle_areas, triangle_gradients
 from fingerflow.stages.contact import ContactSeries
+from fingerflow.stages.contact_medians import ReferenceGrid, medians_over_contact
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.tracking import TrackSeries
 
@@ -35,7 +35,7 @@ FIELDS_GIVE = frozenset(
 )
 STRAIN_GIVES = frozenset({"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"})
 _FRAMES = 16  # a batch
-_GRID_MM = 0.25  # between the nodes over which medians are taken
+_GRID_MM = 0.2  # between reference positions at which fields are fitted for the medians
 
 
 @dataclass
@@ -118,27 +118,27 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
         median_strain=np.full((count, 3), np.nan),
     )
     reference = _tensor(inputs, moved.reference)[None]
-    grid = _grid(contact)
+    # Medians are read from a grid of reference positions, the same for all frames, so that its fits share weights.
+    grid = ReferenceGrid.around(moved.reference, _GRID_MM, settings.gauge_length_mm / 2)
+    nodes = None if grid is None else _tensor(inputs, grid.nodes())[None]
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
         displacement = _tensor(inputs, moved.displacement[part])
         variance = _tensor(inputs, moved.deviation[part]) ** 2
-        found = graph(reference, displacement, variance)
-        series.divergence[part] = found.divergence.cpu()
-        series.curl[part] = found.curl.cpu()
-        series.divergence_std[part] = found.divergence_std.cpu()
-        if grid is None:
+        at_points = graph(reference, displacement, variance)
+        series.divergence[part] = at_points.divergence.cpu()
+        series.curl[part] = at_points.curl.cpu()
+        series.divergence_std[part] = at_points.divergence_std.cpu()
+        if grid is None or nodes is None:
             continue
-        at_points = torch.cat((found.divergence[..., None], found.curl[..., None], found.strain), dim=-1)
-        current = reference + displacement
-        nodes = scattered_to_grid(
-            current, at_points, _tensor(inputs, grid[0]), _tensor(inputs, grid[1]), settings.gauge_length_mm / 2
-        )
-        inside = _inside(contact, part, *grid)
-        medians = _median(np.where(inside[:, None], nodes.cpu().numpy(), np.nan).reshape(len(inside), 5, -1), axis=2)
-        series.median_divergence[part] = medians[:, 0]
-        series.median_curl[part] = medians[:, 1]
-        series.median_strain[part] = medians[:, 2:]
+        at_nodes = graph(reference, displacement, variance, nodes)
+        fields = torch.cat((at_nodes.divergence[..., None], at_nodes.curl[..., None], at_nodes.strain), dim=-1)
+        for frame, moved_nodes, values in zip(
+            range(part.start, part.stop), at_nodes.displacement.mT.cpu().numpy(), fields.mT.cpu().numpy(), strict=True
+        ):
+            medians = medians_over_contact(contact, frame, grid, moved_nodes, values)
+            series.median_divergence[frame], series.median_curl[frame] = medians[:2]
+            series.median_strain[frame] = medians[2:]
     # The median of n independent values deviates by sqrt(pi / 2n); fits that share points are not independent: as many
     # count as have room side by side.
     area = np.maximum(contact.gross_area / (np.pi / 4 * settings.gauge_length_mm**2), 1)
@@ -198,29 +198,6 @@ def _triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
         return finite[Delaunay(reference[finite]).simplices].astype(np.int32)
     except QhullError:  # all on one line
         return np.zeros((0, 3), dtype=np.int32)
-
-
-def _grid(contact: ContactSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Nodes x and y that cover the contact of all frames; None where there is none."""
-    reach = contact.semi_axes[:, :1]
-    if not np.isfinite(reach).any():
-        return None
-    low = np.nanmin(contact.center - reach, axis=0)
-    high = np.nanmax(contact.center + reach, axis=0)
-    x, y = (np.arange(start, end + _GRID_MM, _GRID_MM) for start, end in zip(low, high, strict=True))
-    return x, y
-
-
-def _inside(contact: ContactSeries, part: slice, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n, H, W) which nodes lie in the ellipse of the gross contact."""
-    angle = contact.angle[part, None, None]
-    across = x[None, None, :] - contact.center[part, 0, None, None]
-    down = y[None, :, None] - contact.center[part, 1, None, None]
-    along = across * np.cos(angle) + down * np.sin(angle)
-    beside = down * np.cos(angle) - across * np.sin(angle)
-    axes = np.maximum(contact.semi_axes[part], 1e-9)
-    inside: NDArray[np.bool_] = (along / axes[:, 0, None, None]) ** 2 + (beside / axes[:, 1, None, None]) ** 2 <= 1
-    return inside
 
 
 def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:

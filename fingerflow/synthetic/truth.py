@@ -173,7 +173,7 @@ class Truth:
         points = _points(material)
         return self._gradient(points, frame, *self._onset(points)).numpy()
 
-    def medians(self, frame: int, spacing_mm: float = 0.25) -> Medians:
+    def medians(self, frame: int, spacing_mm: float = 0.1) -> Medians:
         """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient."""
         ellipse = self.ellipse(frame)
         if ellipse is None:
