@@ -1,0 +1,179 @@
+"""Discs found in drawings: exact centres, and the light, noise and clutter of a rig."""
+
+import numpy as np
+import pytest
+from drawn_discs import BLUR_PX, TARGET, Array, DrawnDisc, camera, draw, turned
+
+from fingerflow.calibration import Disc, find_discs, find_hole
+from fingerflow.errors import FingerflowError
+
+
+def center_errors(found: list[Disc], drawn: tuple[DrawnDisc, ...]) -> Array:
+    """Distances px (N,) from the centre of every drawn disc to the nearest found one."""
+    assert found, "no disc was found"
+    centers = np.array([disc.center for disc in found])
+    return np.array([np.hypot(*(centers - (disc.x, disc.y)).T).min() for disc in drawn])
+
+
+def test_noise_free_discs_are_exact() -> None:
+    """What is left, 0.01 px, is the sub-pixel interpolation of the edge."""
+    found = find_discs(draw(TARGET), count=10)
+    assert len(found) == 3
+    assert center_errors(found, TARGET).max() < 0.01
+    for disc in TARGET:
+        same = min(found, key=lambda other: np.hypot(other.center[0] - disc.x, other.center[1] - disc.y))
+        # The lens moves the steepest point inwards by blur^2 / 2R, 0.015 px.
+        np.testing.assert_allclose(same.semi_axes_px, (disc.long, disc.short), atol=0.04)
+        assert abs((same.angle - disc.angle + np.pi / 2) % np.pi - np.pi / 2) < 0.01
+        assert same.contrast == pytest.approx(40 / 120, abs=0.01)
+        assert same.coverage == 1
+        assert same.edge_rms_px < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_camera_noise_leaves_a_twentieth_of_a_pixel(seed: int) -> None:
+    found = find_discs(camera(draw(TARGET), noise=2, seed=seed), count=10)
+    assert len(found) == 3
+    assert center_errors(found, TARGET).max() < 0.05
+
+
+@pytest.mark.parametrize("contrast", [6, 10])
+def test_low_contrast_stays_near_the_bound(contrast: int) -> None:
+    """Cramer-Rao: a blurred edge of step C has a summed squared slope of C^2 pi R / (2 sqrt(pi) blur) along x.
+
+    Four times its root is allowed for the worst of six coordinates, in two directions and with an edge finder that is
+    not optimal.
+    """
+    found = find_discs(camera(draw(TARGET, bright=100, dark=100 - contrast), noise=2), count=10)
+    information = contrast**2 * np.pi * 21 / (2 * np.sqrt(np.pi) * BLUR_PX) / (2**2 + 1 / 12)
+    assert len(found) == 3
+    assert center_errors(found, TARGET).max() < 4 / np.sqrt(information)
+
+
+def test_center_sigma_is_the_scatter() -> None:
+    """Over 8 cameras x 3 discs x 2 coordinates the ratio is known to about 10 %: half and double are wrong."""
+    ratios = []
+    for seed in range(8):
+        for disc in find_discs(camera(draw(TARGET), noise=3, seed=seed)):
+            drawn = min(TARGET, key=lambda other: np.hypot(disc.center[0] - other.x, disc.center[1] - other.y))
+            ratios.append(np.subtract(disc.center, (drawn.x, drawn.y)) / disc.center_sigma_px)
+    assert len(ratios) == 24
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 2
+
+
+def test_uneven_light_costs_little() -> None:
+    """Light falls to a quarter across the view and is curved on top: the steepest point moves by its curvature."""
+    y, x = np.mgrid[:256, :272]
+    light = (0.25 + 0.75 * x / 271) * (1 - 0.4 * ((y - 128) / 128) ** 2)
+    for dark in (80, 108):
+        found = find_discs(camera(draw(TARGET, dark=dark) * light, noise=0.5), count=10)
+        assert len(found) == 3
+        assert center_errors(found, TARGET).max() < 0.2
+
+
+@pytest.mark.parametrize("degrees", [37, 90, 143, 180, 261, 314])
+def test_a_turned_target_is_found(degrees: float) -> None:
+    discs = turned(TARGET, degrees, (130.3, 119.6))
+    found = find_discs(camera(draw(discs), noise=2), count=10)
+    assert len(found) == 3
+    assert center_errors(found, discs).max() < 0.05
+
+
+def test_clutter_is_no_disc() -> None:
+    """Dust, scratches, a bright disc, a square, the edge of the lit field: the three discs are still the best."""
+    levels = draw(TARGET)
+    levels[20:24, :] -= 30
+    levels[:, 250:] = 20
+    levels[140:170, 170:200] -= 40
+    levels += 40 - draw((DrawnDisc(210, 215, 22, 22),), bright=40, dark=0)
+    random = np.random.default_rng(3)
+    for row, column in random.integers(5, 245, (40, 2)):
+        if all(np.hypot(column - disc.x, row - disc.y) > 45 for disc in TARGET):
+            levels[row : row + 3, column : column + 3] -= 40
+    found = find_discs(camera(levels, noise=2), count=3)
+    assert center_errors(found, TARGET).max() < 0.05
+
+
+def test_a_ragged_edge_with_a_tail_shifts_the_center_little() -> None:
+    """A printed disc with a blob stuck to it: a twelfth of its contour is wrong, and the fit leaves it out."""
+    discs = (DrawnDisc(100.3, 99.8, 25, 25), DrawnDisc(100.3, 124.8, 6, 6))
+    found = find_discs(camera(draw(discs, (200, 200)), noise=2), count=1)
+    assert center_errors(found, discs[:1]).max() < 0.25
+    assert found[0].coverage < 0.98
+
+
+@pytest.mark.parametrize(("dtype", "factor"), [(np.uint8, 1), (np.uint16, 16), (np.uint16, 256), (np.float32, 1 / 255)])
+def test_the_number_type_and_range_do_not_matter(dtype: type, factor: float) -> None:
+    eight_bit = camera(draw(TARGET), noise=2)
+    found = find_discs((eight_bit * np.float64(factor)).astype(dtype))
+    expected = find_discs(eight_bit)
+    np.testing.assert_allclose([disc.center for disc in found], [disc.center for disc in expected], atol=1e-3)
+
+
+def test_input_is_left_alone() -> None:
+    image = draw(TARGET)
+    before = image.copy()
+    find_discs(image, background=image)
+    np.testing.assert_array_equal(image, before)
+
+
+def test_what_is_in_the_background_belongs_to_the_rig() -> None:
+    stain = DrawnDisc(200.0, 200.0, 20, 20)
+    frame = camera(draw((*TARGET, stain)), noise=1)
+    empty = camera(draw((stain,)) * 0.8, noise=1, seed=1)
+    assert len(find_discs(frame, count=10)) == 4
+    found = find_discs(frame, empty, count=10)
+    assert len(found) == 3
+    assert center_errors(found, TARGET).max() < 0.05
+
+
+@pytest.mark.parametrize("level", [0, 1, 128, 255])
+def test_blank_views_have_no_disc(level: int) -> None:
+    assert find_discs(np.full((200, 240), level, np.uint8)) == []
+
+
+@pytest.mark.parametrize("noise", [0.3, 2, 20])
+def test_noise_has_no_disc(noise: float) -> None:
+    assert find_discs(camera(np.full((240, 320), 100.0), noise)) == []
+
+
+def test_a_ramp_and_a_single_pixel_have_no_disc() -> None:
+    ramp = np.tile(np.linspace(0, 255, 240), (200, 1))
+    assert find_discs(ramp) == []
+    ramp[100, 100] = 0
+    assert find_discs(ramp) == []
+
+
+def test_a_disc_cut_in_half_by_the_border_is_left_out() -> None:
+    """Half a contour would give a centre, but a doubtful one."""
+    assert find_discs(draw((DrawnDisc(0.0, 100.0, 25, 25),), (200, 200))) == []
+
+
+def test_bright_discs_are_not_dark_ones() -> None:
+    assert find_discs(draw(TARGET, bright=80, dark=120)) == []
+
+
+def test_images_that_cannot_be_are_refused() -> None:
+    with pytest.raises(FingerflowError, match=r"\(10, 12, 3\)"):
+        find_discs(np.zeros((10, 12, 3)))
+    with pytest.raises(FingerflowError, match="1 pixels that are NaN"):
+        find_discs(np.where(np.arange(10000).reshape(100, 100) == 3, np.nan, 1.0))
+    with pytest.raises(FingerflowError, match="background"):
+        find_discs(np.zeros((100, 100)), np.zeros((100, 90)))
+    assert find_discs(np.zeros((1, 1))) == []
+
+
+def test_hole_of_a_drawn_ring() -> None:
+    """A bright ring on black whose metal is as grainy as the lab's; the outer edge has the other sign."""
+    ring = draw((DrawnDisc(150.2, 140.7, 120, 120),), (300, 320), bright=0, dark=60)
+    hole = draw((DrawnDisc(151.6, 143.3, 60, 59.4, 0.7),), (300, 320), bright=0, dark=35)
+    grain = np.random.default_rng(5).normal(0, 12, ring.shape) * (ring > 30) * (hole < 17)
+    found = find_hole(camera(ring - hole + grain + 10, noise=1))
+    assert found.center == pytest.approx((151.6, 143.3), abs=0.15)
+    assert found.radius_px == pytest.approx(np.sqrt(60 * 59.4), abs=0.15)
+    assert found.axis_ratio == pytest.approx(0.99, abs=0.005)
+
+
+def test_no_ring_is_said() -> None:
+    with pytest.raises(FingerflowError, match="no hole of a ring"):
+        find_hole(np.full((200, 200), 30.0))
