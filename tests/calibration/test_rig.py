@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from fingerflow.calibration import Calibration, calibrate, draw_overlay
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
 from fingerflow.views import View
 
 VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640, 1280))}
@@ -16,7 +17,7 @@ VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640,
 @pytest.fixture(scope="module")
 def frames(shared_data: Path) -> dict[str, np.ndarray]:
     names = {"target": "triangle1.jpg", "ring": "piece.jpg", "empty": "empty.jpg"}
-    return {key: cv2.imread(str(shared_data / "rig" / name), cv2.IMREAD_GRAYSCALE) for key, name in names.items()}
+    return {key: np.asarray(open_recording(shared_data / "rig" / name)[0]) for key, name in names.items()}
 
 
 def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path) -> None:
@@ -26,7 +27,7 @@ def test_discs_ring_and_transform(frames: dict[str, np.ndarray], tmp_path: Path)
     assert found.affine is not None
     assert np.linalg.det(found.affine.matrix[:, :2]) == pytest.approx(1.0, abs=0.25)
     draw_overlay(tmp_path / "overlay.png", found, frames["target"], frames["ring"])
-    assert cv2.imread(str(tmp_path / "overlay.png")).shape[0] > 300
+    assert imread(tmp_path / "overlay.png").shape[0] > 300
     (tmp_path / "calibration.toml").write_text(found.to_toml())
     again = Calibration.from_toml(tmp_path / "calibration.toml")
     assert again.mm_per_px == found.mm_per_px
