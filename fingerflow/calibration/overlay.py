@@ -1,6 +1,7 @@
 """A picture in which a person can judge a calibration by eye."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.calibration.calibration import Calibration
@@ -17,7 +17,11 @@ from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
 
 LABELS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-CHECKER_PX = 32
+CHECKER_PX = 64
+# A label is about this share of a view wide: further right it stands on the left of its disc.
+LABEL_SHARE = 0.36
+# Uneven light is taken out over this share of the shorter side of a view.
+LIGHT_SHARE = 1 / 8
 
 
 def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike | None, ring: ArrayLike) -> None:
@@ -49,9 +53,12 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
             for _, disc in calibration.discs:
                 axes.plot(*disc.center, "+", color="yellow", markersize=8, markeredgewidth=0.8)
         details = grid[1, 2].subgridspec(2, len(calibration.discs))
-        for side, image in enumerate(images):
+        for side, name in enumerate(("topography", "contact")):
             for index, pair in enumerate(calibration.discs):
-                _draw_detail(figure.add_subplot(details[side, index]), image, pair[side], LABELS[index])
+                title = f"{LABELS[index]}, {name}"
+                _draw_detail(figure.add_subplot(details[side, index]), images[side], pair[side], title)
+    if calibration.warnings:
+        figure.suptitle("\n".join(f"warning: {warning}" for warning in calibration.warnings), color="red", fontsize=11)
     for axes in figure.axes:
         axes.set_axis_off()
     FigureCanvasAgg(figure)
@@ -66,14 +73,18 @@ def _draw_discs(axes: Axes, image: Array, discs: list[Disc]) -> None:
     for label, disc in zip(LABELS, discs, strict=False):
         _draw_outline(axes, disc)
         x, y = disc.center
+        right = x < (1 - LABEL_SHARE) * image.shape[1]
+        below = y < 3 * disc.semi_axes_px[0]
         axes.annotate(
             f"{label} ({x:.2f}, {y:.2f}) ± {disc.center_sigma_px:.2f} px",
-            (x, y),
-            (disc.semi_axes_px[0] + 4, disc.semi_axes_px[0] + 4),
-            textcoords="offset pixels",
+            disc.center,
+            (x + disc.semi_axes_px[0] * (0.8 if right else -0.8), y + disc.semi_axes_px[0] * (1 if below else -1)),
+            textcoords="data",
+            horizontalalignment="left" if right else "right",
+            verticalalignment="top" if below else "bottom",
             color="yellow",
-            fontsize=11,
-            path_effects=[withStroke(linewidth=3, foreground="black")],
+            fontsize=12,
+            bbox={"facecolor": "black", "alpha": 0.65, "edgecolor": "none", "pad": 1.5},
         )
 
 
@@ -82,8 +93,8 @@ def _draw_hole(axes: Axes, image: Array, calibration: Calibration) -> None:
     axes.imshow(_visible(image), cmap="gray", vmin=0, vmax=255)
     _draw_outline(axes, hole)
     axes.set_title(
-        f"hole {calibration.hole_radius_mm:g} mm = {hole.radius_px:.2f} px, edge within {hole.edge_rms_px:.2f} px, "
-        f"axes {hole.axis_ratio:.3f}:\n{1000 * calibration.mm_per_px:.3f} µm/px"
+        f"{1000 * calibration.mm_per_px:.3f} µm/px: radius of the hole {calibration.hole_radius_mm:g} mm = "
+        f"{hole.radius_px:.2f} px\nedge within {hole.edge_rms_px:.2f} px, axes {hole.axis_ratio:.3f} to 1"
     )
 
 
@@ -91,11 +102,11 @@ def _draw_blends(
     blend: Axes, checker: Axes, images: tuple[Array, Array], affine: Transform, similarity: Transform
 ) -> None:
     height, width = images[1].shape
-    moved = cv2.warpAffine(_visible(images[0]), affine.matrix, (width, height), flags=cv2.INTER_LINEAR)
+    moved = cv2.warpAffine(_even(images[0]), affine.matrix, (width, height), flags=cv2.INTER_LINEAR)
     covered = (
         cv2.warpAffine(np.ones(images[0].shape, np.uint8), affine.matrix, (width, height), flags=cv2.INTER_NEAREST) > 0
     )
-    contact = _visible(images[1])
+    contact = _even(images[1])
     blend.imshow(np.stack([moved, contact, moved], axis=-1))
     angle = np.degrees(np.arctan2(similarity.matrix[1, 0], similarity.matrix[0, 0]))
     growth = np.hypot(*similarity.matrix[:, 0])
@@ -108,7 +119,7 @@ def _draw_blends(
     checker.set_title(f"squares of {CHECKER_PX} px from the two views in turn")
 
 
-def _draw_detail(axes: Axes, image: Array, disc: Disc, label: str) -> None:
+def _draw_detail(axes: Axes, image: Array, disc: Disc, title: str) -> None:
     reach = 1.7 * disc.semi_axes_px[0]
     x, y = disc.center
     left, top = max(0, int(x - reach)), max(0, int(y - reach))
@@ -116,7 +127,7 @@ def _draw_detail(axes: Axes, image: Array, disc: Disc, label: str) -> None:
     low, high = np.percentile(part, (1, 99))
     axes.imshow(part, cmap="gray", vmin=low, vmax=high, extent=_extent(left, top, part))
     _draw_outline(axes, disc)
-    axes.set_title(f"{label}: radius {disc.radius_px:.1f} px\nedge within {disc.edge_rms_px:.2f} px", fontsize=10)
+    axes.set_title(f"{title}: radius {disc.radius_px:.1f} px\nedge within {disc.edge_rms_px:.2f} px", fontsize=10)
 
 
 def _extent(left: int, top: int, part: Array) -> tuple[float, float, float, float]:
@@ -134,7 +145,24 @@ def _draw_outline(axes: Axes, disc: Disc) -> None:
 def _visible(image: Array) -> NDArray[np.uint8]:
     """8 bits with the uneven light taken out over an eighth of the view; for the eye only."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7)
-    light = cv2.GaussianBlur(smooth, (0, 0), max(1.0, min(image.shape) / 8))
+    light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
     low, high = np.percentile(flat, (0.5, 99.5))
     return np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
+
+
+def _even(image: Array) -> NDArray[np.uint8]:
+    """8 bits with the same mean and contrast everywhere, so that two views under different lamps can be compared."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.5)
+    # Twice, for what is left of the slope of the light.
+    level = smooth - _blurred_over_light(smooth)
+    level -= _blurred_over_light(level)
+    spread = np.sqrt(_blurred_over_light(level**2))
+    # Where there is only noise it is not stretched as far as the target is.
+    relative = level / (spread + 0.2 * float(spread.max()) + 1e-9)
+    return np.clip(150 + 60 * relative, 0, 255).astype(np.uint8)
+
+
+def _blurred_over_light(image: NDArray[Any]) -> NDArray[Any]:
+    sigma = max(1.0, min(image.shape) * LIGHT_SHARE)
+    return cv2.GaussianBlur(image, (0, 0), sigma)
