@@ -1,0 +1,76 @@
+"""Medians over the area of the current contact, against closed forms."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fingerflow.stages.contact_medians import ReferenceGrid, medians_over_contact
+
+
+def contact(semi_axes: tuple[float, float], center: tuple[float, float] = (8.0, 6.0), angle: float = 0.0) -> object:
+    return SimpleNamespace(
+        semi_axes=np.array([semi_axes]), center=np.array([center]), angle=np.array([angle]), gross_area=np.array([1.0])
+    )
+
+
+def grid() -> tuple[ReferenceGrid, np.ndarray]:
+    made = ReferenceGrid.around(np.array([[2.0, 1.0], [14.0, 11.0], [np.nan, 0.0]]), 0.2, 1.0)
+    assert made is not None
+    return made, made.nodes()
+
+
+@pytest.mark.parametrize("dilation", [0.0, 0.12, -0.2])
+def test_median_is_that_of_the_current_area(dilation: float) -> None:
+    """f = |X - c|^2 while skin moves by s (X - c): over a disc of radius R the median is R^2 / 2 / (1 + s)^2.
+
+    Over reference positions it would be R^2 / 2. Tolerance: 3,700 positions, and a bilinear field (0.2^2 / 4 mm^2)."""
+    made, nodes = grid()
+    away = nodes - (8.0, 6.0)
+    median = medians_over_contact(
+        contact((4.0, 4.0)),
+        0,
+        made,
+        dilation * away.T,
+        (away**2).sum(1)[None],  # type: ignore[arg-type]
+    )
+    assert median[0] == pytest.approx(16 / 2 / (1 + dilation) ** 2, rel=0.01)
+
+
+def test_a_turned_ellipse() -> None:
+    """The median of |along| over an ellipse of semi-axes a, b is 0.40397 a (half the area of a unit disc lies within
+    that distance of a diameter)."""
+    made, nodes = grid()
+    along = (nodes - (8.0, 6.0)) @ (np.cos(0.5), np.sin(0.5))
+    median = medians_over_contact(
+        contact((4.5, 2.5), angle=0.5),
+        0,
+        made,
+        np.zeros((2, len(nodes))),
+        np.abs(along)[None],  # type: ignore[arg-type]
+    )
+    assert median[0] == pytest.approx(0.40397 * 4.5, rel=0.01)
+
+
+def test_where_nothing_is_known_nothing_is_said() -> None:
+    made, nodes = grid()
+    unknown = np.full((1, len(nodes)), np.nan)
+    still = np.zeros((2, len(nodes)))
+    assert np.isnan(medians_over_contact(contact((4.0, 3.0)), 0, made, still, unknown)).all()  # type: ignore[arg-type]
+    for axes in ((np.nan, np.nan), (0.0, 0.0)):
+        assert np.isnan(medians_over_contact(contact(axes), 0, made, still, still)).all()  # type: ignore[arg-type]
+    far = contact((2.0, 2.0), center=(500.0, 500.0))
+    assert np.isnan(medians_over_contact(far, 0, made, still, still)).all()  # type: ignore[arg-type]
+    assert ReferenceGrid.around(np.full((3, 2), np.nan), 0.2, 1.0) is None
+
+
+def test_a_tiny_contact_has_as_many_positions() -> None:
+    made, nodes = grid()
+    median = medians_over_contact(
+        contact((0.1, 0.05)),
+        0,
+        made,
+        np.zeros((2, len(nodes))),
+        nodes.T,  # type: ignore[arg-type]
+    )
+    np.testing.assert_allclose(median, (8.0, 6.0), atol=1e-6)
