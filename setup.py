@@ -12,11 +12,20 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
-HOT = ["median_strip"]  # compiled for every instruction set
+HOT = ["median_band"]  # compiled for every instruction set
 PLAIN = ["instruction_sets", "median", "parallel"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it.
-GNU_FLAGS = ["-std=c++17", "-O3", "-fvisibility=hidden", "-ffp-contract=off", "-fno-math-errno", "-pthread", "-g0"]
+GNU_FLAGS = [
+    "-std=c++17",
+    "-O3",
+    "-fvisibility=hidden",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-pthread",
+    "-g0",
+    "-fno-strict-aliasing",
+]
 GNU_SETS = {
     "baseline": [],
     "avx2": ["-mavx2"],

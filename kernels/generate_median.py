@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fingerflow.ops.median_network import MedianProgram, Step, median_program
 
 SIZES = (3, 5, 7, 9)
+DIFFERENCES = 0.4  # share of operations that go by a difference
 
 
 class Read(NamedTuple):
@@ -40,7 +41,9 @@ class Placement:
         self.passes = self._passes()
         self.spans = self._spans()
         self.rings, self.scratch, self.scratch_slots = self._slots()
-        self.ages = 1 + max(age for _, _, age, _ in self._reads())
+        self.ages = 1 + max([age for _, plane, age, _ in self._reads() if plane in self.rings], default=0)
+        # Above the first row of medians only what runs ahead is needed.
+        self.passes_ahead = 1 + max((self.passes[plane] for plane, lead in self.leads.items() if lead), default=-1)
 
     def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
         lead = self.leads[step.result]
@@ -82,11 +85,11 @@ class Placement:
 
     def _slots(self) -> tuple[dict[int, int], dict[int, int], int]:
         """Slots of planes read from later rows, which stay, and of those read from later passes, which are reused."""
-        aged = {plane for _, plane, age, _ in self._reads() if age} | set(self.inputs)
+        aged = {plane for _, plane, age, _ in self._reads() if age} - set(self.inputs)
         rings = {plane: slot for slot, plane in enumerate(sorted(aged))}
         last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
         for reader, plane, _, _ in self._reads():
-            if plane not in rings and self.passes[reader] > self.passes[plane]:
+            if plane not in rings and plane not in self.inputs and self.passes[reader] > self.passes[plane]:
                 last_pass[plane] = max(last_pass.get(plane, 0), self.passes[reader])
         free: list[int] = []
         busy: list[tuple[int, int]] = []  # (last pass, slot)
@@ -117,18 +120,23 @@ def network_source(program: MedianProgram) -> str:
         "kRingSlots": len(place.rings),
         "kScratchSlots": place.scratch_slots,
         "kWarmUp": max(place.leads.values()),
+        "kLines": rows * (1 + max(place.leads[plane] for plane in place.inputs)),
     }
     lines = [f"template <class Pixel>\nstruct MedianNetwork{program.size} {{"]
     lines += [f"    static constexpr int {name} = {value};" for name, value in constants.items()]
-    for name, values in (
-        ("kInputSlots", [place.rings[plane] for plane in place.inputs]),
-        ("kInputLeads", [place.leads[plane] for plane in place.inputs]),
-        ("kOutputSlots", [place.scratch[output.plane] for output in program.outputs]),
-    ):
-        lines.append(f"    static constexpr int {name}[] = {{{', '.join(map(str, values))}}};")
-    arguments = "Pixel* const* FINGERFLOW_RESTRICT ring, Pixel* FINGERFLOW_RESTRICT scratch, long tiles"
+    slots = "kAges * kRingSlots + kScratchSlots + 2 * kTileColumns"
+    lines.append(f"    static constexpr long kSlots = {slots};")
+    lines.append("    static constexpr long kStride = kSlotBytes / static_cast<long>(sizeof(Pixel));")
+    slots = ", ".join(str(place.scratch[output.plane]) for output in program.outputs)
+    lines.append(f"    static constexpr int kOutputSlots[] = {{{slots}}};")
+    arguments = (
+        "const Pixel* const* lines, Pixel* const* ring, Pixel* FINGERFLOW_RESTRICT scratch, long tiles, bool ahead"
+    )
     lines.append(f"    static void run({arguments}) {{")
+    lines += ["        using L = Lanes<Pixel>;", "        using Value = typename L::Value;"]
     for number in range(passes):
+        if number == place.passes_ahead:
+            lines.append("        if (ahead) return;")
         lines += _pass_source(place, number)
     return "\n".join([*lines, "    }", "};", ""])
 
@@ -139,6 +147,7 @@ def _pass_source(place: Placement, number: int) -> list[str]:
     loaded: dict[tuple[int, Read], str] = {}
     body: list[str] = []
     ages: set[int] = set()
+    input_lines: set[int] = set()
 
     def value(plane: int, read: Read) -> str:
         in_register = plane not in place.inputs and read == (0, 0) and place.passes[plane] == number
@@ -146,35 +155,65 @@ def _pass_source(place: Placement, number: int) -> list[str]:
             return f"v{plane}"
         if (plane, read) not in loaded:
             name = f"a{plane}_{read.age}_{read.columns}"
-            if plane in place.rings:
+            if plane in place.inputs:
+                rows, columns = place.program.tile
+                line = (place.leads[plane] - read.age) * rows * columns + plane
+                input_lines.add(line)
+                where = f"i{line} + x + {read.columns}"
+            elif plane in place.rings:
                 ages.add(read.age)
-                where = f"r{read.age}[{place.rings[plane]} * kStride<Pixel> + x + {read.columns}]"
+                where = f"r{read.age} + {place.rings[plane]} * kStride + x + {read.columns}"
             else:
-                where = f"scratch[{place.scratch[plane]} * kStride<Pixel> + x + {read.columns}]"
-            body.append(f"            const Pixel {name} = {where};")
+                where = f"scratch + {place.scratch[plane]} * kStride + x + {read.columns}"
+            body.append(f"            const Value {name} = L::load({where});")
             loaded[plane, read] = name
         return loaded[plane, read]
 
+    by_difference = _by_difference(steps)
     for step in steps:
         first, second = (value(plane, read) for plane, read in place.operands(step))
         function = "lesser" if step.operation == "minimum" else "greater"
-        body.append(f"            const Pixel v{step.result} = {function}({first}, {second});")
+        arguments = f"{first}, {second}"
+        if step.result in by_difference:
+            name = f"d{by_difference[step.result]}"
+            if step.result == by_difference[step.result]:
+                body.append(f"            const Value {name} = L::excess({arguments});")
+            arguments += f", {name}"
+        body.append(f"            const Value v{step.result} = L::{function}({arguments});")
         for slots, array in ((place.rings, "r0"), (place.scratch, "scratch")):
             if step.result in slots:
                 ages |= {0} if array == "r0" else set()
-                body.append(f"            {array}[{slots[step.result]} * kStride<Pixel> + x] = v{step.result};")
+                where = f"{array} + {slots[step.result]} * kStride + x"
+                body.append(f"            L::store({where}, v{step.result});")
     pointers = [f"            Pixel* const FINGERFLOW_RESTRICT r{age} = ring[{age}];" for age in sorted(ages)]
+    pointers += [f"            const Pixel* const FINGERFLOW_RESTRICT i{n} = lines[{n}];" for n in sorted(input_lines)]
     head = f"        {{  // pass {number}"
     loop = [f"            const long end = whole_lanes<Pixel>(tiles + {span});", "            FINGERFLOW_INDEPENDENT"]
     return [
         head,
         *pointers,
         *loop,
-        "            for (long x = 0; x < end; ++x) {",
+        "            for (long x = 0; x < end; x += L::kStep) {",
         *("    " + b for b in body),
         "            }",
         "        }",
     ]
+
+
+def _by_difference(steps: list[Step]) -> dict[int, int]:
+    """Steps whose minimum and maximum come from one difference, each with the first step of its pair.
+
+    With p of n operations in such pairs of two, one port takes n - p and both together n + p / 2: equal for p = 0.4 n.
+    """
+    pairs: dict[tuple[int, ...], list[int]] = {}
+    for step in steps:
+        pairs.setdefault((step.left, step.right, step.rows, step.columns), []).append(step.result)
+    both = [pair for pair in pairs.values() if len(pair) == 2]
+    wanted = round(DIFFERENCES * len(steps) / 2)
+    chosen = [
+        pair for place, pair in enumerate(both) if (place + 1) * wanted // len(both) > place * wanted // len(both)
+    ]
+    return {result: first for first, second in chosen for result in (first, second)}
 
 
 def main(path: str) -> None:

@@ -2,6 +2,9 @@
 #pragma once
 
 #include <cstdint>
+#ifdef __AVX512BW__
+#include <immintrin.h>
+#endif
 
 #if defined(_MSC_VER) && !defined(__clang__)
 #define FINGERFLOW_RESTRICT __restrict
@@ -26,14 +29,48 @@ inline long whole_lanes(long count) {
     return (count + kLanes<Pixel> - 1) / kLanes<Pixel> * kLanes<Pixel>;
 }
 
+// One value, or with AVX-512 a whole vector of them. The plain form leaves it to the compiler to make vectors of a loop.
 template <class Pixel>
-inline Pixel lesser(Pixel a, Pixel b) {
-    return a < b ? a : b;
-}
-template <class Pixel>
-inline Pixel greater(Pixel a, Pixel b) {
-    return a > b ? a : b;
-}
+struct Lanes {
+    using Value = Pixel;
+    static constexpr long kStep = 1;
+    static Value load(const Pixel* from) { return *from; }
+    static void store(Pixel* to, Value value) { *to = value; }
+    static Value lesser(Value a, Value b) { return a < b ? a : b; }
+    static Value greater(Value a, Value b) { return a > b ? a : b; }
+    // How far a lies above b, or 0; minimum and maximum from it.
+    static Value excess(Value a, Value) { return a; }
+    static Value lesser(Value a, Value b, Value) { return lesser(a, b); }
+    static Value greater(Value a, Value b, Value) { return greater(a, b); }
+};
+
+#ifdef __AVX512BW__
+// Intel's processors have one port for the minimum of 64 bytes and two for their sum: some pairs of a minimum and a
+// maximum go by three sums, as many as keep both ports busy.
+struct Wide {
+    using Value = __m512i;
+    static Value load(const void* from) { return _mm512_loadu_si512(from); }
+    static void store(void* to, Value value) { _mm512_storeu_si512(to, value); }
+};
+template <>
+struct Lanes<std::uint8_t> : Wide {
+    static constexpr long kStep = 64;
+    static Value lesser(Value a, Value b) { return _mm512_min_epu8(a, b); }
+    static Value greater(Value a, Value b) { return _mm512_max_epu8(a, b); }
+    static Value excess(Value a, Value b) { return _mm512_subs_epu8(a, b); }
+    static Value lesser(Value a, Value, Value excess) { return _mm512_sub_epi8(a, excess); }
+    static Value greater(Value, Value b, Value excess) { return _mm512_add_epi8(b, excess); }
+};
+template <>
+struct Lanes<std::uint16_t> : Wide {
+    static constexpr long kStep = 32;
+    static Value lesser(Value a, Value b) { return _mm512_min_epu16(a, b); }
+    static Value greater(Value a, Value b) { return _mm512_max_epu16(a, b); }
+    static Value excess(Value a, Value b) { return _mm512_subs_epu16(a, b); }
+    static Value lesser(Value a, Value, Value excess) { return _mm512_sub_epi16(a, excess); }
+    static Value greater(Value, Value b, Value excess) { return _mm512_add_epi16(b, excess); }
+};
+#endif
 
 }  // namespace FINGERFLOW_ISA
 }  // namespace fingerflow

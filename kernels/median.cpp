@@ -1,35 +1,35 @@
-// Frames cut into strips, the strips shared out to threads.
+// Frames cut into bands of rows, the bands shared out to threads.
 #include <algorithm>
-#include <new>
+#include <exception>
 
 #include "interface.h"
-#include "median_strip.h"
+#include "median_band.h"
 #include "parallel.h"
 #include "workspace.h"
 
 int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
                       std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size, int threads) try {
     using namespace fingerflow;
-    MedianLimits limits;
-    if (!FINGERFLOW_PICK(median_limits)(pixel_bytes, size, &limits)) return 2;
+    if (batch * height * width == 0) return 0;
 
-    // Strips of about equal width; more rows than threads only where rows are many, since each strip reads `size` extra.
-    const std::int64_t widest = std::max(limits.width / limits.alignment * limits.alignment, limits.alignment);
-    const std::int64_t across = (width + widest - 1) / widest;
-    const std::int64_t strip_width = ((width + across - 1) / across + limits.alignment - 1) / limits.alignment * limits.alignment;
-    const std::int64_t down = std::max<std::int64_t>(1, std::min<std::int64_t>(height / (4 * size), (2 * threads + batch - 1) / batch));
-    const std::int64_t strip_height = ((height + down - 1) / down + 7) / 8 * 8;
-    const std::int64_t rows = (height + strip_height - 1) / strip_height, columns = (width + strip_width - 1) / strip_width;
+    // Bands small enough for a second-level cache and for all threads, but not low beside a window, since each reads
+    // the lines of half a window above and below it.
+    const std::int64_t cached = std::max<std::int64_t>(1, (256 * 1024) / (width * pixel_bytes));
+    const std::int64_t shared = (height * batch + threads - 1) / threads;
+    const std::int64_t most = std::max<std::int64_t>(4 * size, std::min(cached, shared));
+    const std::int64_t bands = (height + most - 1) / most;
+    const std::int64_t rows = ((height + bands - 1) / bands + 7) / 8 * 8;
 
-    const auto strip = FINGERFLOW_PICK(median_strip);
-    parallel_for(batch * rows * columns, threads, [&](std::int64_t piece) {
-        const std::int64_t frame = piece / (rows * columns), row = piece / columns % rows, column = piece % columns;
-        const std::int64_t top = row * strip_height, left = column * strip_width;
-        const MedianStrip part{height, width, row_stride, top, std::min(height, top + strip_height),
-                               left, std::min(width, left + strip_width)};
-        strip(static_cast<const char*>(frames) + frame * frame_stride * pixel_bytes,
-              static_cast<char*>(medians) + frame * height * width * pixel_bytes, pixel_bytes, size, part,
-              workspace(static_cast<std::size_t>(limits.workspace_bytes)));
+    const auto bytes = static_cast<std::size_t>(FINGERFLOW_PICK(median_workspace_bytes)(pixel_bytes, size, rows, width));
+    if (bytes == 0) return 2;
+    const auto filter = FINGERFLOW_PICK(median_band);
+    const std::int64_t pieces = (height + rows - 1) / rows;
+    parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
+        const std::int64_t frame = piece / pieces, top = piece % pieces * rows;
+        const MedianBand band{height, width, row_stride, top, std::min(height, top + rows)};
+        filter(static_cast<const char*>(frames) + frame * frame_stride * pixel_bytes,
+               static_cast<char*>(medians) + frame * height * width * pixel_bytes, pixel_bytes, size, band,
+               workspace(bytes));
     });
     return 0;
 } catch (const std::exception&) {
