@@ -9,6 +9,8 @@ from torch import Tensor
 
 from fingerflow.ops.spline import spline_weights
 
+_POINTS_AT_A_TIME = 128
+
 
 def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
     """Windows of ``size`` x ``size`` pixels.
@@ -76,7 +78,18 @@ def _sample_warped(
     coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Positions that do not form a pixel grid have no common fraction, so every sample has weights of its own."""
-    height, width = coefficients.shape[-2:]
+    flat = coefficients.reshape(-1)
+    # Few points at a time: their weights then stay in the cache.
+    pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
+    sampled = [_sample_piece(flat, coefficients.shape, *piece, size, order) for piece in pieces]
+    values, gradients = zip(*sampled, strict=True)
+    return torch.cat(values), torch.cat(gradients)
+
+
+def _sample_piece(
+    flat: Tensor, shape: torch.Size, image_index: Tensor, points: Tensor, warp: Tensor, size: int, order: int
+) -> tuple[Tensor, Tensor]:
+    height, width = shape[-2:]
     half = size // 2
     offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
     # (P, size, size) positions; the window's rows are y, its columns x.
@@ -88,15 +101,15 @@ def _sample_warped(
     whole_y = y.detach().floor().clamp(-first, height - 1 - last)
     weights_x, slopes_x = spline_weights(x - whole_x, order)
     weights_y, slopes_y = spline_weights(y - whole_y, order)
-    flat = coefficients.reshape(-1)
     index = (whole_y.long() + first + image_index[:, None, None] * height) * width + (whole_x.long() + first)
-    value, along_x, along_y = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
+    value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
     for k in range(order + 1):
-        row_value, row_slope = torch.zeros_like(x), torch.zeros_like(x)
-        for j in range(order + 1):
-            sample = flat.take(index + (k * width + j))
-            row_value = torch.addcmul(row_value, weights_x[j], sample)
-            row_slope = torch.addcmul(row_slope, slopes_x[j], sample)
+        # A later tap is the same index into the image from a later start.
+        taps = [flat[k * width + j :].take(index) for j in range(order + 1)]
+        row_value, row_slope = weights_x[0] * taps[0], slopes_x[0] * taps[0]
+        for j in range(1, order + 1):
+            row_value = torch.addcmul(row_value, weights_x[j], taps[j])
+            row_slope = torch.addcmul(row_slope, slopes_x[j], taps[j])
         value = torch.addcmul(value, weights_y[k], row_value)
         along_x = torch.addcmul(along_x, weights_y[k], row_slope)
         along_y = torch.addcmul(along_y, slopes_y[k], row_value)
