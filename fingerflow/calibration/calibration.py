@@ -1,6 +1,5 @@
 """The calibration of a rig: millimetres a pixel, and where a point of one view is in the other."""
 
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -12,6 +11,7 @@ import numpy as np
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
+from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
 
@@ -42,10 +42,10 @@ class Calibration:
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
             f"mm_per_px = {self.mm_per_px!r}",
-            f"warnings = {json.dumps(self.warnings, ensure_ascii=False)}",
+            f"warnings = [{', '.join(map(toml_string, self.warnings))}]",
         ]
         for name, view in self.views.items():
-            lines += _section(f"[views.{json.dumps(name, ensure_ascii=False)}]", asdict(view))
+            lines += _section(f"[views.{toml_string(name)}]", asdict(view))
         lines += _section("[hole]", {"radius_mm": self.hole_radius_mm, **asdict(self.hole)})
         for name, transform in (("affine", self.affine), ("similarity", self.similarity)):
             if transform is not None:
@@ -66,7 +66,7 @@ class Calibration:
         """
         remedy = "Write it anew with `fingerflow calibrate`"
         try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise FingerflowError(f"{path}: this calibration cannot be read: {error}. {remedy}") from error
         try:
