@@ -6,12 +6,30 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from fingerflow.calibration import Calibration as RigCalibration
 from fingerflow.errors import FingerflowError
+from fingerflow.toml_string import toml_string
 from fingerflow.views import View
+
+
+class _Clash(ValueError):
+    """Keys that do not go together: one of them is blamed, by its path below the table in which they were compared."""
+
+    def __init__(self, keys: tuple[str, ...], message: str) -> None:
+        super().__init__(message)
+        self.keys = keys
 
 
 def _existing(path: Path, info: ValidationInfo) -> Path:
@@ -30,10 +48,15 @@ def _odd(value: int) -> int:
     return value
 
 
+# Strict: the text "700" and true are no numbers, 0.5 is no whole one; a whole number is a number.
+Whole = Annotated[int, Strict()]
+Number = Annotated[float, Strict()]
+Switch = Annotated[bool, Strict()]
 ExistingPath = Annotated[Path, AfterValidator(_existing)]
-OddSide = Annotated[int, Field(ge=3), AfterValidator(_odd)]
-Positive = Annotated[float, Field(gt=0)]
-Row = tuple[float, float, float]
+OddSide = Annotated[Whole, Field(ge=3), AfterValidator(_odd)]
+Positive = Annotated[Number, Field(gt=0)]
+PixelRange = tuple[Whole, Whole]
+Row = tuple[Number, Number, Number]
 
 
 class _Table(BaseModel):
@@ -45,29 +68,34 @@ class RecordingSettings(_Table):
 
     frames: ExistingPath
     frame_rate: Positive | None = None
-    first_frame: Annotated[int, Field(ge=0)] = 0
-    last_frame: Annotated[int, Field(ge=0)] | None = None
+    first_frame: Annotated[Whole, Field(ge=0)] = 0
+    last_frame: Annotated[Whole, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.last_frame is not None and self.last_frame < self.first_frame:
-            raise ValueError(f"last_frame {self.last_frame} lies before first_frame {self.first_frame}")
+            raise _Clash(
+                ("last_frame",),
+                f"that is before first_frame, {self.first_frame}; both are included, so give at least "
+                f"{self.first_frame} or leave last_frame out",
+            )
         return self
 
 
 class ViewSettings(_Table):
     """[views.contact], [views.topography]: half-open ranges of pixels."""
 
-    rows: tuple[int, int]
-    columns: tuple[int, int]
+    rows: PixelRange
+    columns: PixelRange
 
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
+    @field_validator("rows", "columns")
+    @classmethod
+    def _possible(cls, pixels: tuple[int, int], info: ValidationInfo) -> tuple[int, int]:
         try:
-            self.view()
+            View(**{"rows": (0, 1), "columns": (0, 1), str(info.field_name): pixels})
         except FingerflowError as error:
             raise ValueError(str(error)) from None
-        return self
+        return pixels
 
     def view(self) -> View:
         return View(self.rows, self.columns)
@@ -102,20 +130,27 @@ class ForceSettings(_Table):
     normal: str
     tangential: str | None = None
     trigger: str | None = None
-    trigger_level: float | None = None
+    trigger_level: Number | None = None
     time: str | None = None
     sample_rate: Positive | None = None
 
     @model_validator(mode="after")
     def _trigger_has_level(self) -> Self:
-        if (self.trigger is None) != (self.trigger_level is None):
-            raise ValueError("trigger and trigger_level belong together: the channel, and the level that it crosses")
+        together = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
+        if self.trigger is not None and self.trigger_level is None:
+            raise _Clash(("trigger",), f"{together}; add trigger_level = 2.5 in the channel's unit")
+        if self.trigger is None and self.trigger_level is not None:
+            raise _Clash(("trigger_level",), f"{together}; add trigger = with the channel's name")
         return self
 
 
 class CalibrationSettings(_Table):
-    """[calibration]: given here, or by the file that `fingerflow calibrate` wrote."""
+    """[calibration]: given here, or by the file that `fingerflow calibrate` wrote.
 
+    ``topography_to_contact`` matters only where there is a topography view, and must then be given.
+    """
+
+    file: Path | None = None
     mm_per_px: Positive
     topography_to_contact: tuple[Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
@@ -126,44 +161,47 @@ class CalibrationSettings(_Table):
             return values
         others = sorted(set(values) - {"file"})
         if others:
-            raise ValueError(f"file and {', '.join(others)} exclude each other: keep one of them")
-        path = _existing(Path(values["file"]), info)
+            raise _Clash(("file",), f"a file and {', '.join(others)} exclude each other; keep one of them")
+        if not isinstance(values["file"], str):
+            raise _Clash(("file",), "that is no path of a file")
         try:
+            path = _existing(Path(values["file"]), info)
             rig = RigCalibration.from_toml(path)
-        except FingerflowError as error:
-            raise ValueError(str(error)) from None
-        found: dict[str, Any] = {"mm_per_px": rig.mm_per_px}
+        except (ValueError, FingerflowError) as error:
+            raise _Clash(("file",), str(error)) from None
+        found: dict[str, Any] = {"file": path, "mm_per_px": rig.mm_per_px}
         if rig.topography_to_contact is not None:
             found["topography_to_contact"] = rig.topography_to_contact.tolist()
         return found
 
-    @model_validator(mode="after")
-    def _invertible(self) -> Self:
-        (a, b, _), (c, d, _) = self.topography_to_contact
+    @field_validator("topography_to_contact")
+    @classmethod
+    def _invertible(cls, matrix: tuple[Row, Row]) -> tuple[Row, Row]:
+        (a, b, _), (c, d, _) = matrix
         if abs(a * d - b * c) < 1e-6:
-            raise ValueError("topography_to_contact maps the whole view onto a line; its 2 x 2 part must be invertible")
-        return self
+            raise ValueError("it maps the whole view onto a line; its 2 x 2 part must be invertible")
+        return matrix
 
 
 class ContactSettings(_Table):
     """[contact]"""
 
     median_px: OddSide = 3
-    threshold: Literal["reference_frame", "per_frame"] | Annotated[float, Field(gt=0, lt=1)] = "reference_frame"
-    gross_radius_px: Annotated[int, Field(ge=1)] = 8
+    threshold: Literal["reference_frame", "per_frame"] | Annotated[Number, Field(gt=0, lt=1)] = "reference_frame"
+    gross_radius_px: Annotated[Whole, Field(ge=1)] = 8
 
 
 class TrackingSettings(_Table):
     """[tracking]"""
 
-    points: Annotated[int, Field(ge=3)] = 700
+    points: Annotated[Whole, Field(ge=3)] = 700
     window_px: Annotated[OddSide, Field(ge=5)] = 25
     min_distance_px: Positive = 6.0
     direction: Literal["forward", "backward"] = "forward"
     template: Literal["keyframe", "previous"] = "keyframe"
     forward_backward_limit_px: Positive = 1.0
-    search_px: Annotated[int, Field(ge=0)] = 0
-    gain_offset: bool = False
+    search_px: Annotated[Whole, Field(ge=0)] = 0
+    gain_offset: Switch = False
 
 
 class FieldSettings(_Table):
@@ -172,7 +210,7 @@ class FieldSettings(_Table):
     gauge_length_mm: Positive = 1.6
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = "green_lagrange"
     young_modulus_mpa: Positive = 1.0
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.4
+    poisson_ratio: Annotated[Number, Field(gt=-1, lt=0.5)] = 0.4
     depth_mm: Positive = 2.0
     rate_window_s: Positive = 0.05
 
@@ -190,14 +228,44 @@ class Scene(_Table):
     tracking: TrackingSettings = TrackingSettings()
     fields: FieldSettings = FieldSettings()
 
+    @model_validator(mode="after")
+    def _calibration_fits_the_views(self) -> Self:
+        topography, given = self.views.topography, self.calibration
+        if topography is None:
+            return self  # the scale holds whatever part of the frame the view is
+        if "topography_to_contact" not in given.model_fields_set:
+            if given.file is None:
+                raise _Clash(
+                    ("calibration", "mm_per_px"),
+                    "the scene has a topography view, and nothing says where its pixels are in the contact view; add "
+                    "topography_to_contact = [[a, b, x], [c, d, y]], or use a file of `fingerflow calibrate --target`",
+                )
+            raise _Clash(
+                ("calibration", "file"),
+                "the scene has a topography view, and this calibration is the scale alone; write one that holds the "
+                "transform between the views too, with `fingerflow calibrate --target`, or remove [views.topography]",
+            )
+        if given.file is not None:
+            made_with = RigCalibration.from_toml(given.file).views
+            for name, view in (("topography", topography), ("contact", self.views.contact)):
+                other = made_with.get(name)
+                if other != view:
+                    raise _Clash(
+                        ("calibration", "file"),
+                        f"it was made with the {name} view {_ranges(other)}, and the scene has {_ranges(view)}: the "
+                        f"transform holds for the same pixels only. Calibrate with the views of this scene, "
+                        f"`fingerflow calibrate --topography {_option(topography)} --contact "
+                        f"{_option(self.views.contact)}`, or use the views of the calibration",
+                    )
+        return self
+
 
 def load_scene(path: str | Path) -> Scene:
     """Reads a scene file.
 
     Raises:
-        FingerflowError: the file is missing or is no TOML, a key is unknown, a value has the wrong type or range, a
-        file
-            that it names is missing; with the line and the remedy.
+        FingerflowError: the file is missing or is no TOML, a key is unknown, a value has the wrong type or range, keys
+            do not go together, a file that it names is missing; with the line and the remedy.
     """
     path = Path(path).resolve()
     try:
@@ -213,56 +281,114 @@ def load_scene(path: str | Path) -> Scene:
     except tomllib.TOMLDecodeError as error:
         raise FingerflowError(f"{path}: is not valid TOML: {error}") from error
     if "path" in values:
-        raise FingerflowError(f"{path}, line {_line(text, ['path'])}: path is not a key of a scene file; remove it")
+        raise FingerflowError(f"{path}, line {_line(text, ('path',))}: path is not a key of a scene file; remove it")
     try:
         return Scene.model_validate({**values, "path": path}, context={"folder": path.parent})
     except ValidationError as error:
-        problems = [_explain(path, text, detail) for detail in error.errors()]
-        raise FingerflowError("\n".join(dict.fromkeys(problems))) from None
+        raise FingerflowError("\n".join(_explain(path, text, values, error))) from None
 
 
-def _explain(path: Path, text: str, detail: ErrorDetails) -> str:
+def _explain(path: Path, text: str, values: dict[str, Any], error: ValidationError) -> list[str]:
     """One line a problem: file, line, key, value, remedy."""
-    # The alternatives of a union appear in the location as names of types; only keys of the file are kept.
-    keys = [part for part in detail["loc"] if isinstance(part, str) and re.fullmatch(r"[a-z_]+", part)]
-    keys = [key for key in keys if key not in ("float", "literal", "constrained", "str")]
-    place = f"{path}, line {_line(text, keys)}: {'.'.join(keys) or 'the file'}"
-    if detail["type"] == "extra_forbidden":
-        known = _keys_of(keys[:-1])
-        close = get_close_matches(keys[-1], known, n=1)
-        hint = f"did you mean {close[0]!r}? " if close else ""
-        return f"{place} is not a key; {hint}known here: {', '.join(known)}"
-    if detail["type"] == "missing":
-        return f"{place} is missing; add it, `fingerflow init` shows how"
-    message = detail["msg"].removeprefix("Value error, ")
-    return (
-        f"{place} is {detail['input']!r}: {message}" if not isinstance(detail["input"], dict) else f"{place}: {message}"
-    )
+    sentences: dict[tuple[str, ...], list[str]] = {}
+    meant: set[tuple[str, ...]] = set()  # the keys that misspelt ones stand for: these are not missing
+    missing = set()
+    for detail in error.errors():
+        keys = _keys_in(values, detail["loc"])
+        said, found = _in_words_of_toml(detail["msg"]), detail["input"]
+        if detail["type"] == "extra_forbidden":
+            known = _keys_of(keys[:-1])
+            close = get_close_matches(keys[-1], known, n=1)
+            meant |= {(*keys[:-1], key) for key in close}
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            sentence = f"is not a key; {hint}known here: {', '.join(known)}"
+        elif detail["type"] == "missing":
+            missing.add(keys)
+            sentence = "is missing; add it, `fingerflow init` shows how"
+        else:
+            cause = detail.get("ctx", {}).get("error")
+            if isinstance(cause, _Clash):
+                keys = (*keys, *cause.keys)
+                found = _value_at(values, keys)
+            if cause is not None:
+                said = str(cause)
+            sentence = f"is a table: {said}" if isinstance(found, dict) else f"is {found!r}: {said}"
+        others = sentences.setdefault(keys, [])
+        # The alternatives of a union are refused one by one.
+        others.append(f"or {said}" if others else sentence)
+    for keys in missing & meant:
+        del sentences[keys]
+    return [f"{path}, line {_line(text, keys)}: {'.'.join(keys)} {', '.join(some)}" for keys, some in sentences.items()]
 
 
-def _line(text: str, keys: list[str]) -> int:
-    """The line that sets a key, or the header of the nearest table around it, or 1."""
-    table, header = "", 1
+def _in_words_of_toml(message: str) -> str:
+    message = re.sub("a valid dictionary.*", "a table", message)
+    for pydantic, toml in (
+        ("Input should", "it should"),
+        ("Tuple should", "it should"),
+        ("a valid tuple", "a list"),
+        (" after validation", ""),
+    ):
+        message = message.replace(pydantic, toml)
+    return message
+
+
+def _keys_in(values: Any, location: tuple[int | str, ...]) -> tuple[str, ...]:
+    """The part of pydantic's location that is keys of the file; below, it counts items and names types of a union."""
+    keys = []
+    for part in location:
+        if not isinstance(values, dict) or not isinstance(part, str):
+            break
+        keys.append(part)
+        values = values.get(part)
+    return tuple(keys)
+
+
+def _value_at(values: Any, keys: tuple[str, ...]) -> Any:
+    for key in keys:
+        values = values[key]
+    return values
+
+
+def _line(text: str, keys: tuple[str, ...]) -> int:
+    """The line that sets a key, or else that opens or sets the nearest table around it, or 1."""
+    table: tuple[str, ...] = ()
+    longest, result = 0, 1
     for number, line in enumerate(text.splitlines(), start=1):
-        found = re.match(r"\s*\[([^\]]+)\]", line)
-        if found:
-            table = found.group(1).strip()
-            if table == ".".join(keys[: table.count(".") + 1]):
-                header = number
-        elif keys and re.match(rf"\s*{re.escape(keys[-1])}\s*=", line) and table == ".".join(keys[:-1]):
-            return number
-    return header
+        header = re.match(r"\s*\[+([^\[\]]+)\]", line)
+        setting = re.match(r"([^#=]+)=", line)
+        if header:
+            place = table = _parts(header[1])
+        elif setting:
+            place = (*table, *_parts(setting[1]))
+        else:
+            continue
+        if longest < len(place) and place == keys[: len(place)]:
+            longest, result = len(place), number
+    return result
 
 
-def _keys_of(tables: list[str]) -> list[str]:
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))
+
+
+def _ranges(view: View | None) -> str:
+    return "none" if view is None else f"rows {list(view.rows)}, columns {list(view.columns)}"
+
+
+def _option(view: View) -> str:
+    """A view as the command line takes it."""
+    return " ".join(map(str, (*view.rows, *view.columns)))
+
+
+def _keys_of(tables: tuple[str, ...]) -> list[str]:
     """The keys that a table may hold."""
     model: Any = Scene
     for table in tables:
         field = next(f for name, f in model.model_fields.items() if table in (name, f.alias))
         kinds = (field.annotation, *getattr(field.annotation, "__args__", ()))
         model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
-    keys = [field.alias or name for name, field in model.model_fields.items() if name != "path"]
-    return sorted([*keys, "file"] if model is CalibrationSettings else keys)
+    return sorted(field.alias or name for name, field in model.model_fields.items() if name != "path")
 
 
 _TOPOGRAPHY, _CONTACT = View((0, 512), (0, 640)), View((0, 512), (640, 1280))
@@ -279,14 +405,17 @@ def scene_text(
     forces: str | None = None,
     calibration: str = 'file = "calibration.toml"',
 ) -> str:
-    """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021."""
+    """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
+
+    ``calibration`` is the content of the table [calibration], in TOML.
+    """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
-    dark_line = f'dark = "{dark}"' if dark else '# dark = "dark.cine"'
+    dark_line = f"dark = {toml_string(dark)}" if dark else '# dark = "dark.cine"'
     mark = "" if forces else "# "
     return f"""# A scene of fingerflow: what was recorded and what is asked of it. Paths are relative to this file.
 
 [recording]
-frames = "{frames}"          # .cine, .mraw/.cih, TIFF, AVI/MP4, HDF5, .npy or a folder of images
+frames = {toml_string(frames)}          # .cine, .mraw/.cih, TIFF, AVI/MP4, HDF5, .npy or a folder of images
 {rate}          # Hz, only where the recording does not state it
 # first_frame = 0             # the frames that count, both included
 # last_frame = 299
@@ -300,11 +429,11 @@ rows = {list(topography.rows)}
 columns = {list(topography.columns)}
 
 [background]
-frames = "{background}"       # without a finger; several frames are averaged
+frames = {toml_string(background)}       # without a finger; several frames are averaged
 {dark_line}            # without light
 
 {mark}[forces]
-{mark}file = "{forces or "forces.csv"}"           # CSV, HDF5, .mat or TDMS
+{mark}file = {toml_string(forces or "forces.csv")}           # CSV, HDF5, .mat or TDMS
 {mark}normal = "normal_force"       # names of the channels in the file
 {mark}tangential = "tangential_force"
 {mark}trigger = "trigger"           # its first rise through trigger_level is time 0
