@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import torch
 
+from fingerflow import kernels
+
 _PACKAGES = ("fingerflow-engine", "torch", "opencv-contrib-python-headless", "numpy", "scipy", "scikit-image", "kornia")
 
 
@@ -17,7 +19,7 @@ def share_cores() -> None:
 
 
 def describe() -> dict[str, dict[str, str | int | None]]:
-    """Machine, versions and threads, for the record of a run."""
+    """Machine, versions and threads, for the record of a run, and whether fingerflow's compiled kernels served in it."""
     return {
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
@@ -26,6 +28,7 @@ def describe() -> dict[str, dict[str, str | int | None]]:
             "opencv": cv2.getNumThreads(),
             "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
         },
+        "kernels": {"compiled": kernels.serve()},
     }
 
 

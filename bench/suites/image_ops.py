@@ -6,7 +6,8 @@ the pixels that a threshold splits alike, or of fingerflow's corners. 16-bit fra
 from an 8-bit frame and the empty glass to the pixels in contact: illumination quotient, one byte a pixel, median 9 x 9,
 Otsu's threshold within the lit disc, count; OpenCV's has the lit disc and the reference prepared beforehand. Corners
 are 700 at most (100 with --quick) and 7 px apart; goodFeaturesToTrack treats the border of the frame differently and
-knows no noise.
+knows no noise. Where fingerflow's compiled kernels were built they serve (the JSON record says so), with the same
+threads; `FINGERFLOW_KERNELS=0` measures the portable ops.
 """
 
 from collections.abc import Callable

@@ -11,6 +11,7 @@ import torch
 from bench import __main__ as command
 from bench import suites, timing
 from bench.rows import Row, as_table, number
+from fingerflow import kernels
 
 SUITE = '''"""Counts to two."""
 
@@ -62,6 +63,7 @@ def test_one_file_is_a_suite(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert record["threads"]["torch"] == torch.get_num_threads()
     assert record["versions"]["torch"] == torch.__version__
     assert record["machine"]["cores"] > 0
+    assert record["kernels"]["compiled"] is kernels.serve()
     assert (folder / "figures" / "counting.png").read_text() == "2"
 
 
