@@ -19,7 +19,7 @@ def share_cores() -> None:
 
 
 def describe() -> dict[str, dict[str, str | int | None]]:
-    """Machine, versions and threads, for the record of a run, and whether fingerflow's compiled kernels served in it."""
+    """Machine, versions and threads of a run, and whether fingerflow's compiled kernels served in it."""
     return {
         "machine": {"cpu": _processor(), "cores": os.cpu_count(), "system": platform.system()},
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
