@@ -187,7 +187,7 @@ class _Pair(NamedTuple):
         given = start.isfinite().all(-1) & guess.isfinite().all(-1)
         inverse_warp = None
         if warp is not None:
-            given = given & warp.isfinite().flatten(1).all(-1)
+            given = given & (warp.isfinite() & _inverse_2x2(warp).isfinite()).flatten(1).all(-1)
             warp = torch.where(given[:, None, None], warp, torch.eye(2, dtype=warp.dtype, device=warp.device))
             inverse_warp = _inverse_2x2(warp)
         start = torch.where(given[:, None], start, 0.0)
@@ -228,7 +228,15 @@ class _Pair(NamedTuple):
         return Tracks(torch.where(tracked[:, None], points, torch.nan), error, covariance, status.to(torch.uint8))
 
     def _sample(self, which: int, points: Tensor, warp: Tensor | None) -> tuple[Tensor, Tensor]:
-        return sample_windows(self.coefficients[which], self.image_index, points, self.window, self.order, warp)
+        """Windows (P, n, n) and their gradient (P, 2, n, n)."""
+        image = self.coefficients[which]
+        if self.order == 3:
+            return sample_windows(image, self.image_index, points, self.window, 3, warp)
+        # The slope of a polygon is that of one side: at whole pixels half a pixel off. Central differences are not.
+        around, _ = sample_windows(image, self.image_index, points, self.window + 2, 1, warp)
+        along_x = (around[:, 1:-1, 2:] - around[:, 1:-1, :-2]) / 2
+        along_y = (around[:, 2:, 1:-1] - around[:, :-2, 1:-1]) / 2
+        return around[:, 1:-1, 1:-1], torch.stack((along_x, along_y), dim=1)
 
     def _contains(self, points: Tensor) -> Tensor:
         """(P,) whether the window lies in the frame."""
@@ -275,7 +283,7 @@ class _Pair(NamedTuple):
 
         At the root b(y; images, p) = 0, hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.
         """
-        value, slope = self._sample(1, found, None)
+        value, slope = sample_windows(self.coefficients[1], self.image_index, found, self.window, self.order)
         centred = value - template if not self.gain_offset else value - value.mean((-1, -2), keepdim=True)
         residual = (gradient * centred[:, None]).sum((-1, -2))
         jacobian = (gradient.flatten(2) @ slope.flatten(2).transpose(1, 2)).detach()
