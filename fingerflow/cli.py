@@ -15,7 +15,9 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
+_INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
+PixelRanges = tuple[int, int, int, int]
 Outputs = Annotated[
     list[str] | None, typer.Option("--output", help="A variable that is wanted; may be repeated. Default: all.")
 ]
@@ -50,10 +52,11 @@ def demo(
 def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
     """Write a commented scene file to fill in."""
     from fingerflow.scene import scene_text
+    from fingerflow.whole_file import write_whole
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
-    path.write_text(scene_text(), encoding="utf-8")
+    write_whole(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
     typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
 
 
@@ -85,6 +88,16 @@ def calibrate(
     ring: Annotated[Path, typer.Option(help="Frame of the ring that gives the scale.")],
     target: Annotated[Path | None, typer.Option(help="Frame of the target with three discs, for two views.")] = None,
     background: Annotated[Path | None, typer.Option(help="Frame of the empty glass.")] = None,
+    contact: Annotated[
+        PixelRanges | None,
+        typer.Option(
+            help="Where the contact view lies in a frame: first row, end of rows, first column, end of columns. "
+            "Default: the right half, or the whole frame without a target."
+        ),
+    ] = None,
+    topography: Annotated[
+        PixelRanges | None, typer.Option(help="The same for the topography view. Default: the left half.")
+    ] = None,
     hole_radius_mm: Annotated[float, typer.Option(help="Radius of the ring's hole.")] = 2.75,
     output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path(
         "calibration.toml"
@@ -93,25 +106,21 @@ def calibrate(
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
     from fingerflow import calibration
-    from fingerflow.recordings import open_recording
-    from fingerflow.result import write_whole
-    from fingerflow.views import View
+    from fingerflow.whole_file import write_whole
 
-    frames = {
-        name: None if path is None else open_recording(path)[0]
-        for name, path in (("ring", ring), ("target", target), ("background", background))
-    }
-    ring_frame = frames["ring"]
-    assert ring_frame is not None
-    rows, columns = ring_frame.shape
-    half = columns // 2
-    views = {"contact": View((0, rows), (0, columns))}
-    if target is not None:
-        views = {"topography": View((0, rows), (0, half)), "contact": View((0, rows), (half, columns))}
-    found = calibration.calibrate(frames["target"], ring_frame, views, hole_radius_mm, frames["background"])
+    ring_frame = _first_frame(ring)
+    target_frame = None if target is None else _first_frame(target)
+    empty_frame = None if background is None else _first_frame(background)
+    views = _views(ring_frame.shape, contact, topography, both=target is not None)
+    found = calibration.calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame)
     picture = output.with_suffix(".png")
-    write_whole(picture, lambda part: calibration.draw_overlay(part, found, frames["target"], ring_frame))
-    write_whole(output, lambda part: part.write_text(found.to_toml(), encoding="utf-8"))
+
+    def write_both(part: Path) -> None:
+        part.write_text(found.to_toml(), encoding="utf-8")
+        write_whole(picture, lambda part: calibration.draw_overlay(part, found, target_frame, ring_frame))
+
+    # Both or none: nothing but a renaming is left when the picture is there.
+    write_whole(output, write_both)
     facts: dict[str, Any] = {
         "mm_per_px": found.mm_per_px,
         "hole_radius_px": found.hole.radius_px,
@@ -188,44 +197,56 @@ def export_table(result: Path, table: Annotated[Path, typer.Argument(help="A .cs
 def main() -> None:
     """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
     try:
-        app(standalone_mode=False)
+        # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
+        code = app(standalone_mode=False) or 0
     except FingerflowError as error:
         typer.echo(f"fingerflow: {error}", err=True)
         sys.exit(2)
-    except typer.Exit as stop:
-        sys.exit(stop.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
-        sys.exit(130)
+        code = _INTERRUPTED
     except Exception as error:
         # Wrong usage: typer's own message, with the place in the command line.
         if hasattr(error, "show") and hasattr(error, "exit_code"):
             error.show()
             sys.exit(error.exit_code)
         raise
+    if code == _INTERRUPTED:
+        typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
+    sys.exit(code)
 
 
 def _simulate(kind: str, folder: Path) -> None:
-    from fingerflow.scene import scene_text
     from fingerflow.synthetic import Press, Slide, write_recording
 
     kinds = {"press": Press, "slide": Slide}
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
-    recorded = kinds[kind]()
-    write_recording(folder, recorded)
-    matrix = [list(row) for row in recorded.topography_to_contact]
-    text = scene_text(
-        frames="frames.npy",
-        frame_rate=recorded.frame_rate,
-        background="empty.npy",
-        dark="dark.npy",
-        contact=recorded.views["contact"],
-        topography=recorded.views["topography"],
-        forces="forces.csv",
-        calibration=f"mm_per_px = {recorded.mm_per_px}\ntopography_to_contact = {matrix}",
-    )
-    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    write_recording(folder, kinds[kind]())
+
+
+def _first_frame(path: Path) -> Any:
+    from fingerflow.recordings import open_recording
+
+    with open_recording(path) as recording:
+        if not len(recording):
+            raise FingerflowError(f"{path} has no frame; one is needed")
+        return recording[0]
+
+
+def _views(
+    shape: tuple[int, int], contact: PixelRanges | None, topography: PixelRanges | None, both: bool
+) -> dict[str, Any]:
+    """The views of calibration frames: as given, or the halves of a frame, or the whole one."""
+    from fingerflow.views import View
+
+    rows, columns = shape
+    half = columns // 2 if both else 0
+    chosen = {"contact": contact or (0, rows, half, columns)}
+    if both:
+        chosen["topography"] = topography or (0, rows, 0, half)
+    elif topography is not None:
+        raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
+    return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}
 
 
 def _process(scene: Any, outputs: list[str] | None, quiet: bool, device: str = "auto") -> Any:

@@ -1,9 +1,6 @@
 """The labelled data set of a trial, and its files: HDF5/NetCDF4, CSV and .mat."""
 
 import json
-import os
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +18,7 @@ from fingerflow.stages.deformation import Displacement, FieldSeries, StrainSerie
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import Loading
 from fingerflow.stages.tracking import TrackSeries
+from fingerflow.whole_file import write_whole
 
 
 @dataclass
@@ -245,18 +243,3 @@ def export_table(result: xr.Dataset, path: Path) -> None:
         write_whole(path, write)
     else:
         raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {path.suffix or 'without a suffix'!r}")
-
-
-def write_whole(path: Path, write: Callable[[Path], Any]) -> None:
-    """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    part = Path(name)
-    try:
-        write(part)
-        part.chmod(0o644)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise

@@ -1,36 +1,62 @@
 """The command line: exit codes, messages, files."""
 
 import json
+import os
+import pkgutil
+import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from fingerflow import cli, load_scene, process
+from fingerflow.recordings import open_recording
+from fingerflow.result import save_result
+from fingerflow.synthetic import Press, write_recording
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    code = "from fingerflow.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments], cwd=cwd, capture_output=True, text=True, check=False
-    )
+# A press in a frame of 96 x 240 px: what takes 300 frames of the rig a minute takes a blink.
+SMALL: dict[str, Any] = {
+    "n_frames": 8,
+    "frame_rate": 8.0,
+    "frames_before_trigger": 1,
+    "frame_shape": (96, 240),
+    "finger": (1.8, 1.5),
+    "semi_axes": (1.3, 1.1),
+}
 
 
-def test_info_as_json(tmp_path: Path) -> None:
+def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit code of the command line, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def test_info_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "frames.npy", np.zeros((5, 8, 10), dtype=np.uint8))
-    done = run("info", "frames.npy", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout)
+    assert main_with(monkeypatch, "info", str(tmp_path / "frames.npy"), "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
     assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
 
 
-def test_init_never_overwrites(tmp_path: Path) -> None:
-    assert run("init", "scene.toml", cwd=tmp_path).returncode == 0
-    before = (tmp_path / "scene.toml").read_text()
-    again = run("init", "scene.toml", cwd=tmp_path)
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
-    assert (tmp_path / "scene.toml").read_text() == before
+def test_init_never_overwrites(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scene.toml"
+    assert main_with(monkeypatch, "init", str(path)) == 0
+    before = path.read_text()
+    assert main_with(monkeypatch, "init", str(path)) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert path.read_text() == before
 
 
 @pytest.mark.parametrize(
@@ -38,14 +64,201 @@ def test_init_never_overwrites(tmp_path: Path) -> None:
     [
         (("info", "nothing.cine"), "nothing.cine"),
         (("process", "nothing.toml"), "nothing.toml"),
+        (("report", "nothing.toml"), "result.h5"),
+        (("calibrate", "--ring", "nothing.png"), "nothing.png"),
         (("export-table", "nothing.h5", "table.csv"), "nothing.h5"),
         (("simulate", "poke", "folder"), "press, slide"),
         (("frobnicate",), "frobnicate"),
+        (("info",), "RECORDING"),
     ],
 )
-def test_mistakes_are_named_without_a_traceback(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
+def test_mistakes_are_named_without_a_traceback(
+    arguments: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main_with(monkeypatch, *arguments) == 2
+    assert said.lower() in capsys.readouterr().err.lower()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small scene with its result, and frames to calibrate with."""
+    folder = tmp_path_factory.mktemp("trial") / "press"
+    write_recording(folder, Press(**SMALL))
+    save_result(process(load_scene(folder / "scene.toml"), ["real_contact_area"]), folder / "result.h5")
+    ring = np.full((200, 220), 20, np.uint8)
+    cv2.circle(ring, (110, 100), 80, 120, -1)
+    cv2.circle(ring, (110, 100), 40, 20, -1)
+    cv2.imwrite(str(folder / "ring.png"), ring)
+    return folder
+
+
+def interrupt_after(calls: int, function: Callable[..., Any] | None = None) -> Callable[..., Any]:
+    """Does what a function does so many times, then what Ctrl-C does."""
+    made = 0
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        nonlocal made
+        made += 1
+        if made > calls or function is None:
+            raise KeyboardInterrupt
+        return function(*arguments, **named)
+
+    return interrupted
+
+
+@pytest.mark.parametrize(
+    ("place", "calls"),
+    [
+        ("fingerflow.synthetic.press.Press.render", 0),
+        ("fingerflow.synthetic.press.Press.render", 5),
+        ("fingerflow.synthetic.press.Press.empty", 3),
+        ("fingerflow.synthetic.press.Press.forces", 0),
+        ("fingerflow.synthetic.writer.scene_text", 0),
+        ("json.dumps", 0),
+        ("pathlib.Path.write_text", 1),
+        ("pathlib.Path.rename", 0),
+    ],
+)
+def test_an_interrupted_simulation_leaves_nothing(
+    place: str, calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: Press(**SMALL))
+    monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
+    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "trials" / "one")) == 130
+    monkeypatch.undo()
+    assert not [path for path in tmp_path.rglob("*") if path.name != "trials"]
+    assert "nothing was left half-written" in capsys.readouterr().err
+
+
+def test_a_simulation_is_there_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: Press(**SMALL))
+    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "one")) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+    assert load_scene(tmp_path / "one" / "scene.toml").recording.frame_rate == 8.0
+    assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "one")) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
+def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
+    """While the threads render: none of the other 300 frames is waited for, and the folder goes."""
+    code = "from fingerflow.cli import main; main()"
+    command = [sys.executable, "-c", code, "simulate", "press", "one"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as running:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob(".one-*/frames.npy")):
+            assert running.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.kill(running.pid, signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 130, said
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert not list(tmp_path.iterdir())
+
+
+PROCESS = ("process", "{trial}/scene.toml", "--to", "{new}/result.h5", "--json")
+TABLE = ("export-table", "{trial}/result.h5")
+CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calibration.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "place", "calls"),
+    [
+        (PROCESS, "fingerflow.scene.load_scene", 0),
+        (PROCESS, "fingerflow.stages.contact.ContactStage.run", 0),
+        (PROCESS, "fingerflow.stages.tracking.TrackingStage.run", 0),
+        (PROCESS, "fingerflow.stages.deformation.strains", 0),
+        (PROCESS, "h5netcdf.File.close", 0),
+        (PROCESS, "pathlib.Path.replace", 0),
+        ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),
+        ((*TABLE, "{new}/table.csv"), "pathlib.Path.replace", 0),
+        ((*TABLE, "{new}/table.mat"), "scipy.io.savemat", 0),
+        (CALIBRATE, "fingerflow.calibration.draw_overlay", 0),
+        (CALIBRATE, "matplotlib.figure.Figure.savefig", 0),
+        (CALIBRATE, "pathlib.Path.replace", 0),
+        (("init", "{new}/scene.toml"), "pathlib.Path.replace", 0),
+    ],
+)
+def test_an_interrupted_command_leaves_nothing(
+    arguments: tuple[str, ...],
+    place: str,
+    calls: int,
+    trial: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = sorted(trial.iterdir())
+    monkeypatch.setattr(place, interrupt_after(calls))
+    assert main_with(monkeypatch, *(part.format(trial=trial, new=tmp_path) for part in arguments)) == 130
+    monkeypatch.undo()
+    assert not list(tmp_path.iterdir())
+    assert sorted(trial.iterdir()) == before
+    assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("place", "calls", "left"),
+    [
+        ("fingerflow.report.page.write_overlay", 0, set()),
+        ("fingerflow.report.overlay.ViewPainter.paint", 2, set()),
+        ("pathlib.Path.replace", 0, set()),
+        ("fingerflow.report.figures.areas", 0, {"overlay.mp4"}),
+        ("pathlib.Path.replace", 1, {"overlay.mp4"}),
+    ],
+)
+def test_an_interrupted_report_leaves_whole_files_only(
+    place: str, calls: int, left: set[str], tmp_path: Path, trial: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(trial, tmp_path, dirs_exist_ok=True)
+    before = {path.name for path in tmp_path.iterdir()}
+    monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
+    assert main_with(monkeypatch, "report", str(tmp_path / "scene.toml")) == 130
+    monkeypatch.undo()
+    assert {path.name for path in tmp_path.iterdir()} - before == left
+    if left:
+        with open_recording(tmp_path / "overlay.mp4") as video:
+            assert len(video) == 8
+
+
+def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "result.h5").write_bytes(b"of before")
+    monkeypatch.setattr("xarray.Dataset.to_netcdf", interrupt_after(0))
+    arguments = ("process", str(trial / "scene.toml"), "--output", "real_contact_area")
+    assert main_with(monkeypatch, *arguments, "--to", str(tmp_path / "result.h5")) == 130
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
+
+
+def test_what_cannot_be_written_is_said(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("in the way")
+    for arguments in (
+        ("export-table", str(trial / "result.h5"), str(tmp_path / "file" / "table.csv")),
+        ("simulate", "press", str(tmp_path / "file" / "one")),
+        ("init", str(tmp_path / "file" / "scene.toml")),
+    ):
+        assert main_with(monkeypatch, *arguments) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = tmp_path / "calibration.toml"
+    arguments = ("calibrate", "--ring", str(trial / "ring.png"), "--output", str(output), "--hole-radius-mm", "2.0")
+    assert main_with(monkeypatch, *arguments, "--contact", "10", "200", "5", "220") == 0
+    text = output.read_text()
+    assert "rows = [10, 200]" in text
+    assert "columns = [5, 220]" in text
+    # OpenCV's circle of radius 40 covers the pixels within 40.5 of its centre; drawn without blur.
+    assert float(text.split("mm_per_px = ")[1].split()[0]) == pytest.approx(2.0 / 40.25, rel=0.02)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.png", "calibration.toml"]
+    assert main_with(monkeypatch, *arguments, "--topography", "0", "1", "0", "1") == 2
+    assert main_with(monkeypatch, *arguments, "--contact", "0", "999", "0", "1") == 2

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from fingerflow.calibration.calibration import Calibration
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
-from fingerflow.errors import FingerflowError
 
 LABELS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 CHECKER_PX = 64
@@ -30,7 +29,6 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
     Above: both views of the target with the discs, and the ring with its hole. Below: the topography view, moved onto
     the contact view, as a colour blend (grey where they agree) and as a chequerboard (edges run on across the squares),
     and every disc enlarged, above in the topography and below in the contact view. Without a target: the ring alone.
-    Raises FingerflowError where the file cannot be written.
     """
     contact_view = calibration.views["contact"]
     hole_image = contact_view.crop(np.asarray(ring))
@@ -62,10 +60,7 @@ def draw_overlay(path: str | Path, calibration: Calibration, target: ArrayLike |
     for axes in figure.axes:
         axes.set_axis_off()
     FigureCanvasAgg(figure)
-    try:
-        figure.savefig(path, format="png", dpi=80)
-    except OSError as error:
-        raise FingerflowError(f"{path}: the overlay cannot be written: {error}. Give a folder that exists") from error
+    figure.savefig(path, format="png", dpi=80)
 
 
 def _draw_discs(axes: Axes, image: Array, discs: list[Disc]) -> None:

@@ -2,8 +2,8 @@
 
 import dataclasses
 import json
+import secrets
 import shutil
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import torch
 from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
+from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.press import Press
@@ -30,25 +31,25 @@ def write_recording(folder: Path, scene: Scene) -> None:
     """Write a scene as a folder that appears only when it is complete.
 
     frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the mean of eight
-    pictures without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; truth.json, from which
-    `rebuild_scene` gives the scene and with it the truth.
+    pictures without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml, with which
+    it is processed; truth.json, from which `rebuild_scene` gives the scene and with it the truth.
 
-    Raises FingerflowError where the folder exists already.
+    Raises FingerflowError where the folder exists already or cannot be made.
     """
     folder = Path(folder)
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    unfinished = folder.with_name(f".{folder.name}-{secrets.token_hex(4)}")
     try:
+        _make(unfinished)
         _write_frames(unfinished / "frames.npy", scene)
         for name, picture in (("empty", scene.empty), ("dark", scene.dark)):
             mean = np.mean([picture(number) for number in range(REFERENCE_PICTURES)], axis=0, dtype=np.float64)
             np.save(unfinished / f"{name}.npy", mean.astype(np.float32))
         columns = np.stack(scene.forces(), axis=1)
         np.savetxt(unfinished / "forces.csv", columns, fmt="%.6f", delimiter=",", header=FORCE_COLUMNS, comments="")
+        (unfinished / "scene.toml").write_text(_scene_file(scene), encoding="utf-8")
         (unfinished / "truth.json").write_text(json.dumps(scene, default=_settings, indent=1), encoding="utf-8")
-        unfinished.chmod(0o755)
         unfinished.rename(folder)
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -72,6 +73,15 @@ def rebuild_scene(folder: Path) -> Scene:
     return scene
 
 
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise FingerflowError(
+            f"{folder.parent} does not take a new folder ({error.strerror}); name another place"
+        ) from error
+
+
 def _write_frames(path: Path, scene: Scene) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
@@ -84,11 +94,29 @@ def _write_frames(path: Path, scene: Scene) -> None:
     try:
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             pending = pool.map(write, range(scene.n_frames))
-            for _ in tqdm(pending, total=scene.n_frames, desc="synthetic frames", unit="frame"):
-                pass
+            try:
+                for _ in tqdm(pending, total=scene.n_frames, desc="synthetic frames", unit="frame"):
+                    pass
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)  # an interrupt must not wait for all other frames
+                raise
     finally:
         torch.set_num_threads(threads)
     frames.flush()
+
+
+def _scene_file(scene: Scene) -> str:
+    matrix = [list(row) for row in scene.topography_to_contact]
+    return scene_text(
+        frames="frames.npy",
+        frame_rate=scene.frame_rate,
+        background="empty.npy",
+        dark="dark.npy",
+        contact=scene.views["contact"],
+        topography=scene.views["topography"],
+        forces="forces.csv",
+        calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
+    )
 
 
 def _settings(part: Any) -> dict[str, Any]:

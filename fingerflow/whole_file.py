@@ -1,0 +1,28 @@
+"""Files that appear only when they are complete."""
+
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+
+
+def write_whole(path: Path, write: Callable[[Path], Any]) -> None:
+    """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
+
+    Raises FingerflowError where the system does not let it be written.
+    """
+    part = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(part)
+        part.replace(path)
+    except BaseException as error:
+        if part.parent.is_dir():
+            part.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise FingerflowError(
+                f"{path} cannot be written ({error.strerror or error}); name another place, or make room there"
+            ) from error
+        raise
