@@ -33,7 +33,8 @@ def calibrate(
 
     `views` names the parts of a frame: "contact", and "topography" where there is a target. A single-view recording has
     no target (None) and needs the ring alone. `background` is a frame without either. `disc_count` is the number of
-    discs on the target. Raises FingerflowError where a view, a disc or the hole is missing, or the discs do not fit.
+    discs on the target. Raises FingerflowError where a view, a disc or the hole is missing, the discs do not fit, or
+    the frames differ in size.
     """
     if not (np.isfinite(hole_radius_mm) and hole_radius_mm > 0):
         raise FingerflowError(f"the radius of the ring's hole is {hole_radius_mm} mm; it must be above 0")
@@ -44,6 +45,12 @@ def calibrate(
             f"the view {missing[0]!r} is missing; views given: {', '.join(map(repr, views)) or 'none'}. A registration "
             f"target needs 'topography' and 'contact'; a single-view recording has 'contact' and no target"
         )
+    for name, frame in (("target", target), ("background", background)):
+        if frame is not None and _grey(frame).shape != _grey(ring).shape:
+            raise FingerflowError(
+                f"the frame of the ring has {_size(ring)} and that of the {name} {_size(frame)}; record all "
+                f"calibration frames with the same camera settings"
+            )
 
     def part(frame: ArrayLike, name: str) -> Array:
         return views[name].crop(_grey(frame))
@@ -84,6 +91,10 @@ def _grey(frame: ArrayLike) -> Array:
     if levels.ndim != 2:
         raise FingerflowError(f"a calibration frame has the shape {levels.shape}; a grey one (height, width) is needed")
     return levels
+
+
+def _size(frame: ArrayLike) -> str:
+    return "{} rows x {} columns".format(*np.shape(frame))
 
 
 def _listed(discs: list[Disc]) -> str:
