@@ -41,7 +41,7 @@ class Calibration:
         """The text of a calibration file. Numbers are written in full, so that reading gives the same calibration."""
         lines = [
             "# fingerflow calibration. Pixels are those of a view, (x, y), integers at pixel centres.",
-            f"mm_per_px = {self.mm_per_px!r}",
+            f"mm_per_px = {_written(self.mm_per_px)}",
             f"warnings = [{', '.join(map(toml_string, self.warnings))}]",
         ]
         for name, view in self.views.items():
@@ -91,7 +91,14 @@ class Calibration:
 
 
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
-    return ["", title, *(f"{name} = {list(v) if isinstance(v, tuple) else v!r}" for name, v in values.items())]
+    return ["", title, *(f"{name} = {_written(value)}" for name, value in values.items())]
+
+
+def _written(value: Any) -> str:
+    """Numbers, NumPy's too, and lists of them as TOML has them, in full."""
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(map(_written, value))}]"
+    return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
 
 
 def _disc(table: Mapping[str, Any]) -> Disc:

@@ -152,9 +152,13 @@ def _best_pair(
         mirrored_score[mirror] > proper_score[first, second]
         and mirrored[mirror] < proper[first, second] - MIRROR_MARGIN
     ):
+        pairs = zip(from_triples[mirror[0]], to_triples[mirror[1]], strict=True)
+        from_points, to_points = zip(*((from_discs[a].center, to_discs[b].center) for a, b in pairs), strict=True)
         raise FingerflowError(
-            f"the target is mirrored from one view to the other ({places}). Flip one of the views, or check that both "
-            f"show the same side of the target"
+            f"the target is mirrored from one view to the other ({places}). Where one view is seen in a mirror, write "
+            f"the transform into [calibration] of the scene yourself, topography_to_contact = "
+            f"{fit_affine(from_points, to_points).matrix.tolist()}; where none is, check that both views show the same "
+            f"side of the target"
         )
     if proper_score[first, second] == 0:
         raise FingerflowError(

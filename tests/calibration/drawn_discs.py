@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.calibration import Disc
+
 Array = NDArray[np.float64]
 
 # Optical blur of the drawings, px: a lens is never sharper than its pixels.
@@ -57,18 +59,45 @@ def camera(levels: Array, noise: float, seed: int = 0) -> NDArray[np.uint8]:
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 
 
+def moved(discs: tuple[DrawnDisc, ...], matrix: Array) -> tuple[DrawnDisc, ...]:
+    """The discs after an affine transform (2, 3) of the plane."""
+    result = []
+    for disc in discs:
+        cosine, sine = np.cos(disc.angle), np.sin(disc.angle)
+        # An ellipse is a circle of radius 1 under this map; the axes of a map are its singular vectors.
+        circle_to_ellipse = (
+            matrix[:, :2] @ np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([disc.long, disc.short])
+        )
+        directions, (long, short), _ = np.linalg.svd(circle_to_ellipse)
+        x, y = matrix @ (disc.x, disc.y, 1)
+        result.append(DrawnDisc(x, y, long, short, float(np.arctan2(directions[1, 0], directions[0, 0]))))
+    return tuple(result)
+
+
+def similarity(degrees: float, scale: float, center: tuple[float, float], to: tuple[float, float]) -> Array:
+    """(2, 3): turns from x towards y and scales about a point, and brings this point to another."""
+    cosine, sine = scale * np.cos(np.radians(degrees)), scale * np.sin(np.radians(degrees))
+    linear = np.array([[cosine, -sine], [sine, cosine]])
+    return np.column_stack([linear, np.array(to) - linear @ np.array(center)])
+
+
 def turned(discs: tuple[DrawnDisc, ...], degrees: float, center: tuple[float, float]) -> tuple[DrawnDisc, ...]:
     """The discs turned about a point, from x towards y."""
-    angle = np.radians(degrees)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x0, y0 = center
-    return tuple(
-        DrawnDisc(
-            x0 + cosine * (disc.x - x0) - sine * (disc.y - y0),
-            y0 + sine * (disc.x - x0) + cosine * (disc.y - y0),
-            disc.long,
-            disc.short,
-            disc.angle + angle,
+    return moved(discs, similarity(degrees, 1.0, center, center))
+
+
+def as_found(discs: tuple[DrawnDisc, ...]) -> list[Disc]:
+    """What a finder without error makes of them; the larger a disc, the more significant it is."""
+    return [
+        Disc(
+            center=(disc.x, disc.y),
+            semi_axes_px=(disc.long, disc.short),
+            angle=disc.angle % np.pi,
+            center_sigma_px=0.0,
+            edge_rms_px=0.0,
+            coverage=1.0,
+            contrast=0.3,
+            significance=10 * disc.short**0.5,
         )
         for disc in discs
-    )
+    ]

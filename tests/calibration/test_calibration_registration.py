@@ -1,0 +1,269 @@
+"""Which disc is which, and the transform between two views: against drawings whose transform is known."""
+
+import tomllib
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn_discs import TARGET, Array, DrawnDisc, as_found, camera, draw, moved, similarity
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fingerflow.calibration import Calibration, Transform, calibrate, fit_affine, fit_similarity, match_discs
+from fingerflow.errors import FingerflowError
+from fingerflow.scene import load_scene, scene_text
+from fingerflow.views import View
+
+SHAPE = (256, 272)
+MIDDLE = (135.5, 127.5)
+VIEWS = {"topography": View((0, 256), (0, 272)), "contact": View((0, 256), (272, 544))}
+MIRROR = np.array([[-1.0, 0, 271], [0, 1.0, 0]])
+# One axis shortened by a tenth, as an oblique camera does, and turned by 30 degrees.
+OBLIQUE = np.column_stack([similarity(30, 1.0, MIDDLE, MIDDLE)[:, :2] @ np.diag([1.0, 0.9]), (0, 0)])
+OBLIQUE[:, 2] = np.array(MIDDLE) - OBLIQUE[:, :2] @ MIDDLE
+
+
+def applied(matrix: Array, points: Array) -> Array:
+    return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
+
+
+def ring(hole_radius: float, noise: float = 1.0) -> Array:
+    metal = draw((DrawnDisc(140.2, 126.7, 110, 110),), SHAPE, bright=0, dark=60)
+    hole = draw((DrawnDisc(141.6, 128.3, hole_radius, hole_radius),), SHAPE, bright=0, dark=50)
+    return camera(metal - hole + 10, noise).astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        similarity(-2, 1.0048, MIDDLE, (130.2, 131.9)),
+        similarity(90, 0.9, MIDDLE, MIDDLE),
+        similarity(180, 1.1, MIDDLE, (133.0, 129.1)),
+        OBLIQUE,
+    ],
+    ids=["rig", "90 degrees", "180 degrees", "oblique"],
+)
+def test_transform_between_drawn_views(matrix: Array) -> None:
+    """Discs are found to 0.05 px at this noise; inside their triangle the transform is as good, at its corners too."""
+    target = np.concatenate([draw(TARGET, SHAPE), draw(moved(TARGET, matrix), SHAPE)], axis=1)
+    empty = np.full(SHAPE, 20.0)
+    frame_of_ring = np.concatenate([empty, ring(60.3)], axis=1)
+    found = calibrate(camera(target, noise=1), frame_of_ring, VIEWS, hole_radius_mm=2.0)
+    assert found.affine is not None
+    corners = np.array([(disc.x, disc.y) for disc in TARGET])
+    np.testing.assert_allclose(applied(found.affine.matrix, corners), applied(matrix, corners), atol=0.1)
+    np.testing.assert_allclose(found.affine.matrix[:, :2], matrix[:, :2], atol=1.5e-3)  # 0.1 px over 70 px
+    # The lens moves the edge of the hole by blur^2 / 2R = 0.005 px, noise by as much: 3e-4 of 60 px allows 0.02 px.
+    assert found.mm_per_px == pytest.approx(2.0 / 60.3, rel=3e-4)
+    assert found.discs[0][0].radius_px == pytest.approx(np.sqrt(30 * 28), abs=0.1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    degrees=st.floats(-180, 180),
+    scale=st.floats(0.5, 2.0),
+    order=st.permutations(range(3)),
+    other=st.permutations(range(3)),
+)
+def test_labels_follow_from_the_shape_alone(degrees: float, scale: float, order: list[int], other: list[int]) -> None:
+    """Any rotation and scale, in any order in which discs were found: exact."""
+    matrix = similarity(degrees, scale, MIDDLE, (300.0, -40.0))
+    first, second = as_found(TARGET), as_found(moved(TARGET, matrix))
+    pairs = match_discs([first[k] for k in order], [second[k] for k in other])
+    for here, there in pairs:
+        np.testing.assert_allclose(there.center, applied(matrix, np.array(here.center)), atol=1e-9)
+    found = fit_affine([a.center for a, _ in pairs], [b.center for _, b in pairs])
+    np.testing.assert_allclose(found.matrix, matrix, atol=1e-9)
+    assert found.rms_px < 1e-9
+    # The largest first, then clockwise: with y down, the turn from each to the next is positive.
+    assert pairs[0][0].radius_px == pytest.approx(max(disc.radius_px for disc in first))
+    places = np.array([b.center for _, b in pairs])
+    a, b = places[1] - places[0], places[2] - places[0]
+    assert a[0] * b[1] - a[1] * b[0] > 0
+
+
+def test_a_mirrored_view_is_said_with_its_transform() -> None:
+    with pytest.raises(FingerflowError, match="mirrored") as caught:
+        match_discs(as_found(TARGET), as_found(moved(TARGET, MIRROR)))
+    text = str(caught.value)
+    matrix = tomllib.loads(text[text.index("topography_to_contact") : text.index("; where none")])
+    np.testing.assert_allclose(matrix["topography_to_contact"], MIRROR, atol=1e-9)
+
+
+def test_the_transform_of_a_mirror_is_one_that_a_scene_takes(tmp_path: Path) -> None:
+    for name in ("frames.npy", "empty.npy"):
+        (tmp_path / name).write_bytes(b"")
+    calibration = f"mm_per_px = 0.03\ntopography_to_contact = {MIRROR.tolist()}"
+    text = scene_text(frames="frames.npy", background="empty.npy", calibration=calibration)
+    (tmp_path / "scene.toml").write_text(text)
+    np.testing.assert_array_equal(load_scene(tmp_path / "scene.toml").calibration.topography_to_contact, MIRROR)
+
+
+def test_discs_on_a_line_are_said() -> None:
+    line = tuple(DrawnDisc(40.0 + 60 * k, 50.0 + 45 * k, 20 + k, 20 + k) for k in range(3))
+    with pytest.raises(FingerflowError, match=r"\(40, 50\), \(100, 95\), \(160, 140\) px are collinear.*not on a line"):
+        match_discs(as_found(line), as_found(TARGET))
+    with pytest.raises(FingerflowError, match="lie on a line"):
+        fit_affine([(0, 0), (1, 1), (2, 2)], [(0, 0), (1, 0), (0, 1)])
+
+
+def test_a_distractor_is_left_out() -> None:
+    """A stain as dark and round as a disc, in one view or elsewhere in both, even when it is the most significant."""
+    stain, other = DrawnDisc(205.0, 215.0, 26, 26), DrawnDisc(35.0, 130.0, 34, 34)
+    matrix = similarity(170, 1.05, MIDDLE, MIDDLE)
+    for here, there in (
+        ((*TARGET, stain), moved(TARGET, matrix)),
+        ((*TARGET, stain), (*moved(TARGET, matrix), other)),
+    ):
+        for order in permutations(range(len(there))):
+            pairs = match_discs(as_found(here), [as_found(there)[k] for k in order])
+            assert {pair[0].center for pair in pairs} == {(disc.x, disc.y) for disc in TARGET}
+            for first, second in pairs:
+                np.testing.assert_allclose(second.center, applied(matrix, np.array(first.center)), atol=1e-9)
+
+
+def test_a_fourth_disc_counts_where_it_was_asked_for() -> None:
+    four = (*TARGET, DrawnDisc(215.0, 200.0, 18, 17))
+    matrix = similarity(75, 0.95, MIDDLE, MIDDLE)
+    pairs = match_discs(as_found(four), as_found(moved(four, matrix)), count=4)
+    assert len(pairs) == 4
+    found = fit_affine([a.center for a, _ in pairs], [b.center for _, b in pairs])
+    np.testing.assert_allclose(found.matrix, matrix, atol=1e-9)
+    with pytest.raises(FingerflowError, match=r"3 discs agree .* 4 were asked for"):
+        match_discs(as_found(four), as_found((*moved(TARGET, matrix), DrawnDisc(20.0, 20.0, 18, 17))), count=4)
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "count", "said"),
+    [
+        (TARGET[:2], TARGET, 3, "2 discs in one view and 3 in the other; 3 in each"),
+        (TARGET, TARGET, 2, "2 discs were asked for; .* at least 3"),
+        (TARGET, TARGET, 4, "4 in each"),
+        (
+            TARGET,
+            (DrawnDisc(20, 20, 29, 29), DrawnDisc(250, 30, 20, 20), DrawnDisc(130, 70, 20, 20)),
+            3,
+            "no three discs form the same triangle.*Check the pixel ranges",
+        ),
+    ],
+)
+def test_discs_that_cannot_be_matched_are_said(
+    here: tuple[DrawnDisc, ...], there: tuple[DrawnDisc, ...], count: int, said: str
+) -> None:
+    with pytest.raises(FingerflowError, match=said):
+        match_discs(as_found(here), as_found(there), count)
+
+
+def test_a_triangle_without_a_sense_of_direction_is_said() -> None:
+    """Equal sides and equal discs: it can be turned by 120 degrees and nobody sees it."""
+    angles = 2 * np.pi * np.arange(3) / 3
+    even = tuple(DrawnDisc(128 + 80 * np.cos(t), 128 + 80 * np.sin(t), 20, 20) for t in angles)
+    with pytest.raises(FingerflowError, match=r"more than one way.*different sizes"):
+        match_discs(as_found(even), as_found(even))
+
+
+def test_too_few_discs_in_a_frame_are_said_with_what_was_found() -> None:
+    target = np.concatenate([draw(TARGET[:2], SHAPE), draw(TARGET, SHAPE)], axis=1)
+    frame_of_ring = np.concatenate([np.full(SHAPE, 20.0), ring(60.3)], axis=1)
+    with pytest.raises(FingerflowError, match=r"needs 3 discs.*topography view: 2 at \(x, y\) px .*contact view: 3 at"):
+        calibrate(target, frame_of_ring, VIEWS)
+
+
+def test_a_similarity_is_the_best_one_and_no_reflection() -> None:
+    random = np.random.default_rng(0)
+    source = random.uniform(0, 200, (6, 2))
+    matrix = similarity(133, 0.7, (10, 20), (3, 4))
+    exact = fit_similarity(source, applied(matrix, source))
+    np.testing.assert_allclose(exact.matrix, matrix, atol=1e-10)
+    noisy = applied(matrix, source) + random.normal(0, 1, (6, 2))
+    best = fit_similarity(source, noisy)
+    for step in 1e-3 * np.eye(4):
+        a, b, x, y = step + np.append(best.matrix[:, 0], best.matrix[:, 2])
+        worse = noisy - applied(np.array([[a, -b, x], [b, a, y]]), source)
+        assert np.sum(worse**2) > np.sum(best.residuals_px**2)
+    assert np.linalg.det(fit_similarity(source, applied(MIRROR, source)).matrix[:, :2]) > 0
+    assert fit_similarity(source, applied(MIRROR, source)).rms_px > 10
+    with pytest.raises(FingerflowError, match="coincide"):
+        fit_similarity([(1, 2), (1, 2)], [(0, 0), (1, 1)])
+    with pytest.raises(FingerflowError, match=r"shapes \(2, 2\) and \(2, 2\).*at least 3"):
+        fit_affine([(0, 0), (1, 0)], [(0, 0), (1, 0)])
+
+
+@pytest.mark.parametrize("radius", [24.7, 41.3, 80.2])
+def test_scale_of_a_ring(radius: float) -> None:
+    """To 0.03 px of the radius, at a noise of 1 grey level in a step of 50."""
+    found = calibrate(None, ring(radius), {"contact": View((0, 256), (0, 272))}, hole_radius_mm=2.75)
+    assert found.mm_per_px == pytest.approx(2.75 / radius, rel=0.03 / radius)
+    assert found.discs == ()
+    assert found.topography_to_contact is None
+
+
+def test_calibration_frames_that_cannot_be_are_refused() -> None:
+    whole = {"contact": View((0, 256), (0, 272))}
+    with pytest.raises(FingerflowError, match="'topography' is missing; views given: 'contact'"):
+        calibrate(draw(TARGET), ring(60), whole)
+    with pytest.raises(FingerflowError, match="radius of the ring's hole is -1"):
+        calibrate(None, ring(60), whole, hole_radius_mm=-1)
+    with pytest.raises(
+        FingerflowError, match="ring has 256 rows x 272 columns and that of the background 100 rows x 90"
+    ):
+        calibrate(None, ring(60), whole, background=np.zeros((100, 90)))
+    with pytest.raises(FingerflowError, match=r"\(256, 272, 3\)"):
+        calibrate(None, np.stack([ring(60)] * 3, axis=-1), whole)
+    with pytest.raises(FingerflowError, match="does not fit into a frame of 256 rows and 272 columns"):
+        calibrate(None, ring(60), {"contact": View((0, 512), (640, 1280))})
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_a_calibration_file_is_read_as_it_was_written(both: bool, tmp_path: Path) -> None:
+    matrix = similarity(12.3456789, 1 / 3, MIDDLE, MIDDLE)
+    first, second = as_found(TARGET), as_found(moved(TARGET, matrix))
+    pairs = match_discs(first, second)
+    points = [[pair[side].center for pair in pairs] for side in (0, 1)]
+    written = Calibration(
+        mm_per_px=0.1 + 0.2,
+        hole_radius_mm=2.75,
+        hole=first[0],
+        views=VIEWS if both else {"contact": VIEWS["contact"]},
+        discs=tuple(pairs) if both else (),
+        affine=fit_affine(*points) if both else None,
+        similarity=fit_similarity(*points) if both else None,
+        warnings=('a "quoted" warning with \\ and µ', "another"),
+    )
+    path = tmp_path / "calibration.toml"
+    path.write_text(written.to_toml(), encoding="utf-8")
+    read = Calibration.from_toml(path)
+    for name in ("mm_per_px", "hole_radius_mm", "hole", "views", "discs", "warnings"):
+        assert getattr(read, name) == getattr(written, name), name
+    for name in ("affine", "similarity"):
+        before, after = getattr(written, name), getattr(read, name)
+        assert (before is None) == (after is None)
+        if before is not None:
+            np.testing.assert_array_equal(after.matrix, before.matrix)
+            np.testing.assert_array_equal(after.residuals_px, before.residuals_px)
+    assert read.to_toml() == written.to_toml()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("mm_per_px = 0.03", "mm_per_px = -0.03", "mm_per_px is -0.03; it must be above 0"),
+        ("mm_per_px = 0.03", 'mm_per_px = "x"', "an entry of this calibration is wrong"),
+        ("mm_per_px = 0.03", "", "no entry 'mm_per_px'"),
+        ("mm_per_px = 0.03", "mm_per_px 0.03", "cannot be read"),
+        ("rows = [0, 256]", "rows = [256, 0]", "a view's rows are"),
+        ("matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "matrix = [[1, 0, 0], [2, 0, 0]]", "no 2 x 3 transform"),
+        ("matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "matrix = [[nan, 0, 0], [0, 1, 0]]", "no 2 x 3 transform"),
+    ],
+)
+def test_a_damaged_calibration_file_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    identity = Transform(np.eye(2, 3), np.zeros((3, 2)))
+    text = Calibration(0.03, 2.75, as_found(TARGET)[0], VIEWS, (), identity, identity).to_toml()
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(FingerflowError, match=said) as caught:
+        Calibration.from_toml(path)
+    assert str(path) in str(caught.value)
+    assert "fingerflow calibrate" in str(caught.value)
