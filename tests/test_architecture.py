@@ -1,0 +1,146 @@
+"""Data goes one way: recordings, stages (through graphs and ops), result, report. Imports are read, not run."""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
+
+# What each room may import of the others; itself always. A new file or folder takes its place here.
+ARROWS: dict[str, set[str]] = {
+    "errors": set(),
+    "toml_string": set(),
+    "views": {"errors"},
+    "whole_file": {"errors"},
+    "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
+    "ops": {"kernels"},
+    "graphs": {"ops"},
+    "models": {"errors"},
+    "recordings": {"errors"},
+    "calibration": {"errors", "toml_string", "views"},
+    "scene": {"calibration", "errors", "toml_string", "views"},
+    "stages": {"errors", "graphs", "ops", "recordings", "scene", "views"},
+    "plan": {"errors", "stages"},
+    "result": {"__init__", "errors", "ops", "stages", "whole_file"},
+    "pipeline": {"errors", "plan", "result", "scene", "stages"},
+    "synthetic": {"errors", "scene", "views"},
+    "comparison": {"ops", "synthetic"},
+    "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
+    "export": {"__init__", "errors", "graphs", "ops", "scene", "views", "whole_file"},
+    "player": set(),
+    "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
+    "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below
+}
+ARROWS["cli"] = set(ARROWS)
+
+# Where what a room may import from elsewhere is part of its promise; Python's own modules always.
+PACKAGES = {
+    "errors": set(),
+    "views": set(),
+    "ops": {"torch", "kornia"},
+    "graphs": {"torch"},
+    "player": {"numpy", "onnxruntime"},
+}
+
+
+def imported(source: str) -> Iterator[tuple[int, str]]:
+    """(line, module) of every import, also inside functions and of `import_module` with a text."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, name.name) for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: imports are absolute"
+            assert node.module is not None
+            if node.module == "fingerflow":
+                yield from ((node.lineno, _member(name.name)) for name in node.names)
+            else:
+                yield node.lineno, node.module
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) == "import_module":
+            argument = node.args[0].values[0] if isinstance(node.args[0], ast.JoinedStr) else node.args[0]
+            if isinstance(argument, ast.Constant):
+                yield node.lineno, str(argument.value).rstrip(".")
+
+
+def _member(name: str) -> str:
+    """`from fingerflow import kernels` is a module; `from fingerflow import __version__` is a name of the package."""
+    is_module = (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists() or name in ARROWS or name == "_kernels"
+    return f"fingerflow.{name}" if is_module else "fingerflow.__init__"
+
+
+def wrong_arrows(room: str, source: str, where: str = "") -> list[str]:
+    """One sentence an import that the tables do not have."""
+    wrong = []
+    for line, module in imported(source):
+        top, _, rest = module.partition(".")
+        if top == "fingerflow":
+            target = rest.partition(".")[0] or "__init__"
+            if target != room and target not in ARROWS[room]:
+                wrong.append(f"{where}:{line}: {room} may not import {module}; it may import {sorted(ARROWS[room])}")
+        elif room in PACKAGES and top not in PACKAGES[room] and top not in sys.stdlib_module_names:
+            wrong.append(f"{where}:{line}: {room} may not import {module}; it may import {sorted(PACKAGES[room])}")
+    return wrong
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def test_every_room_has_its_place() -> None:
+    rooms = {room_of(path) for path in PACKAGE.rglob("*.py")}
+    assert rooms <= set(ARROWS), "a new room: say in ARROWS what it may import"
+
+
+def test_imports_follow_the_arrows() -> None:
+    files = sorted(PACKAGE.rglob("*.py"))
+    assert len(files) > 50
+    wrong = [
+        sentence
+        for path in files
+        for sentence in wrong_arrows(room_of(path), path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE)))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_nothing_imports_the_command_line() -> None:
+    assert all("cli" not in targets for room, targets in ARROWS.items() if room != "cli")
+
+
+def test_no_room_leads_back_to_itself() -> None:
+    """The arrows themselves go one way; ops and their compiled twins are one room."""
+    arrows = {room: targets - {"ops", "_kernels"} if room == "kernels" else targets for room, targets in ARROWS.items()}
+    arrows["__init__"] = set()  # what it offers is loaded when it is asked for
+    finished: set[str] = set()
+    for _ in arrows:
+        finished |= {room for room, targets in arrows.items() if targets - {"_kernels", room} <= finished}
+    assert finished == set(arrows), f"a circle among {sorted(set(arrows) - finished)}"
+
+
+def test_the_package_itself_loads_nothing() -> None:
+    """`import fingerflow` is free; torch comes with the first public function."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    loaded = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
+    assert {node.module for node in loaded if isinstance(node, ast.ImportFrom)} <= {"importlib", "typing"}
+    assert not [node for node in loaded if isinstance(node, ast.Import)]
+
+
+@pytest.mark.parametrize(
+    ("room", "source"),
+    [
+        ("ops", "from fingerflow.graphs import ContactGraph"),
+        ("ops", "import numpy as np"),
+        ("ops", "def f():\n    from fingerflow import scene"),
+        ("graphs", "import fingerflow.stages.contact"),
+        ("models", "from fingerflow.ops.strain import curl"),
+        ("recordings", "from fingerflow.stages.inputs import Inputs"),
+        ("stages", "from fingerflow.result import label"),
+        ("report", "from fingerflow.cli import main"),
+        ("player", "import torch"),
+        ("calibration", 'import_module(f"fingerflow.report.{name}")'),
+        ("views", "if TYPE_CHECKING:\n    from fingerflow.scene import Scene"),
+    ],
+)
+def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:
+    assert len(wrong_arrows(room, source)) == 1
