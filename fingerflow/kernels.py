@@ -56,6 +56,76 @@ def median(frames: Tensor, size: int) -> Tensor:
     return medians
 
 
+def track_points(
+    coefficients: tuple[Tensor, Tensor],
+    image_index: Tensor,
+    noise: Tensor,
+    start: Tensor,
+    guess: Tensor,
+    back_guess: Tensor | None,
+    warp: Tensor | None,
+    *,
+    window: int,
+    gain_offset: bool,
+    rounding: float,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """P points there and back by cubic splines, as `ops.tracking` has it, float32.
+
+    Coefficients are (B, 1, H, W), image_index (P,) int64, noise (P,), points (P, 2), warp (P, 2, 2). Returns points,
+    forward-backward error, covariance and status.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    count = len(start)
+    height, width = coefficients[0].shape[-2:]
+    expected = {
+        "noise": (count,),
+        "start": (count, 2),
+        "guess": (count, 2),
+        "back_guess": (count, 2),
+        "warp": (count, 2, 2),
+    }
+    given = {"noise": noise, "start": start, "guess": guess, "back_guess": back_guess, "warp": warp}
+    for name, tensor in (("coefficients", coefficients[0]), ("coefficients", coefficients[1]), *given.items()):
+        if tensor is not None and tensor.dtype != torch.float32:
+            raise TypeError(f"{name} is {tensor.dtype}: the compiled tracker takes torch.float32")
+        if tensor is not None and name in expected and tuple(tensor.shape) != expected[name]:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)} for {count} points: {expected[name]} is needed")
+    if coefficients[0].shape != coefficients[1].shape or coefficients[0].shape[1] != 1 or min(height, width) < 4:
+        raise ValueError(f"coefficients {[tuple(c.shape) for c in coefficients]}: two (B, 1, H, W) of 4 px and more")
+    if image_index.dtype != torch.int64 or tuple(image_index.shape) != (count,):
+        raise ValueError(f"image_index is {image_index.dtype} {tuple(image_index.shape)}: int64 ({count},) is needed")
+    if count and not 0 <= int(image_index.min()) <= int(image_index.max()) < len(coefficients[0]):
+        raise ValueError(f"image_index goes from {image_index.min()} to {image_index.max()} of {len(coefficients[0])}")
+    if window < 5 or window % 2 == 0:
+        raise ValueError(f"window must be odd and at least 5 px, not {window}")
+    given = {name: None if tensor is None else tensor.contiguous() for name, tensor in given.items()}
+    images = [image.contiguous() for image in coefficients]
+    index = image_index.contiguous()
+    points, error, covariance = torch.empty(count, 2), torch.empty(count), torch.empty(count, 2, 2)
+    status = torch.empty(count, dtype=torch.uint8)
+    _call(
+        "fingerflow_track_points",
+        *(image.data_ptr() for image in images),
+        height,
+        width,
+        index.data_ptr(),
+        *(None if tensor is None else tensor.data_ptr() for tensor in given.values()),
+        count,
+        window,
+        int(gain_offset),
+        rounding,
+        forward_backward_limit,
+        mismatch_limit,
+        *(result.data_ptr() for result in (points, error, covariance, status)),
+        torch.get_num_threads(),
+    )
+    return points, error, covariance, status
+
+
 def limit_instruction_set(most: int) -> int:
     """For tests: use no wider set than 0 baseline, 1 AVX2, 2 AVX-512, -1 what there is; returns the one taken."""
     library = _library()
@@ -80,6 +150,17 @@ def _library() -> ctypes.CDLL | None:
     extent = [count] * 5
     library.fingerflow_limit_instruction_set.argtypes = [number]
     library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, number]
+    real = ctypes.c_float
+    library.fingerflow_track_points.argtypes = [
+        *[pointer] * 2,
+        *[count] * 2,
+        *[pointer] * 6,
+        count,
+        *[number] * 2,
+        *[real] * 3,
+        *[pointer] * 4,
+        number,
+    ]
     return library
 
 

@@ -22,3 +22,14 @@ FINGERFLOW_EXPORT int fingerflow_limit_instruction_set(int most);
 FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height,
                                         std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
                                         int pixel_bytes, int size, int threads);
+
+// Points of one image found in another and back again, as fingerflow/ops/tracking.py describes, with cubic splines.
+// Coefficients are (B, height, width), the points of all images flat: image index, noise, error and status (count),
+// start, guess, back_guess (or null) and points (count, 2), warp (or null) and covariance (count, 2, 2), all contiguous.
+FINGERFLOW_EXPORT int fingerflow_track_points(const float* from, const float* to, std::int64_t height,
+                                              std::int64_t width, const std::int64_t* image_index, const float* noise,
+                                              const float* start, const float* guess, const float* back_guess,
+                                              const float* warp, std::int64_t count, int window, int gain_offset,
+                                              float rounding, float forward_backward_limit,
+                                              float mismatch_limit, float* points, float* error, float* covariance,
+                                              unsigned char* status, int threads);

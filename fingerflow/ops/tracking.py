@@ -6,6 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.correlation_table import find_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.search import search_windows
@@ -182,8 +183,24 @@ class _Pair(NamedTuple):
         mismatch_limit: float,
     ) -> Tracks:
         """Forward, backward, and the verdict, for (P, 2) points; without ``back_guess`` the way back starts with the
-        motion
-        that was predicted, reversed, so that it has as far to go as the way there."""
+        motion that was predicted, reversed, so that it has as far to go as the way there."""
+        if self._compiled(start, guess, back_guess, warp):
+            return Tracks(
+                *kernels.track_points(
+                    self.coefficients,
+                    self.image_index,
+                    self.noise,
+                    start,
+                    guess,
+                    back_guess,
+                    warp,
+                    window=self.window,
+                    gain_offset=self.gain_offset,
+                    rounding=self.rounding,
+                    forward_backward_limit=forward_backward_limit,
+                    mismatch_limit=mismatch_limit,
+                )
+            )
         given = start.isfinite().all(-1) & guess.isfinite().all(-1)
         inverse_warp = None
         if warp is not None:
@@ -226,6 +243,16 @@ class _Pair(NamedTuple):
             covariance = torch.where(tracked[:, None, None], covariance, torch.nan)
             error = torch.where(given & error.isfinite(), error, torch.nan)
         return Tracks(torch.where(tracked[:, None], points, torch.nan), error, covariance, status.to(torch.uint8))
+
+    def _compiled(self, *points: Tensor | None) -> bool:
+        """Whether the compiled twin takes these points."""
+        image = self.coefficients[0]
+        return (
+            self.order == 3
+            and image.dtype == torch.float32
+            and min(image.shape[-2:]) >= 4
+            and kernels.serve(*self.coefficients, self.image_index, self.noise, *points)
+        )
 
     def _sample(self, which: int, points: Tensor, warp: Tensor | None) -> tuple[Tensor, Tensor]:
         """Windows (P, n, n) and their gradient (P, 2, n, n)."""

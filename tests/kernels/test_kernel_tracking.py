@@ -1,0 +1,199 @@
+"""The compiled tracker beside the portable one."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow import kernels
+from fingerflow.ops import tracking
+from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
+from fingerflow.synthetic import RidgeTexture
+
+pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+# Positions of a few hundred px in float32 are 3e-5 px apart; sums run in another order.
+TOLERANCE_PX = 1e-4
+
+
+def skin(shift: tuple[float, float], noise: float = 2.0, seed: int = 0, size: tuple[int, int] = (150, 190)) -> Tensor:
+    """Ridges moved by a shift, 8 bit, (1, 1, H, W)."""
+    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in size), indexing="ij")
+    scale = 0.0325
+    light = RidgeTexture()((x - shift[0]) * scale, (y - shift[1]) * scale)
+    grey = 110 + 80 * light + noise * torch.randn(size, generator=torch.Generator().manual_seed(seed))
+    return grey.round().clamp(0, 255).to(torch.uint8)[None, None]
+
+
+def starts(batch: int = 1, count: int = 60, fraction: bool = True) -> Tensor:
+    random = torch.rand(batch, count, 2, generator=torch.Generator().manual_seed(3))
+    points = random * torch.tensor([190.0 - 60, 150.0 - 60]) + 30
+    return points if fraction else points.round()
+
+
+def portable(*arguments: object, **settings: object) -> Tracks:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "serve", lambda *_: False)
+        return track_points(*arguments, **settings)  # type: ignore[arg-type]
+
+
+def same(found: Tracks, expected: Tracks) -> None:
+    tracked = expected.status == TrackStatus.TRACKED
+    assert torch.equal(found.status == TrackStatus.TRACKED, tracked)
+    assert (found.points[tracked] - expected.points[tracked]).abs().max() < TOLERANCE_PX
+    assert (found.error[tracked] - expected.error[tracked]).abs().max() < TOLERANCE_PX
+    torch.testing.assert_close(found.covariance[tracked], expected.covariance[tracked], rtol=5e-3, atol=1e-9)
+    assert found.points[~tracked].isnan().all()
+    assert found.covariance[~tracked].isnan().all()
+
+
+@pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
+def instruction_set(request: pytest.FixtureRequest) -> Iterator[int]:
+    if kernels.limit_instruction_set(request.param) != request.param:
+        kernels.limit_instruction_set(-1)
+        pytest.skip("this processor has no such instruction set")
+    yield int(request.param)
+    kernels.limit_instruction_set(-1)
+
+
+@pytest.mark.parametrize("gain_offset", [False, True])
+@pytest.mark.parametrize("window", [5, 15, 17, 21, 31, 33, 47])
+def test_same_tracks(window: int, gain_offset: bool, instruction_set: int) -> None:
+    found = track_points(skin((0, 0)), skin((0.6, -0.3), seed=1), starts(), window, gain_offset=gain_offset)
+    expected = portable(skin((0, 0)), skin((0.6, -0.3), seed=1), starts(), window, gain_offset=gain_offset)
+    assert (expected.status == TrackStatus.TRACKED).float().mean() > (0.5 if window == 5 else 0.9)
+    same(found, expected)
+
+
+def test_it_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise every test here would compare the portable form with itself."""
+    monkeypatch.setattr(tracking, "find_templates", None)
+    track_points(skin((0, 0)), skin((0.6, -0.3)), starts())
+
+
+@pytest.mark.parametrize("fraction", [False, True])
+@pytest.mark.parametrize("motion", [(0.0, 0.0), (0.95, 0.95), (2.5, -1.8)])
+def test_motions_and_starts(motion: tuple[float, float], fraction: bool) -> None:
+    images = skin((0, 0)), skin(motion, seed=1)
+    same(track_points(*images, starts(fraction=fraction)), portable(*images, starts(fraction=fraction)))
+
+
+@pytest.mark.parametrize("far", [0.0, 0.7])
+def test_warp_and_prediction(far: float, instruction_set: int) -> None:
+    points = starts()
+    warp = torch.tensor([[1.05, 0.02], [-0.03, 0.97]]).expand(1, points.shape[1], 2, 2)
+    guess = points + torch.tensor([0.6 + far, -0.3])
+    settings = {"initial": guess, "warp": warp, "mismatch_limit": 0.5}
+    images = skin((0, 0)), skin((0.6, -0.3), seed=1)
+    same(track_points(*images, points, **settings), portable(*images, points, **settings))  # type: ignore[arg-type]
+
+
+def test_search() -> None:
+    images = skin((0, 0)), skin((9.3, -6.6), seed=1)
+    found, expected = track_points(*images, starts(), search=12), portable(*images, starts(), search=12)
+    assert (expected.status == TrackStatus.TRACKED).float().mean() > 0.8
+    same(found, expected)
+
+
+def test_batch() -> None:
+    images = torch.cat([skin((0, 0), seed=k) for k in range(3)]), torch.cat([skin((0.2 * k, 0.1)) for k in range(3)])
+    same(track_points(*images, starts(3)), portable(*images, starts(3)))
+    nothing = track_points(images[0][:0], images[1][:0], starts(3)[:0])
+    assert nothing.points.shape == (0, 60, 2)
+    assert track_points(*images, starts(3)[:, :0]).status.shape == (3, 0)
+
+
+def test_the_order_of_points_and_threads_do_not_matter() -> None:
+    images, points = (skin((0, 0)), skin((0.6, -0.3), seed=1)), starts()
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        alone = track_points(*images, points)
+        torch.set_num_threads(4)
+        shared = track_points(*images, points.flip(1))
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(alone.points, shared.points.flip(1))
+    assert torch.equal(alone.status, shared.status.flip(1))
+
+
+def test_points_that_cannot_be_tracked() -> None:
+    """The reasons are the same; beyond them, far outside or with bad numbers, nothing is read that is not there."""
+    bad = torch.tensor(
+        [[torch.nan, 5.0], [torch.inf, 5.0], [-300.0, 20.0], [1e9, 1e9], [-3e38, 3e38], [3.0, 3.0], [188.0, 148.0]]
+    )[None]
+    images = skin((0, 0)), skin((0.6, -0.3), seed=1)
+    found, expected = track_points(*images, bad), portable(*images, bad)
+    assert torch.equal(found.status, expected.status)
+    assert found.points.isnan().all()
+    guess = starts(count=7) + bad.nan_to_num(0.0, 1e30, -1e30)
+    same(track_points(*images, starts(count=7), initial=guess), portable(*images, starts(count=7), initial=guess))
+
+
+@pytest.mark.parametrize("matrix", [[[0.0, 0.0], [0.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]], [[torch.nan, 0.0], [0.0, 1.0]]])
+def test_a_warp_that_is_none(matrix: list[list[float]]) -> None:
+    images = skin((0, 0)), skin((0.6, -0.3), seed=1)
+    warp = torch.tensor(matrix).expand(1, 60, 2, 2)
+    for tracks in (track_points(*images, starts(), warp=warp), portable(*images, starts(), warp=warp)):
+        assert (tracks.status == TrackStatus.NOT_FINITE).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 128.0, 255.0])
+def test_blank_frames(level: float) -> None:
+    blank = torch.full((1, 1, 80, 90), level).to(torch.uint8)
+    points = torch.tensor([[[40.0, 40.0], [45.5, 30.2]]])
+    assert (track_points(blank, blank, points).status == TrackStatus.NO_TEXTURE).all()
+
+
+def test_bad_pixels_spoil_only_the_windows_that_hold_them() -> None:
+    first, second = skin((0, 0)).float(), skin((0.6, -0.3), seed=1).float()
+    first[..., 60, 70], second[..., 100, 120] = torch.nan, torch.inf
+    points = starts()
+    found, expected = track_points(first, second, points), portable(first, second, points)
+    assert torch.equal(found.status == TrackStatus.NOT_FINITE, expected.status == TrackStatus.NOT_FINITE)
+    assert (found.status == TrackStatus.NOT_FINITE).any()
+    same(found, expected)
+
+
+def test_frames_that_are_not_contiguous() -> None:
+    wide = torch.cat([skin((0, 0)), skin((0.6, -0.3), seed=1)], dim=3)
+    images = wide[..., :190], wide[..., 190:]
+    points = starts().flip(-1).flip(-1)[:, ::2]
+    same(track_points(*images, points), portable(*[image.clone() for image in images], points.clone()))
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.int32, torch.uint8, torch.float32])
+def test_other_number_types(dtype: torch.dtype) -> None:
+    images = [skin((0, 0)).to(dtype), skin((0.6, -0.3), seed=1).to(dtype)]
+    same(track_points(*images, starts()), portable(*images, starts()))
+
+
+def test_what_needs_a_derivative_is_portable() -> None:
+    image = skin((0, 0)).float().requires_grad_()
+    tracks = track_points(image, skin((0.6, -0.3), seed=1).float(), starts())
+    tracks.points.nansum().backward()
+    assert image.grad is not None
+    assert image.grad.abs().sum() > 0
+
+
+def test_wrong_shapes_are_named() -> None:
+    image, points = torch.zeros(1, 1, 40, 40), torch.zeros(3, 2)
+    index, noise = torch.zeros(3, dtype=torch.int64), torch.zeros(3)
+    settings = {
+        "window": 9,
+        "gain_offset": False,
+        "rounding": 0.0,
+        "forward_backward_limit": 1.0,
+        "mismatch_limit": 0.1,
+    }
+    for change, message in (
+        ((image.double(), image, index, noise, points), "float64"),
+        ((image, image[..., :30], index, noise, points), "coefficients"),
+        ((image, image, index + 1, noise, points), "image_index"),
+        ((image, image, index, noise[:2], points), "noise"),
+        ((image, image, index, noise, points[:2]), "noise"),
+    ):
+        first, second, of_point, deviation, begin = change
+        with pytest.raises((TypeError, ValueError), match=message):
+            kernels.track_points((first, second), of_point, deviation, begin, begin, None, None, **settings)  # type: ignore[arg-type]
