@@ -81,7 +81,10 @@ def _sample_warped(
     flat = coefficients.reshape(-1)
     # Few points at a time: their weights then stay in the cache.
     pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
-    sampled = [_sample_piece(flat, coefficients.shape, *piece, size, order) for piece in pieces]
+    sampled = [
+        _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
+        for indices, places, warps in pieces
+    ]
     values, gradients = zip(*sampled, strict=True)
     return torch.cat(values), torch.cat(gradients)
 

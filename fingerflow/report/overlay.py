@@ -43,6 +43,9 @@ def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
             stream.pix_fmt = "yuv420p"
             stream.time_base = Fraction(1, _RATE)
             stream.bit_rate = 8_000_000
+            stream.thread_type = "AUTO"
+            if name == "libx264":
+                stream.options = {"preset": "veryfast"}
             for frame in frames:
                 picture = painter.paint(int(frame), scale)
                 text = f"{times[frame]:+.3f} s"

@@ -64,30 +64,29 @@ class ViewPainter:
         along, beside = axes[0] * np.cos(turn), axes[1] * np.sin(turn)
         x = center[0] + along * np.cos(angle) - beside * np.sin(angle)
         y = center[1] + along * np.sin(angle) + beside * np.cos(angle)
-        outline = self._pixels(np.stack((x, y), axis=1), matrix)
-        cv2.polylines(part, [np.round(outline * 8).astype(np.int32)], True, CONTACT, 1, cv2.LINE_AA, 3)
+        outline = self._eighths(np.stack((x, y), axis=1), matrix)
+        cv2.polylines(part, [outline], True, CONTACT, 1, cv2.LINE_AA, 3)
 
     def _points(self, part: Picture, frame: int, matrix: NDArray[np.float64], arrow_scale: float) -> None:
         if "position" not in self._result:
             return
         positions = self._result["position"].values
-        now = self._pixels(positions[frame], matrix)
-        start = self._pixels(positions[0], matrix)
-        moved = self._result["displacement"].values[frame] if "displacement" in self._result else None
-        for k, point in enumerate(now):
-            if np.isfinite(point).all():
-                cv2.circle(part, _eighths(point), 10, TRACKED, -1, cv2.LINE_AA, 3)
-                if moved is not None and arrow_scale and np.isfinite(moved[k]).all():
-                    tip = self._pixels(positions[frame, k] + arrow_scale * moved[k], matrix)
-                    cv2.line(part, _eighths(point), _eighths(tip), ARROW, 1, cv2.LINE_AA, 3)
-            elif np.isfinite(start[k]).all():
-                cv2.circle(part, _eighths(start[k]), 10, LOST, -1, cv2.LINE_AA, 3)
+        known = np.isfinite(positions[frame]).all(-1)
+        now = self._eighths(positions[frame], matrix)
+        if "displacement" in self._result and arrow_scale:
+            moved = self._result["displacement"].values[frame]
+            shown = known & np.isfinite(moved).all(-1)
+            tips = self._eighths(positions[frame] + arrow_scale * moved, matrix)
+            cv2.polylines(part, list(np.stack((now, tips), axis=1)[shown]), False, ARROW, 1, cv2.LINE_AA, 3)
+        lost = ~known & np.isfinite(positions[0]).all(-1)
+        for places, colour in ((now[known], TRACKED), (self._eighths(positions[0], matrix)[lost], LOST)):
+            for place in places.tolist():
+                cv2.circle(part, place, 10, colour, -1, cv2.LINE_AA, 3)
+
+    def _eighths(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Positions (N, 2) in eighths of a pixel, which OpenCV draws to; anything where they are not known."""
+        return np.round(np.nan_to_num(self._pixels(millimetres, matrix)) * 8).astype(np.int32)
 
     def _pixels(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         result: NDArray[np.float64] = millimetres / self._size @ matrix[:, :2].T + matrix[:, 2]
         return result
-
-
-def _eighths(point: NDArray[np.float64]) -> tuple[int, int]:
-    """A position in eighths of a pixel, which OpenCV draws to."""
-    return round(float(point[0]) * 8), round(float(point[1]) * 8)
