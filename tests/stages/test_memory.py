@@ -1,0 +1,96 @@
+"""Memory stays bounded whatever the length: only numbers grow with the frames, never pixels."""
+
+import gc
+import tracemalloc
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow import process
+from fingerflow.recordings import Recording
+from fingerflow.scene import Scene
+from fingerflow.stages.contact import ContactStage
+
+
+class Watch:
+    """How much is alive at once: frames read, image-sized tensors, bytes of NumPy arrays."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, pixels: int) -> None:
+        self.frames = self.most_frames = self.most_tensors = 0
+        self._pixels = pixels
+        self._batches = 0
+        read, run = Recording.read, ContactStage.run
+
+        def counted_read(recording: Recording) -> np.ndarray[Any, Any]:
+            frames = read(recording)
+            self.frames += len(frames)
+            self.most_frames = max(self.most_frames, self.frames)
+            weakref.finalize(frames, self._let_go, len(frames))
+            return frames
+
+        def counted_run(stage: ContactStage, *arguments: Any) -> Any:
+            self._batches += 1
+            if self._batches % 4 == 2:  # looking at every object takes its time
+                self.most_tensors = max(self.most_tensors, self._tensors())
+            return run(stage, *arguments)
+
+        monkeypatch.setattr(Recording, "read", counted_read)
+        monkeypatch.setattr(ContactStage, "run", counted_run)
+
+    def _tensors(self) -> int:
+        found = [part.numel() for part in gc.get_objects() if type(part) is torch.Tensor]
+        return sum(size for size in found if size >= self._pixels) // self._pixels
+
+    def _let_go(self, count: int) -> None:
+        self.frames -= count
+
+
+@pytest.fixture
+def long(changed: Callable[..., Scene], frames: np.ndarray[Any, Any], tmp_path: Path) -> Callable[[int], Scene]:
+    """A scene of so many frames on disk: the six with contact, over and over."""
+
+    def make(count: int) -> Scene:
+        scene = changed(
+            {"points = 700": "points = 12", "window_px = 25": "window_px = 9"}, forces=False, frames=frames[:1]
+        )
+        shape = (count, *frames.shape[1:])
+        file = np.lib.format.open_memmap(tmp_path / "frames.npy", mode="w+", dtype=frames.dtype, shape=shape)
+        for index in range(count):
+            file[index] = frames[2 + index % 6]
+        return scene
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("outputs", "few", "many"),
+    [(["real_contact_area", "gross_contact_area"], 40, 1000), (None, 24, 56)],
+    ids=["areas of 1000 frames", "tracks of 56 frames"],
+)
+def test_what_is_alive_does_not_grow_with_the_frames(
+    outputs: list[str] | None, few: int, many: int, long: Callable[[int], Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process(long(9), outputs)  # what is loaded and cached once
+    found = {}
+    for count in (few, many):
+        scene = long(count)
+        with monkeypatch.context() as patch:
+            watch = Watch(patch, pixels=96 * 120)
+            gc.collect()
+            tracemalloc.start()
+            result = process(scene, outputs)
+            found[count] = watch.most_frames, watch.most_tensors, tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+            assert watch.frames == 0
+        assert result.sizes["frame"] == count
+        assert (result["gross_contact_area"].values > 0).all()
+    (few_frames, few_tensors, few_bytes), (many_frames, many_tensors, many_bytes) = found[few], found[many]
+    assert many_frames == few_frames <= 16
+    assert many_tensors == few_tensors
+    # A frame has 23,040 bytes. What stays of it are numbers: areas, and some 100 bytes a point and a triangle.
+    assert (many_bytes - few_bytes) / (many - few) < 23_040 / 4
