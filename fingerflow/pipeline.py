@@ -14,9 +14,9 @@ from fingerflow.result import Outcome, label
 from fingerflow.scene import Scene
 from fingerflow.stages import deformation
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.inputs import open_inputs
+from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.loading import load
-from fingerflow.stages.tracking import TrackingStage
+from fingerflow.stages.tracking import TrackingStage, TrackSeries
 
 _BATCH = 8  # frames in memory at a time
 
@@ -28,7 +28,7 @@ def process(
 
     Args:
         scene: from :func:`~fingerflow.scene.load_scene`.
-        outputs: names of variables, see ``fingerflow.plan.OUTPUTS``; None for all that the scene allows.
+        outputs: names of variables, or one name, see ``fingerflow.plan.OUTPUTS``; None for all that the scene allows.
         device: "auto" (CUDA where it is there), "cpu", "cuda" ...
         progress: show a bar.
 
@@ -38,23 +38,23 @@ def process(
     Raises:
         FingerflowError: whatever the user can put right, named with its file and value.
     """
-    wanted = None if outputs is None else list(outputs)
+    wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
     stages = plan(wanted, scene.views.topography is not None, scene.forces is not None)
     seconds: dict[str, float] = {}
-    with torch.inference_mode():
-        inputs = open_inputs(scene, device)
-        outcome = Outcome(inputs=inputs, seconds=seconds)
+    inputs = open_inputs(scene, device)
+    outcome = Outcome(inputs=inputs, seconds=seconds)
+    with torch.inference_mode(), inputs.recording:
         with _timed(seconds, "loading"):
             outcome.loading = load(inputs)
         with _timed(seconds, "contact"):
             normal = None if outcome.loading is None else outcome.loading.normal
             contact = ContactStage(inputs, normal) if "contact" in stages else None
-            tracking = TrackingStage(inputs, contact.largest().gross) if contact and "tracking" in stages else None
+            tracking = _tracking(inputs, contact) if contact and "tracking" in stages else None
         if contact is not None:
-            covered = _stream(inputs.scene, contact, tracking, seconds, progress)
+            covered = _stream(inputs, contact, tracking, seconds, progress)
             outcome.contact = contact.series
-            if tracking is not None:
-                outcome.tracks = tracking.series
+            if "tracking" in stages:
+                outcome.tracks = _no_tracks(len(inputs.times)) if tracking is None else tracking.series
         if outcome.tracks is not None and outcome.contact is not None:
             with _timed(seconds, "fields"):
                 if "displacement" in stages:
@@ -66,15 +66,35 @@ def process(
     return label(outcome)
 
 
+def _tracking(inputs: Inputs, contact: ContactStage) -> TrackingStage | None:
+    """None where no skin touches, so that there is none to follow."""
+    region = contact.largest().gross
+    if region.any():
+        return TrackingStage(inputs, region)
+    inputs.warnings.append(
+        f"no contact was found in frame {contact.reference_frame + inputs.scene.recording.first_frame}, where most of "
+        f"it was expected: there are no points and no deformation"
+    )
+    return None
+
+
+def _no_tracks(frames: int) -> TrackSeries:
+    def nothing(dtype: type) -> np.ndarray:
+        return np.empty((frames, 0), dtype)
+
+    return TrackSeries(np.empty((frames, 0, 2)), nothing(np.float32), nothing(np.float32), nothing(np.uint8))
+
+
 def _stream(
-    scene: Scene, contact: ContactStage, tracking: TrackingStage | None, seconds: dict[str, float], progress: bool
+    inputs: Inputs, contact: ContactStage, tracking: TrackingStage | None, seconds: dict[str, float], progress: bool
 ) -> np.ndarray:
     """Runs the frames through contact and tracking, batch by batch; (F, N) which points the contact covers."""
-    recording = contact.recording
+    scene, recording = inputs.scene, inputs.recording
     order = np.arange(len(recording))
     if tracking is not None and scene.tracking.direction == "backward":
         order = order[::-1]
     covered: dict[int, np.ndarray] = {}
+    damaged: list[int] = []
     bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
     with bar:
         for first in range(0, len(order), _BATCH):
@@ -83,11 +103,27 @@ def _stream(
                 frames = recording[indices].read()
             with _timed(seconds, "contact"):
                 found = contact.run(indices, frames)
+                damaged += indices[~_whole(scene.views.contact.crop(frames))].tolist()
             if tracking is not None:
                 with _timed(seconds, "tracking"):
                     covered.update(zip(indices.tolist(), tracking.run(indices, frames, found.gross), strict=True))
             bar.update(len(indices))
+    if damaged:
+        # What is left of such a frame has some area, but not that of the contact.
+        for values in vars(contact.series).values():
+            values[damaged] = np.nan
+        inputs.warnings.append(
+            f"{len(damaged)} frames, the first is {min(damaged) + scene.recording.first_frame}, have pixels in the "
+            f"contact view that are NaN or infinite: their contact is NaN"
+        )
     return np.stack([covered[i] for i in range(len(order))]) if covered else np.zeros((len(order), 0), dtype=bool)
+
+
+def _whole(frames: np.ndarray) -> np.ndarray:
+    """(n,) whether every pixel of the frames (n, h, w) is a number."""
+    if frames.dtype.kind != "f":
+        return np.ones(len(frames), dtype=bool)
+    return np.asarray(np.isfinite(frames).all(axis=(1, 2)))
 
 
 @contextmanager

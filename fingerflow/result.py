@@ -112,11 +112,11 @@ def _tracks(outcome: Outcome) -> None:
         flag_meanings=" ".join(status.name.lower() for status in TrackStatus),
     )
     tracked = tracks.status == TrackStatus.TRACKED
-    outcome.add("tracked_share", ("frame",), tracked.mean(1), "1", "share of the points that are tracked")
-    error = np.where(tracked, tracks.error, np.nan)
-    empty = ~tracked.any(1)
-    error[empty] = 0
-    median = np.where(empty, np.nan, np.nanmedian(error, axis=1))
+    share = tracked.sum(1) / tracked.shape[1] if tracked.shape[1] else np.full(len(tracked), np.nan)
+    outcome.add("tracked_share", ("frame",), share, "1", "share of the points that are tracked")
+    median = np.full(len(tracked), np.nan)
+    some = tracked.any(1)
+    median[some] = np.nanmedian(np.where(tracked, tracks.error, np.nan)[some], axis=1)
     outcome.add("forward_backward_median", ("frame",), median, "px", "median forward-backward distance")
 
 

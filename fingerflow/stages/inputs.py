@@ -52,14 +52,21 @@ class Inputs:
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
-        still = open_recording(path)
-        if still.frame_shape != self.recording.frame_shape:
-            raise FingerflowError(
-                f"{path}: the background has frames of {_size(still.frame_shape)}, the recording "
-                f"{self.recording.path} of "
-                f"{_size(self.recording.frame_shape)}; record the background with the same camera settings"
-            )
-        mean = still[:_REFERENCE_FRAMES].read().mean(axis=0, dtype=np.float64)
+        remedy = "record it with the same camera settings"
+        with open_recording(path) as still:
+            if still.frame_shape != self.recording.frame_shape:
+                raise FingerflowError(
+                    f"{path}: the background has frames of {_size(still.frame_shape)}, the recording "
+                    f"{self.recording.path} of {_size(self.recording.frame_shape)}; {remedy}"
+                )
+            if {_fits_a_byte(still), _fits_a_byte(self.recording)} == {True, False}:
+                raise FingerflowError(
+                    f"{path}: the background has {still.bit_depth} bit, the recording {self.recording.path} "
+                    f"{self.recording.bit_depth}: their grey levels cannot be compared; {remedy}"
+                )
+            if not len(still):
+                raise FingerflowError(f"{path}: the background has no frame; {remedy}")
+            mean = still[:_REFERENCE_FRAMES].read().mean(axis=0, dtype=np.float64)
         return torch.from_numpy(view.crop(mean).astype(np.float32))[None, None].to(self.device)
 
 
@@ -68,26 +75,51 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
 
     Raises FingerflowError for what does not fit, with the value and the remedy.
     """
-    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
+    chosen = _device(device)
     settings = scene.recording
     recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
+    if not len(recording):
+        raise FingerflowError(f"{settings.frames} has no frame; copy it again, or name another recording")
     if settings.first_frame >= len(recording):
         raise FingerflowError(
             f"{scene.path}: recording.first_frame is {settings.first_frame}, but {settings.frames} has "
-            f"{len(recording)} "
-            f"frames, 0 to {len(recording) - 1}"
+            f"{len(recording)} frames, 0 to {len(recording) - 1}"
         )
     warnings = list(recording.warnings)
+    if settings.last_frame is not None and settings.last_frame >= len(recording):
+        warnings.append(
+            f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"
+        )
     end = len(recording) if settings.last_frame is None else min(settings.last_frame + 1, len(recording))
     recording = recording[settings.first_frame : end]
     if recording.times is None:
         raise FingerflowError(
             f"{settings.frames} states no frame rate; give it in the scene, [recording] frame_rate = 300.0 (Hz)"
         )
-    for view in (scene.views.contact, scene.views.topography):
+    for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:
-            view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
-    return Inputs(scene, recording, np.asarray(recording.times, dtype=np.float64), torch.device(chosen), warnings)
+            try:
+                view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
+            except FingerflowError as error:
+                raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
+    return Inputs(scene, recording, np.asarray(recording.times, dtype=np.float64), chosen, warnings)
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).partition("\n")[0]
+        raise FingerflowError(f"the device {name!r} cannot be used ({reason}); choose auto, cpu or cuda") from error
+    return device
+
+
+def _fits_a_byte(recording: Recording) -> bool | None:
+    """None where the grey levels are floating point, which may be of any depth: a mean of several frames."""
+    return None if recording.bit_depth is None else recording.bit_depth <= 8
 
 
 def _size(shape: tuple[int, int]) -> str:

@@ -36,4 +36,11 @@ def load(inputs: Inputs) -> Loading | None:
     # Forces are resampled in the order of time, whatever part of the recording was chosen.
     values = forces.resample(inputs.times)
     inputs.warnings.extend(forces.warnings)
+    for name, column in names.items():
+        unknown = int(np.isnan(forces.channels[name]).sum())
+        if unknown:
+            inputs.warnings.append(
+                f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN in "
+                f"{int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
+            )
     return Loading(values["normal_force"], values.get("tangential_force"))

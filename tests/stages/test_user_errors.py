@@ -1,0 +1,242 @@
+"""What a user can get wrong is said with the value and the way out; what a recording lacks is said in the result."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import process
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
+from fingerflow.recordings.frames.npy import NpyRecording
+from fingerflow.result import export_table, load_result, save_result
+from fingerflow.scene import Scene
+
+Array = np.ndarray[Any, Any]
+Change = Callable[..., Scene]
+AREAS = ["real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center"]
+FIXED = {'threshold = "reference_frame"': "threshold = 0.25"}
+PER_FRAME = {'threshold = "reference_frame"': 'threshold = "per_frame"'}
+
+
+def warnings_of(result: xr.Dataset) -> str:
+    return "\n".join(json.loads(result.attrs["warnings"]))
+
+
+@pytest.fixture(scope="module")
+def glass(press: Path) -> Array:
+    """Eight frames of the empty glass, each with its own noise."""
+    from fingerflow.synthetic import rebuild_scene
+
+    scene = rebuild_scene(press)
+    return np.stack([scene.empty(number) for number in range(8)])
+
+
+@pytest.mark.parametrize(
+    ("replaced", "said"),
+    [
+        (
+            {"columns = [120, 240]": "columns = [120, 250]"},
+            r"scene\.toml: views\.contact .*\[120, 250\].*at most 96 and 240",
+        ),
+        ({"columns = [0, 120]": "columns = [200, 320]"}, r"scene\.toml: views\.topography .*\[200, 320\]"),
+        ({"# first_frame = 0": "first_frame = 8"}, r"first_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
+        ({"frame_rate = 8.0": ""}, r"frames\.npy states no frame rate; .*frame_rate = 300"),
+        (
+            {'normal = "normal_force"': 'normal = "fz"'},
+            "forces.csv: has no column 'fz'; its columns are .*'normal_force'",
+        ),
+        (
+            {'trigger = "trigger"': 'trigger = "start"'},
+            "forces.csv: has no column 'start'; its columns are .*'trigger'",
+        ),
+        ({"trigger_level = 2.5": "trigger_level = 25"}, "forces.csv: .*never rises through 25; .*between 0 and 5"),
+        ({"trigger_level = 2.5": 'trigger_level = 2.5\ntime = "clock"'}, "forces.csv: has no column 'clock'"),
+    ],
+)
+def test_a_setting_that_does_not_fit_the_files_is_named(changed: Change, replaced: dict[str, str], said: str) -> None:
+    with pytest.raises(FingerflowError, match=said):
+        process(changed(replaced), ["gross_contact_area"])
+
+
+def test_frames_that_are_gone_are_named(changed: Change, frames: Array, tmp_path: Path) -> None:
+    scene = changed(frames=frames)
+    (tmp_path / "frames.npy").unlink()
+    with pytest.raises(FingerflowError, match=r"frames\.npy: there is no such file"):
+        process(scene, AREAS)
+
+
+def test_a_last_frame_beyond_the_end_is_said(changed: Change) -> None:
+    result = process(changed({"# last_frame = 299": "last_frame = 299"}), AREAS)
+    assert result.sizes["frame"] == 8
+    assert "last_frame is 299, but" in warnings_of(result)
+    assert "ends with frame 7" in warnings_of(result)
+    assert "last_frame" not in warnings_of(process(changed({"# last_frame = 299": "last_frame = 7"}), AREAS))
+
+
+def test_no_frame_is_no_recording(changed: Change, frames: Array, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FingerflowError, match=r"frames\.npy: its array is \(0, 96, 240\)"):
+        process(changed(frames=frames[:0]), AREAS)
+    monkeypatch.setattr(NpyRecording, "__len__", lambda _: 0)  # of another format: a video may hold no frame
+    with pytest.raises(FingerflowError, match=r"frames\.npy has no frame"):
+        process(changed(), AREAS)
+
+
+@pytest.mark.parametrize("forces", [True, False])
+def test_one_frame_has_areas_and_no_rates(changed: Change, frames: Array, forces: bool) -> None:
+    result = process(changed(frames=frames[5:6], forces=forces))
+    assert result["gross_contact_area"].values[0] == pytest.approx(3.45, rel=0.05)
+    touched = result["onset_frame"].values == 0
+    assert touched.sum() > 10
+    assert (result["displacement"].values[0, touched] == 0).all()
+    for name in ("median_divergence_rate", "median_strain_rate", "strain_energy_rate"):
+        assert np.isnan(result[name].values).all(), name
+
+
+@pytest.mark.parametrize("replaced", [FIXED, PER_FRAME])
+def test_an_empty_glass_has_no_area_and_no_point(
+    changed: Change, glass: Array, replaced: dict[str, str], tmp_path: Path
+) -> None:
+    result = process(changed(replaced, frames=glass))
+    assert (result["real_contact_area"].values == 0).all()
+    assert (result["gross_contact_area"].values == 0).all()
+    assert result.sizes["point"] == result.sizes["triangle"] == 0
+    for name in ("ellipse_center", "ellipse_angle", "median_divergence", "median_strain", "global_displacement"):
+        assert np.isnan(result[name].values).all(), name
+    assert np.isnan(result["tracked_share"].values).all()
+    assert "no contact was found in frame" in warnings_of(result)
+    save_result(result, tmp_path / "result.h5")
+    assert load_result(tmp_path / "result.h5").sizes["point"] == 0
+    for name in ("table.csv", "all.mat"):
+        export_table(result, tmp_path / name)
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 9
+
+
+def test_an_empty_glass_without_a_threshold_is_named(changed: Change, glass: Array) -> None:
+    with pytest.raises(FingerflowError, match=r"no finger is in view.*\[views\.contact\].*threshold to a number"):
+        process(changed(frames=glass), AREAS)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_frame_that_is_no_picture_has_no_contact(changed: Change, frames: Array, value: float) -> None:
+    """Not even the right one in its neighbours' place: NaN, and the other frames as they were."""
+    damaged = frames.astype(np.float32)
+    expected = process(changed(frames=damaged))
+    damaged[4] = value
+    result = process(changed(frames=damaged))
+    others = np.arange(8) != 4
+    for name in ("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "contact_threshold"):
+        assert np.isnan(result[name].values[4]).all(), name
+        np.testing.assert_array_equal(result[name].values[others], expected[name].values[others])
+    assert (result["status"].values[4] != 0).all()
+    assert np.isnan(result["position"].values[4]).all()
+    assert (result["status"].values[5] == 0).all()
+    assert np.isnan(result["median_divergence"].values[4])
+    assert "the first is 4, have pixels in the contact view that are NaN or infinite" in warnings_of(result)
+
+
+def test_a_hole_in_a_frame_takes_the_contact_only(changed: Change, frames: Array) -> None:
+    """A patch of NaN would cost some area, and nobody would see it. Points beyond the patch are found."""
+    damaged = frames.astype(np.float32)
+    damaged[5, 40:50, 175:185] = np.nan  # contact view
+    damaged[6, 40:50, 40:50] = np.nan  # topography view
+    result = process(changed(frames=damaged))
+    assert np.isnan(result["gross_contact_area"].values[5])
+    assert result["gross_contact_area"].values[6] > 3
+    assert (result["status"].values[5] == 0).all()
+    assert 0.3 < (result["status"].values[6] == 0).mean() < 1
+
+
+def test_a_recording_of_other_depth_than_its_background(changed: Change, frames: Array, press: Path) -> None:
+    empty = np.load(press / "empty.npy")
+    with pytest.raises(FingerflowError, match=r"empty\.npy: the background has 8 bit, .*frames\.npy 16.*same camera"):
+        process(changed(frames=frames.astype(np.uint16) * 16, empty=empty.round().astype(np.uint8)), AREAS)
+
+
+@pytest.mark.parametrize("factor", [4, 16, 256])
+def test_any_depth_gives_the_same_contact(changed: Change, frames: Array, press: Path, factor: int) -> None:
+    """The same picture in 10, 12 and 16 bit: the quotient is the same, so the contact is, pixel for pixel."""
+    scaled = {name: np.load(press / f"{name}.npy") * np.float32(factor) for name in ("empty", "dark")}
+    deep = process(changed(frames=frames.astype(np.uint16) * factor, **scaled), [*AREAS, "position_px"])
+    plain = process(changed(), [*AREAS, "position_px"])
+    for name in AREAS:
+        np.testing.assert_allclose(deep[name], plain[name], rtol=1e-6, err_msg=name)
+    np.testing.assert_allclose(deep["position_px"], plain["position_px"], atol=2e-3)
+
+
+@pytest.mark.parametrize("replaced", [{}, FIXED, PER_FRAME])
+def test_contact_everywhere(changed: Change, frames: Array, replaced: dict[str, str]) -> None:
+    """All of the lit glass is dark: the gross area is that of the view, less the corners that have no light."""
+    covered = frames.copy()
+    covered[:, :, 120:] = 0
+    result = process(changed(replaced, frames=covered), AREAS)
+    whole = 96 * 120 * 0.0325**2
+    assert (result["gross_contact_area"].values <= whole).all()
+    assert (result["gross_contact_area"].values > 0.8 * whole).all()
+
+
+def test_forces_of_nan_are_said(changed: Change, press: Path, tmp_path: Path) -> None:
+    lines = (press / "forces.csv").read_text().splitlines()
+    cells = [line.split(",") for line in lines[1:]]
+    for row in cells:
+        row[1] = "nan"
+    (tmp_path / "nan.csv").write_text("\n".join([lines[0], *map(",".join, cells)]))
+    result = process(changed({(press / "forces.csv").as_posix(): "nan.csv"}), ["normal_force", "gross_contact_area"])
+    assert np.isnan(result["normal_force"].values).all()
+    assert np.isfinite(result["tangential_force"].values[:-1]).all()
+    assert result["gross_contact_area"].values[7] > 4
+    assert f"nan.csv: {len(cells)} of {len(cells)} samples of 'normal_force' are NaN" in warnings_of(result)
+    assert "normal_force is NaN in 8 of 8 frames" in warnings_of(result)
+
+
+def test_forces_elsewhere_in_time_are_named(changed: Change, press: Path, tmp_path: Path) -> None:
+    (tmp_path / "late.csv").write_text("time (s),normal_force (N)\n100,1\n100.1,2\n100.2,3\n")
+    channels = {
+        (press / "forces.csv").as_posix(): "late.csv",
+        'tangential = "tangential_force"': "",
+        'trigger = "trigger"': "",
+        "trigger_level = 2.5": "",
+    }
+    with pytest.raises(
+        FingerflowError, match=r"late\.csv: forces last from 100 to 100\.2 s, the frames from 0 .*trigger"
+    ):
+        process(changed(channels), ["normal_force"])
+
+
+def test_an_output_is_named_by_itself_or_in_a_list(changed: Change) -> None:
+    assert "gross_contact_area" in process(changed(), "gross_contact_area")
+    with pytest.raises(FingerflowError, match="did you mean 'gross_contact_area'"):
+        process(changed(), "gross_area_contact")
+
+
+@pytest.mark.parametrize("device", ["gpu", "cuda:99", ""])
+def test_a_device_that_is_not_there_is_named(changed: Change, device: str) -> None:
+    with pytest.raises(FingerflowError, match=f"device '{device}' cannot be used.*choose auto, cpu or cuda"):
+        process(changed(), AREAS, device=device)
+
+
+def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thousands of recordings in one process: each is closed after its trial, its background too."""
+    opened: list[Path] = []
+    closed: list[Path] = []
+
+    def counted(path: Path, frame_rate: float | None = None) -> Any:
+        recording = open_recording(path, frame_rate=frame_rate)
+        opened.append(recording.path)
+        close = recording.close
+
+        def closing() -> None:
+            closed.append(recording.path)
+            close()
+
+        recording.close = closing  # type: ignore[method-assign]
+        return recording
+
+    monkeypatch.setattr("fingerflow.stages.inputs.open_recording", counted)
+    process(changed(), AREAS)
+    assert sorted(closed) == sorted(opened)
+    assert len(opened) == 3
