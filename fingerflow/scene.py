@@ -64,10 +64,11 @@ class _Table(BaseModel):
 
 
 class RecordingSettings(_Table):
-    """[recording]: the frames, and which of them count."""
+    """[recording]: the frames, and which of them count. Frames are numbered from 0 as they stand in the file."""
 
     frames: ExistingPath
     frame_rate: Positive | None = None
+    trigger_frame: Annotated[Whole, Field(ge=0)] | None = None
     first_frame: Annotated[Whole, Field(ge=0)] = 0
     last_frame: Annotated[Whole, Field(ge=0)] | None = None
 
@@ -398,6 +399,7 @@ def scene_text(
     *,
     frames: str = "frames.cine",
     frame_rate: float | None = None,
+    trigger_frame: int | None = None,
     background: str = "empty.cine",
     dark: str | None = None,
     contact: View = _CONTACT,
@@ -410,6 +412,7 @@ def scene_text(
     ``calibration`` is the content of the table [calibration], in TOML.
     """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
+    trigger = "# trigger_frame = 12" if trigger_frame is None else f"trigger_frame = {trigger_frame}"
     dark_line = f"dark = {toml_string(dark)}" if dark else '# dark = "dark.cine"'
     mark = "" if forces else "# "
     return f"""# A scene of fingerflow: what was recorded and what is asked of it. Paths are relative to this file.
@@ -417,6 +420,7 @@ def scene_text(
 [recording]
 frames = {toml_string(frames)}          # .cine, .mraw/.cih, TIFF, AVI/MP4, HDF5, .npy or a folder of images
 {rate}          # Hz, only where the recording does not state it
+{trigger}          # the frame at time 0, only where the recording does not state it
 # first_frame = 0             # the frames that count, both included
 # last_frame = 299
 

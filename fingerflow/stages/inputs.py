@@ -91,18 +91,26 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
             f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"
         )
     end = len(recording) if settings.last_frame is None else min(settings.last_frame + 1, len(recording))
-    recording = recording[settings.first_frame : end]
     if recording.times is None:
         raise FingerflowError(
             f"{settings.frames} states no frame rate; give it in the scene, [recording] frame_rate = 300.0 (Hz)"
         )
+    times = np.asarray(recording.times, dtype=np.float64)
+    if settings.trigger_frame is not None:
+        if settings.trigger_frame >= len(recording):
+            raise FingerflowError(
+                f"{scene.path}: recording.trigger_frame is {settings.trigger_frame}, but {settings.frames} has "
+                f"{len(recording)} frames, 0 to {len(recording) - 1}"
+            )
+        times = times - times[settings.trigger_frame]
+    recording = recording[settings.first_frame : end]
     for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:
             try:
                 view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
-    return Inputs(scene, recording, np.asarray(recording.times, dtype=np.float64), chosen, warnings)
+    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings)
 
 
 def _device(name: str) -> torch.device:

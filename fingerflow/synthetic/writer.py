@@ -110,6 +110,7 @@ def _scene_file(scene: Scene) -> str:
     return scene_text(
         frames="frames.npy",
         frame_rate=scene.frame_rate,
+        trigger_frame=scene.frames_before_trigger,
         background="empty.npy",
         dark="dark.npy",
         contact=scene.views["contact"],

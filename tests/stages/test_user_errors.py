@@ -15,6 +15,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene
+from fingerflow.synthetic import rebuild_scene
 
 Array = np.ndarray[Any, Any]
 Change = Callable[..., Scene]
@@ -30,8 +31,6 @@ def warnings_of(result: xr.Dataset) -> str:
 @pytest.fixture(scope="module")
 def glass(press: Path) -> Array:
     """Eight frames of the empty glass, each with its own noise."""
-    from fingerflow.synthetic import rebuild_scene
-
     scene = rebuild_scene(press)
     return np.stack([scene.empty(number) for number in range(8)])
 
@@ -44,6 +43,7 @@ def glass(press: Path) -> Array:
             r"scene\.toml: views\.contact .*\[120, 250\].*at most 96 and 240",
         ),
         ({"columns = [0, 120]": "columns = [200, 320]"}, r"scene\.toml: views\.topography .*\[200, 320\]"),
+        ({"trigger_frame = 1 ": "trigger_frame = 8"}, r"trigger_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ({"# first_frame = 0": "first_frame = 8"}, r"first_frame is 8, but .*frames\.npy has 8 frames, 0 to 7"),
         ({"frame_rate = 8.0": ""}, r"frames\.npy states no frame rate; .*frame_rate = 300"),
         (
@@ -88,7 +88,7 @@ def test_no_frame_is_no_recording(changed: Change, frames: Array, monkeypatch: p
 
 @pytest.mark.parametrize("forces", [True, False])
 def test_one_frame_has_areas_and_no_rates(changed: Change, frames: Array, forces: bool) -> None:
-    result = process(changed(frames=frames[5:6], forces=forces))
+    result = process(changed({"trigger_frame = 1 ": ""}, frames=frames[5:6], forces=forces))
     assert result["gross_contact_area"].values[0] == pytest.approx(3.45, rel=0.05)
     touched = result["onset_frame"].values == 0
     assert touched.sum() > 10
@@ -187,10 +187,27 @@ def test_forces_of_nan_are_said(changed: Change, press: Path, tmp_path: Path) ->
     (tmp_path / "nan.csv").write_text("\n".join([lines[0], *map(",".join, cells)]))
     result = process(changed({(press / "forces.csv").as_posix(): "nan.csv"}), ["normal_force", "gross_contact_area"])
     assert np.isnan(result["normal_force"].values).all()
-    assert np.isfinite(result["tangential_force"].values[:-1]).all()
+    assert np.isfinite(result["tangential_force"].values[1:]).all()
     assert result["gross_contact_area"].values[7] > 4
     assert f"nan.csv: {len(cells)} of {len(cells)} samples of 'normal_force' are NaN" in warnings_of(result)
     assert "normal_force is NaN in 8 of 8 frames" in warnings_of(result)
+
+
+def test_forces_and_frames_have_one_clock(changed: Change, press: Path) -> None:
+    """Time 0 is the trigger in both: the force of a frame is the true one there, to its noise and the low-pass filter.
+
+    A frame more or less, an eighth of a second here, would be wrong by up to 0.9 N.
+    """
+    truth = rebuild_scene(press)
+    names = ["normal_force", "tangential_force"]
+    result = process(changed(), names)
+    np.testing.assert_allclose(result["time"], truth.times, atol=1e-12)
+    # The filter ends at half the frame rate, which rounds the start and the end of a rise this fast.
+    inner = slice(2, 6)
+    np.testing.assert_allclose(result["normal_force"][inner], truth.normal_force(truth.times)[inner], atol=0.1)
+    part = process(changed({"# first_frame = 0": "first_frame = 3"}), names)
+    np.testing.assert_allclose(part["time"], truth.times[3:], atol=1e-12)
+    np.testing.assert_allclose(part["normal_force"][:3], truth.normal_force(truth.times)[3:6], atol=0.1)
 
 
 def test_forces_elsewhere_in_time_are_named(changed: Change, press: Path, tmp_path: Path) -> None:
@@ -202,7 +219,7 @@ def test_forces_elsewhere_in_time_are_named(changed: Change, press: Path, tmp_pa
         "trigger_level = 2.5": "",
     }
     with pytest.raises(
-        FingerflowError, match=r"late\.csv: forces last from 100 to 100\.2 s, the frames from 0 .*trigger"
+        FingerflowError, match=r"late\.csv: forces last from 100 to 100\.2 s, the frames from -0.125 to .*trigger"
     ):
         process(changed(channels), ["normal_force"])
 
