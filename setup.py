@@ -12,9 +12,9 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
-PLAIN = ["instruction_sets", "median", "parallel", "tracking"]
+PLAIN = ["instruction_sets", "median", "noise", "parallel", "spline", "tracking"]
 # Compiled for every instruction set; some need no exact agreement between the sets.
-EXACT, ROUNDED = ["median_band"], ["tracking_points"]
+EXACT, ROUNDED = ["median_band", "noise_rows", "spline_rows"], ["tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time.

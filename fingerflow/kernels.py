@@ -16,6 +16,7 @@ from torch import Tensor
 
 _INTERFACE = 1  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
+FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 9
 
 _log = logging.getLogger(__name__)
@@ -126,6 +127,20 @@ def track_points(
     return points, error, covariance, status
 
 
+def spline_coefficients(frames: Tensor) -> Tensor:
+    """Coefficients (B, 1, H, W) float32, as `ops.spline` has them, of frames of FRAME_KINDS, H and W at least 3."""
+    coefficients = torch.empty(frames.shape)
+    _per_frame("fingerflow_spline_coefficients", frames, coefficients)
+    return coefficients
+
+
+def mean_response(frames: Tensor) -> Tensor:
+    """Mean absolute response (B,) float64 of the mask of `ops.noise`, frames as for `spline_coefficients`."""
+    means = torch.empty(len(frames), dtype=torch.float64)
+    _per_frame("fingerflow_mean_response", frames, means)
+    return means
+
+
 def limit_instruction_set(most: int) -> int:
     """For tests: use no wider set than 0 baseline, 1 AVX2, 2 AVX-512, -1 what there is; returns the one taken."""
     library = _library()
@@ -150,6 +165,8 @@ def _library() -> ctypes.CDLL | None:
     extent = [count] * 5
     library.fingerflow_limit_instruction_set.argtypes = [number]
     library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, number]
+    library.fingerflow_spline_coefficients.argtypes = [pointer, pointer, *extent, number, number]
+    library.fingerflow_mean_response.argtypes = [pointer, pointer, *extent, number, number]
     real = ctypes.c_float
     library.fingerflow_track_points.argtypes = [
         *[pointer] * 2,
@@ -162,6 +179,21 @@ def _library() -> ctypes.CDLL | None:
         number,
     ]
     return library
+
+
+def _per_frame(name: str, frames: Tensor, result: Tensor) -> None:
+    _check_frames(frames, tuple(FRAME_KINDS))
+    if min(frames.shape[2:]) < 3:
+        raise ValueError(f"frames of {tuple(frames.shape[2:])} px: this compiled kernel needs at least 3 x 3")
+    frames = _rows_in_one_piece(frames)
+    _call(
+        name,
+        frames.data_ptr(),
+        result.data_ptr(),
+        *_extent(frames),
+        FRAME_KINDS[frames.dtype],
+        torch.get_num_threads(),
+    )
 
 
 def _call(name: str, *arguments: int | float | None) -> None:

@@ -33,3 +33,12 @@ FINGERFLOW_EXPORT int fingerflow_track_points(const float* from, const float* to
                                               float rounding, float forward_backward_limit,
                                               float mismatch_limit, float* points, float* error, float* covariance,
                                               unsigned char* status, int threads);
+
+// Spline coefficients, and the mean absolute response of the noise mask, of `batch` frames of a kind of pixels.h, at
+// least 3 x 3; coefficients (batch, height, width) contiguous, means (batch), NaN where no response is finite.
+FINGERFLOW_EXPORT int fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch,
+                                                     std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                                     std::int64_t row_stride, int kind, int threads);
+FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means, std::int64_t batch,
+                                               std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                               std::int64_t row_stride, int kind, int threads);

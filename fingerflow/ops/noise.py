@@ -5,15 +5,15 @@ import math
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
+
 
 def estimate_noise(images: Tensor) -> Tensor:
     """Standard deviation of white noise, in grey levels.
 
     The mean absolute response of the mask [1 -2 1]^T [1 -2 1], which cancels any image that is locally a sum of a
-    function of
-    x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq. 4). Fine texture adds to it:
-    the value is an
-    upper bound that is close where structures are wider than about 8 px.
+    function of x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq. 4). Fine texture adds
+    to it: the value is an upper bound that is close where structures are wider than about 8 px.
 
     Args:
         images: (B, 1, H, W), any real dtype, H and W at least 3.
@@ -21,6 +21,8 @@ def estimate_noise(images: Tensor) -> Tensor:
     Returns:
         (B,) float, of the part of the image without non-finite pixels; NaN where there is none.
     """
+    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
+        return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
     x = x[..., :-2, :] - 2 * x[..., 1:-1, :] + x[..., 2:, :]
     x = x[..., :-2] - 2 * x[..., 1:-1] + x[..., 2:]

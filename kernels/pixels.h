@@ -1,0 +1,26 @@
+// The number types of frames, as fingerflow/kernels.py codes them.
+#pragma once
+
+#include <cstdint>
+
+namespace fingerflow {
+
+enum PixelKind : int { kUint8 = 0, kUint16 = 1, kInt32 = 2, kFloat32 = 3 };
+
+// Frames (batch, height, width); strides in pixels, pixels of a row side by side.
+struct Frames {
+    const void* data;
+    std::int64_t batch, height, width, frame_stride, row_stride;
+    PixelKind kind;
+};
+
+// Calls function(typed pointer) for the type that `kind` says.
+#define FINGERFLOW_FOR_PIXEL(kind, data, function)                                             \
+    switch (kind) {                                                                            \
+        case fingerflow::kUint8: return function(static_cast<const std::uint8_t*>(data));      \
+        case fingerflow::kUint16: return function(static_cast<const std::uint16_t*>(data));    \
+        case fingerflow::kInt32: return function(static_cast<const std::int32_t*>(data));      \
+        default: return function(static_cast<const float*>(data));                             \
+    }
+
+}  // namespace fingerflow
