@@ -27,7 +27,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # The compiled kernels are part of the install: their sources count like the list of dependencies.
-KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) fingerflow/ops/median_network.py
+KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) $(wildcard fingerflow/ops/median_*.py)
 
 $(VENV)/installed: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .

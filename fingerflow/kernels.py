@@ -14,10 +14,12 @@ import os
 import torch
 from torch import Tensor
 
-_INTERFACE = 1  # of kernels/interface.h; a library built from other sources does not serve
+from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
+
+_INTERFACE = 2  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
-LARGEST_MEDIAN = 9
+LARGEST_MEDIAN = 31
 
 _log = logging.getLogger(__name__)
 
@@ -38,12 +40,13 @@ def median(frames: Tensor, size: int) -> Tensor:
     """Median of uint8 or uint16 frames (B, 1, H, W), as `ops.median.median_filter` has it.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 9.
+        TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 31.
     """
     _check_frames(frames, MEDIAN_DTYPES)
     if not 3 <= size <= LARGEST_MEDIAN or size % 2 == 0:
         raise ValueError(f"the compiled median has odd sizes from 3 to {LARGEST_MEDIAN}: {size} was asked for")
     frames = _rows_in_one_piece(frames)
+    table = None if size in COMPILED_SIZES else _table(size)
     medians = torch.empty(frames.shape, dtype=frames.dtype)
     _call(
         "fingerflow_median",
@@ -52,6 +55,7 @@ def median(frames: Tensor, size: int) -> Tensor:
         *_extent(frames),
         frames.element_size(),
         size,
+        None if table is None else ctypes.addressof(table),
         torch.get_num_threads(),
     )
     return medians
@@ -150,6 +154,12 @@ def limit_instruction_set(most: int) -> int:
 
 
 @functools.cache
+def _table(size: int) -> ctypes.Array[ctypes.c_uint16]:
+    numbers = median_table(size)
+    return (ctypes.c_uint16 * len(numbers))(*numbers)
+
+
+@functools.cache
 def _library() -> ctypes.CDLL | None:
     if os.environ.get("FINGERFLOW_KERNELS", "1") == "0":
         return None
@@ -164,7 +174,7 @@ def _library() -> ctypes.CDLL | None:
     count, pointer, number = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
     extent = [count] * 5
     library.fingerflow_limit_instruction_set.argtypes = [number]
-    library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, number]
+    library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, pointer, number]
     library.fingerflow_spline_coefficients.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_mean_response.argtypes = [pointer, pointer, *extent, number, number]
     real = ctypes.c_float

@@ -13,61 +13,32 @@ every plane, only the rows that are still read. Three numbers place a step:
 
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fingerflow.ops.median_network import MedianProgram, Step, median_program
+from fingerflow.ops.median_rows import COMPILED_SIZES, Read, RowOrder
 
-SIZES = (3, 5, 7, 9)
 DIFFERENCES = 0.4  # share of operations that go by a difference
 
 
-class Read(NamedTuple):
-    """Where an operand is found: `age` rows ago and `columns` tiles to the right of the reading step."""
-
-    age: int
-    columns: int
-
-
-class Placement:
-    """Leads, passes and slots of a program's planes."""
+class Placement(RowOrder):
+    """Passes and scratch slots beside the order of rows."""
 
     def __init__(self, program: MedianProgram) -> None:
-        self.program = program
-        rows, columns = program.tile
-        self.inputs = list(range(rows * columns))
-        self.leads = self._leads()
+        super().__init__(program)
         self.passes = self._passes()
         self.spans = self._spans()
-        self.rings, self.scratch, self.scratch_slots = self._slots()
-        self.ages = 1 + max([age for _, plane, age, _ in self._reads() if plane in self.rings], default=0)
+        # Kept planes have a slot in each of as many rings as there are kept rows.
+        self.ring_slots = {plane: slot for slot, plane in enumerate(sorted(self.kept_rows))}
+        self.ages = max(self.kept_rows.values(), default=1)
+        self.scratch, self.scratch_count = self._scratch()
         # Above the first row of medians only what runs ahead is needed.
         self.passes_ahead = 1 + max((self.passes[plane] for plane, lead in self.leads.items() if lead), default=-1)
 
-    def operands(self, step: Step) -> tuple[tuple[int, Read], tuple[int, Read]]:
-        lead = self.leads[step.result]
-        return (
-            (step.left, Read(self.leads[step.left] - lead, 0)),
-            (step.right, Read(self.leads[step.right] - lead - step.rows, step.columns)),
-        )
-
-    def _reads(self) -> list[tuple[int, int, int, int]]:
-        """(reader, plane, age, columns) of every operand."""
-        return [(step.result, plane, *read) for step in self.program.steps for plane, read in self.operands(step)]
-
-    def _leads(self) -> dict[int, int]:
-        assert all((plane.rows, plane.columns) == (0, 0) for plane in self.program.outputs)
-        leads = {output.plane: 0 for output in self.program.outputs}
-        for step in reversed(self.program.steps):
-            lead = leads[step.result]
-            leads[step.left] = max(leads.get(step.left, 0), lead)
-            leads[step.right] = max(leads.get(step.right, 0), lead + step.rows)
-        return leads
-
     def _passes(self) -> dict[int, int]:
         passes = dict.fromkeys(self.inputs, 0)
-        for step in self.program.steps:
+        for step in self.steps:
             assert step.columns >= 0
             passes[step.result] = max(
                 passes[plane] + (read.columns > 0 and plane not in self.inputs) if read.age == 0 else 0
@@ -83,17 +54,18 @@ class Placement:
                 spans[plane] = max(spans[plane], spans[step.result] + read.columns)
         return spans
 
-    def _slots(self) -> tuple[dict[int, int], dict[int, int], int]:
-        """Slots of planes read from later rows, which stay, and of those read from later passes, which are reused."""
-        aged = {plane for _, plane, age, _ in self._reads() if age} - set(self.inputs)
-        rings = {plane: slot for slot, plane in enumerate(sorted(aged))}
+    def _scratch(self) -> tuple[dict[int, int], int]:
+        """Slots of planes that a later pass over the same row reads, free again after it."""
         last_pass = {output.plane: 1 + max(self.passes.values()) for output in self.program.outputs}
-        for reader, plane, _, _ in self._reads():
-            if plane not in rings and plane not in self.inputs and self.passes[reader] > self.passes[plane]:
-                last_pass[plane] = max(last_pass.get(plane, 0), self.passes[reader])
+        for step in self.steps:
+            for plane, _ in self.operands(step):
+                own = plane not in self.ring_slots and plane not in self.inputs
+                if own and self.passes[step.result] > self.passes[plane]:
+                    last_pass[plane] = max(last_pass.get(plane, 0), self.passes[step.result])
         free: list[int] = []
         busy: list[tuple[int, int]] = []  # (last pass, slot)
-        slots, count = {}, 0
+        slots: dict[int, int] = {}
+        count = 0
         for plane in sorted(last_pass, key=lambda plane: (self.passes[plane], plane)):
             free += sorted(slot for last, slot in busy if last < self.passes[plane])
             busy = [(last, slot) for last, slot in busy if last >= self.passes[plane]]
@@ -103,7 +75,7 @@ class Placement:
                 slot, count = count, count + 1
             slots[plane] = slot
             busy.append((last_pass[plane], slot))
-        return rings, slots, count
+        return slots, count
 
 
 def network_source(program: MedianProgram) -> str:
@@ -117,18 +89,17 @@ def network_source(program: MedianProgram) -> str:
         "kTileColumns": columns,
         "kReachRight": right,
         "kAges": place.ages,
-        "kRingSlots": len(place.rings),
-        "kScratchSlots": place.scratch_slots,
-        "kWarmUp": max(place.leads.values()),
-        "kLines": rows * (1 + max(place.leads[plane] for plane in place.inputs)),
+        "kRingSlots": len(place.ring_slots),
+        "kScratchSlots": place.scratch_count,
+        "kWarmUp": place.warm_up,
+        "kLines": place.lines,
     }
     lines = [f"template <class Pixel>\nstruct MedianNetwork{program.size} {{"]
     lines += [f"    static constexpr int {name} = {value};" for name, value in constants.items()]
-    slots = "kAges * kRingSlots + kScratchSlots + 2 * kTileColumns"
-    lines.append(f"    static constexpr long kSlots = {slots};")
+    lines.append("    static constexpr long kSlots = kAges * kRingSlots + kScratchSlots;")
     lines.append("    static constexpr long kStride = kSlotBytes / static_cast<long>(sizeof(Pixel));")
     slots = ", ".join(str(place.scratch[output.plane]) for output in program.outputs)
-    lines.append(f"    static constexpr int kOutputSlots[] = {{{slots}}};")
+    lines.append(f"    static constexpr std::uint16_t kOutputSlots[] = {{{slots}}};")
     arguments = (
         "const Pixel* const* lines, Pixel* const* ring, Pixel* FINGERFLOW_RESTRICT scratch, long tiles, bool ahead"
     )
@@ -142,7 +113,7 @@ def network_source(program: MedianProgram) -> str:
 
 
 def _pass_source(place: Placement, number: int) -> list[str]:
-    steps = [step for step in place.program.steps if place.passes[step.result] == number]
+    steps = [step for step in place.steps if place.passes[step.result] == number]
     span = max(place.spans[step.result] for step in steps)
     loaded: dict[tuple[int, Read], str] = {}
     body: list[str] = []
@@ -156,13 +127,12 @@ def _pass_source(place: Placement, number: int) -> list[str]:
         if (plane, read) not in loaded:
             name = f"a{plane}_{read.age}_{read.columns}"
             if plane in place.inputs:
-                rows, columns = place.program.tile
-                line = (place.leads[plane] - read.age) * rows * columns + plane
+                line = place.line(plane, read.age)
                 input_lines.add(line)
                 where = f"i{line} + x + {read.columns}"
-            elif plane in place.rings:
+            elif plane in place.ring_slots:
                 ages.add(read.age)
-                where = f"r{read.age} + {place.rings[plane]} * kStride + x + {read.columns}"
+                where = f"r{read.age} + {place.ring_slots[plane]} * kStride + x + {read.columns}"
             else:
                 where = f"scratch + {place.scratch[plane]} * kStride + x + {read.columns}"
             body.append(f"            const Value {name} = L::load({where});")
@@ -180,7 +150,7 @@ def _pass_source(place: Placement, number: int) -> list[str]:
                 body.append(f"            const Value {name} = L::excess({arguments});")
             arguments += f", {name}"
         body.append(f"            const Value v{step.result} = L::{function}({arguments});")
-        for slots, array in ((place.rings, "r0"), (place.scratch, "scratch")):
+        for slots, array in ((place.ring_slots, "r0"), (place.scratch, "scratch")):
             if step.result in slots:
                 ages |= {0} if array == "r0" else set()
                 where = f"{array} + {slots[step.result]} * kStride + x"
@@ -217,8 +187,10 @@ def _by_difference(steps: list[Step]) -> dict[int, int]:
 
 
 def main(path: str) -> None:
-    parts = [network_source(median_program(size)) for size in SIZES]
-    Path(path).write_text("// Written by kernels/generate_median.py.\n#pragma once\n\n" + "\n".join(parts))
+    parts = ["// Written by kernels/generate_median.py.", "#pragma once", ""]
+    parts += [network_source(median_program(size)) for size in COMPILED_SIZES]
+    parts += [f"#define FINGERFLOW_MEDIAN_SIZES(use) {' '.join(f'use({size})' for size in COMPILED_SIZES)}", ""]
+    Path(path).write_text("\n".join(parts))
 
 
 if __name__ == "__main__":

@@ -19,9 +19,10 @@ FINGERFLOW_EXPORT int fingerflow_interface();
 FINGERFLOW_EXPORT int fingerflow_limit_instruction_set(int most);
 
 // Medians of size x size windows of `batch` frames, uint8 or uint16 as `pixel_bytes` says; `medians` is contiguous.
+// `table` is null for a compiled size, else what fingerflow/ops/median_rows.py writes for it.
 FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height,
                                         std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                                        int pixel_bytes, int size, int threads);
+                                        int pixel_bytes, int size, const std::uint16_t* table, int threads);
 
 // Points of one image found in another and back again, as fingerflow/ops/tracking.py describes, with cubic splines.
 // Coefficients are (B, height, width), the points of all images flat: image index, noise, error and status (count),

@@ -8,7 +8,7 @@
 #include "workspace.h"
 
 int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
-                      std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size, int threads) try {
+                      std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size, const std::uint16_t* table, int threads) try {
     using namespace fingerflow;
     if (batch * height * width == 0) return 0;
 
@@ -20,15 +20,16 @@ int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std
     const std::int64_t bands = (height + most - 1) / most;
     const std::int64_t rows = ((height + bands - 1) / bands + 7) / 8 * 8;
 
-    const auto bytes = static_cast<std::size_t>(FINGERFLOW_PICK(median_workspace_bytes)(pixel_bytes, size, rows, width));
+    const MedianKind kind{pixel_bytes, size, table};
+    const auto bytes = static_cast<std::size_t>(FINGERFLOW_PICK(median_workspace_bytes)(kind, rows, width));
     if (bytes == 0) return 2;
     const auto filter = FINGERFLOW_PICK(median_band);
     const std::int64_t pieces = (height + rows - 1) / rows;
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t frame = piece / pieces, top = piece % pieces * rows;
         const MedianBand band{height, width, row_stride, top, std::min(height, top + rows)};
-        filter(static_cast<const char*>(frames) + frame * frame_stride * pixel_bytes,
-               static_cast<char*>(medians) + frame * height * width * pixel_bytes, pixel_bytes, size, band,
+        filter(kind, static_cast<const char*>(frames) + frame * frame_stride * pixel_bytes,
+               static_cast<char*>(medians) + frame * height * width * pixel_bytes, band,
                workspace(bytes));
     });
     return 0;

@@ -12,12 +12,17 @@ struct MedianBand {
     std::int64_t top, bottom;                // rows from `top` to before `bottom`
 };
 
+struct MedianKind {
+    int pixel_bytes, size;
+    const std::uint16_t* table;  // of a network that was not compiled, else null
+};
+
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Of a workspace for so many rows of a frame, aligned to 64; 0 where there is no compiled network for the size.
-    std::int64_t median_workspace_bytes(int pixel_bytes, int size, std::int64_t rows, std::int64_t width);
+    // Of a workspace, aligned to 64, for so many rows of a frame; 0 where there is no compiled network for the size.
+    std::int64_t median_workspace_bytes(const MedianKind& kind, std::int64_t rows, std::int64_t width);
     // `frame` and `medians` are of the whole frame; `medians` is contiguous.
-    void median_band(const void* frame, void* medians, int pixel_bytes, int size, const MedianBand& band, void* workspace);
+    void median_band(const MedianKind& kind, const void* frame, void* medians, const MedianBand& band, void* workspace);
 )
 // clang-format on
 

@@ -1,5 +1,6 @@
 """The compiled median against the portable one, SciPy and OpenCV, for every instruction set of this processor."""
 
+import functools
 from collections.abc import Iterator
 
 import cv2
@@ -45,7 +46,7 @@ def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16])
-@pytest.mark.parametrize("size", [3, 5, 7, 9])
+@pytest.mark.parametrize("size", [3, 5, 7, 9, 11])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_frames_equal_scipy(instruction_set: int, size: int, shape: tuple[int, int], dtype: torch.dtype) -> None:
     frames = frames_of((1, *shape), dtype, "random")
@@ -64,7 +65,28 @@ def test_equals_the_portable_form(
     assert torch.equal(compiled, median_filter(frames, size))
 
 
-@pytest.mark.parametrize("size", [3, 5, 7, 9])
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16])
+@pytest.mark.parametrize("size", [13, 15, 21, 31])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 70), (70, 1), (9, 30), (75, 90), (20, 1300)])
+def test_windows_by_table_equal_scipy(
+    instruction_set: int, size: int, shape: tuple[int, int], dtype: torch.dtype
+) -> None:
+    frames = frames_of((1, *shape), dtype, "random")
+    assert torch.equal(kernels.median(frames, size), _scipy_median_once(shape, dtype, size))
+
+
+@functools.cache
+def _scipy_median_once(shape: tuple[int, int], dtype: torch.dtype, size: int) -> torch.Tensor:
+    return scipy_median(frames_of((1, *shape), dtype, "random"), size)
+
+
+@pytest.mark.parametrize("size", [17, 19, 23, 25, 27, 29])
+def test_every_other_size(size: int) -> None:
+    frames = frames_of((1, 40, 50), torch.uint8, "random")
+    assert np.array_equal(kernels.median(frames, size)[0, 0], cv2.medianBlur(frames[0, 0].numpy(), size))
+
+
+@pytest.mark.parametrize("size", [3, 5, 7, 9, 11])
 def test_equals_opencv(instruction_set: int, size: int) -> None:
     frame = frames_of((1, 512, 640), torch.uint8, "random")
     assert np.array_equal(kernels.median(frame, size)[0, 0], cv2.medianBlur(frame[0, 0].numpy(), size))
