@@ -153,13 +153,13 @@ def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
     code = "from fingerflow.cli import main; main()"
     command = [sys.executable, "-c", code, "simulate", "press", "one"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as running:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 300
         while not list(tmp_path.glob(".one-*/frames.npy")):
             assert running.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.05)
         os.kill(running.pid, signal.SIGINT)
-        _, said = running.communicate(timeout=60)
+        _, said = running.communicate(timeout=300)
     assert running.returncode == 130, said
     assert "interrupted" in said
     assert "Traceback" not in said
