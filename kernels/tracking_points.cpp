@@ -61,17 +61,17 @@ void cubic_taps(Number fraction, Number* value, Number* slope) {
     slope[3] = square * 0.5f;
 }
 
-// Rows of a window begin at whole vectors; what lies behind its last column is zero.
+// The rows of a window lie as far apart as those of the patch that a table is built from, so that one index runs over
+// both: four columns of zeros end each row of the window. Rows are written in whole vectors, one after the other; what a
+// vector writes too much the next row replaces.
 struct Layout {
-    int window, vectors, stride;        // of values and gradients
-    int patch_rows, patch_stride;       // of coefficients, wide enough for tables, taps and the last vector's end
-    explicit Layout(int window)
-        : window(window),
-          vectors(whole_floats(window) / kFloats),
-          stride(whole_floats(window)),
-          patch_rows(window + kPositions - 1),
-          patch_stride(whole_floats(window) + whole_floats(kPositions - 1)) {}
-    int values() const { return window * stride; }
+    int window, stride, span;  // span: a row in whole vectors
+    explicit Layout(int window) : window(window), stride(window + kPositions - 1), span(whole_floats(window)) {}
+    int values() const { return whole_floats(window * stride); }
+    int buffer() const { return values() + span + kFloats; }
+    int patch() const { return stride * stride; }
+    int patch_end() const { return whole_floats(kPositions) + span + 2 * kFloats; }  // zeros behind the patch
+    int row() const { return whole_floats(window + kOrder) + kFloats; }
 };
 
 struct Window {
@@ -94,24 +94,24 @@ struct Match {
 
 class Tracker {
 public:
-    Tracker(const TrackedPair& pair, float* memory) : pair_(pair), layout_(pair.window), last_(pair.window - layout_.stride + kFloats) {
+    Tracker(const TrackedPair& pair, float* memory) : pair_(pair), layout_(pair.window), last_(pair.window - layout_.span + kFloats) {
         const auto take = [&](int count) {
             float* piece = memory;
             memory += whole_floats(count);
             for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
             return piece;
         };
-        template_ = {take(layout_.values()), take(layout_.values()), take(layout_.values())};
-        matched_ = {take(layout_.values()), take(layout_.values()), take(layout_.values())};
-        reference_ = take(layout_.values());
-        patch_ = take(layout_.patch_rows * layout_.patch_stride);
-        rows_ = take(kRowsAtATime * 2 * layout_.patch_stride);
+        template_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
+        matched_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
+        reference_ = take(layout_.buffer());
+        patch_ = take(layout_.patch() + layout_.patch_end());
+        rows_ = take(kRowsAtATime * 2 * layout_.row());
     }
 
     static std::int64_t floats(int window) {
         const Layout layout(window);
-        return 7 * whole_floats(layout.values()) + whole_floats(layout.patch_rows * layout.patch_stride) +
-               kRowsAtATime * 2 * layout.patch_stride;
+        return 7 * whole_floats(layout.buffer()) + whole_floats(layout.patch() + layout.patch_end()) +
+               kRowsAtATime * 2 * layout.row();
     }
 
     void track(std::int64_t point) {
@@ -201,15 +201,15 @@ private:
         // However far outside, what is cut is the border.
         const auto x = static_cast<std::int64_t>(clamped(corner.x, -far, static_cast<float>(pair_.width) + far));
         const auto y = static_cast<std::int64_t>(clamped(corner.y, -far, static_cast<float>(pair_.height) + far));
-        const bool within = x >= 0 && x + columns <= pair_.width;
+        const int span = whole_floats(columns);
         for (int r = 0; r < rows; ++r) {
             std::int64_t row = y + r;
             row = row < 0 ? 0 : row >= pair_.height ? pair_.height - 1 : row;
             const float* line = image + row * pair_.width;
-            float* to = patch_ + r * layout_.patch_stride;
-            if (within) {
-                line += x;
-                for (int c = 0; c < columns; ++c) to[c] = line[c] - level;
+            float* to = patch_ + r * layout_.stride;
+            // Behind the last column more is read than needed, but nothing behind the last row.
+            if (x >= 0 && x + columns <= pair_.width && (row + 1 < pair_.height || x + span <= pair_.width)) {
+                for (int c = 0; c < span; c += kFloats) store(to + c, load(line + x + c) - all(level));
             } else {
                 for (int c = 0; c < columns; ++c) {
                     std::int64_t column = x + c;
@@ -218,6 +218,7 @@ private:
                 }
             }
         }
+        for (int c = 0; c < layout_.patch_end(); ++c) patch_[layout_.patch() + c] = 0.0f;
     }
 
     // The spline and its gradient on the window around a place; with a warp A samples lie at place + A w.
@@ -230,13 +231,13 @@ private:
         cubic_taps(place.y - whole_y, down, down_slope);
         const float first = static_cast<float>(n / 2 + 1);
         cut(which, {whole_x - first, whole_y - first}, n + kOrder, n + kOrder, 0.0f);
-        const int stride = layout_.patch_stride, columns = whole_floats(n + kOrder);
+        const int stride = layout_.stride, columns = whole_floats(n + kOrder), apart = layout_.row();
         // Some rows first, then their columns: what was stored a moment ago cannot be loaded in other pieces at once.
         for (int begin = 0; begin < n; begin += kRowsAtATime) {
             const int end = begin + kRowsAtATime < n ? begin + kRowsAtATime : n;
             for (int r = begin; r < end; ++r) {
                 const float* line = patch_ + r * stride;
-                float* row = rows_ + (r - begin) * 2 * stride;
+                float* row = rows_ + (r - begin) * 2 * apart;
                 for (int c = 0; c < columns; c += kFloats) {
                     Floats value = load(line + c) * all(down[0]), slope = load(line + c) * all(down_slope[0]);
                     for (int k = 1; k < kTaps; ++k) {
@@ -245,18 +246,18 @@ private:
                         slope += tap * all(down_slope[k]);
                     }
                     store(row + c, value);
-                    store(row + stride + c, slope);
+                    store(row + apart + c, slope);
                 }
             }
             for (int r = begin; r < end; ++r) {
-                const float* row = rows_ + (r - begin) * 2 * stride;
-                for (int c = 0; c < layout_.stride; c += kFloats) {
+                const float* row = rows_ + (r - begin) * 2 * apart;
+                for (int c = 0; c < layout_.span; c += kFloats) {
                     Floats value = all(0), along_x = all(0), along_y = all(0);
                     for (int k = 0; k < kTaps; ++k) {
                         const Floats tap = held(load(row + c + k));
                         value += tap * all(across[k]);
                         along_x += tap * all(across_slope[k]);
-                        along_y += load(row + stride + c + k) * all(across[k]);
+                        along_y += load(row + apart + c + k) * all(across[k]);
                     }
                     write(to, r, c, value, along_x, along_y);
                 }
@@ -272,7 +273,7 @@ private:
         const float right = static_cast<float>(pair_.width - 1) - kLast, bottom = static_cast<float>(pair_.height - 1) - kLast;
         for (int r = 0; r < n; ++r) {
             const float down = static_cast<float>(r - n / 2);
-            for (int c = 0; c < layout_.stride; c += kFloats) {
+            for (int c = 0; c < layout_.span; c += kFloats) {
                 float fraction_x[kFloats], fraction_y[kFloats];
                 std::int32_t index[kFloats];
                 for (int k = 0; k < kFloats; ++k) {
@@ -378,17 +379,14 @@ private:
             Floats along_x[kPositions], along_y[kPositions];
             FINGERFLOW_UNROLL
             for (int k = 0; k < kPositions; ++k) along_x[k] = along_y[k] = all(0);
-            for (int r = 0; r < layout_.window; ++r) {
-                const float* line = patch_ + (r + down) * layout_.patch_stride;
-                const int row = r * layout_.stride;
-                for (int v = 0; v < layout_.vectors; ++v) {
-                    const Floats gx = load(window.along_x + row + v * kFloats), gy = load(window.along_y + row + v * kFloats);
-                    FINGERFLOW_UNROLL
-                    for (int k = 0; k < kPositions; ++k) {
-                        const Floats sample = held(load(line + v * kFloats + k));
-                        along_x[k] += gx * sample;
-                        along_y[k] += gy * sample;
-                    }
+            const float* patch = patch_ + down * layout_.stride;
+            for (int place = 0; place < layout_.values(); place += kFloats) {
+                const Floats gx = load(window.along_x + place), gy = load(window.along_y + place);
+                FINGERFLOW_UNROLL
+                for (int k = 0; k < kPositions; ++k) {
+                    const Floats sample = held(load(patch + place + k));
+                    along_x[k] += gx * sample;
+                    along_y[k] += gy * sample;
                 }
             }
             FINGERFLOW_UNROLL
@@ -430,10 +428,6 @@ private:
                 slope_x[component] = along_x;
                 slope_y[component] = along_y;
             }
-            if (!is_finite(residual[0] + residual[1])) {  // a bad pixel within reach
-                *shift = {NAN, NAN};
-                return;
-            }
             Vector move;
             if (iteration < kGaussNewtonSteps) {
                 move = {inverse_hessian.xx * residual[0] + inverse_hessian.xy * residual[1],
@@ -461,9 +455,15 @@ private:
         for (int round = 0; round < kRounds && !match.inside && is_finite(match.place); ++round) {
             const Vector center{rintf(match.place.x), rintf(match.place.y)};
             const float first = static_cast<float>(n / 2 + kReach + 1);
-            cut(which, {center.x - first, center.y - first}, layout_.patch_rows, layout_.patch_rows, of.mean);
+            cut(which, {center.x - first, center.y - first}, layout_.stride, layout_.stride, of.mean);
             float table[2][kPositions][kPositions];
             build_table(window, table);
+            float all_of_it = 0;
+            for (int k = 0; k < 2 * kPositions * kPositions; ++k) all_of_it += (&table[0][0][0])[k];
+            if (!is_finite(all_of_it)) {  // a bad pixel within reach
+                match.place = {NAN, NAN};
+                break;
+            }
             Vector shift{match.place.x - center.x, match.place.y - center.y};
             solve_table(table, of.constant, inverted, &shift, &match.step);
             match.place = {center.x + shift.x, center.y + shift.y};
@@ -477,11 +477,12 @@ private:
                  float* unexplained) const {
         const float samples = static_cast<float>(layout_.window * layout_.window);
         Floats squares_of = all(0), a_a = all(0), b_b = all(0), a_b = all(0);
-        for (int row = 0; row < layout_.values(); row += layout_.stride)
-            for (int c = 0; c < layout_.stride; c += kFloats) {
-                const Floats a = load(reference + row + c), b = load(matched + row + c), difference = b - a;
-                Floats above_a = a - all(mean_a), above_b = b - all(mean_b);
+        for (int r = 0; r < layout_.window; ++r)
+            for (int c = 0; c < layout_.span; c += kFloats) {
+                const Floats a = load(reference + r * layout_.stride + c), b = load(matched + r * layout_.stride + c);
+                Floats difference = b - a, above_a = a - all(mean_a), above_b = b - all(mean_b);
                 if (c + kFloats > layout_.window) {
+                    difference = last_.of(difference);
                     above_a = last_.of(above_a);
                     above_b = last_.of(above_b);
                 }
