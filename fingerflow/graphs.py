@@ -64,7 +64,7 @@ class ContactGraph(nn.Module):
         signal = contact_signal(normalized)
         if threshold is None:
             threshold = self._threshold(signal, normalized.valid)
-        real = median_above(signal, threshold, self.median_px)
+        real = median_above(signal, threshold, self.median_px) & normalized.valid
         gross = self.gross(real)
         area = gross.sum((1, 2, 3), dtype=torch.float64)
         return Contact(real, gross, real.sum((1, 2, 3), dtype=torch.float64), area, fit_ellipse(gross), threshold)
@@ -103,8 +103,11 @@ class ContactGraph(nn.Module):
         otsu = otsu_threshold(smooth, valid)
         classes = class_separation(smooth, otsu, valid)
         distance = dequantize(classes.means[:, 1]) - dequantize(classes.means[:, 0])
-        # Contact takes at least a twentieth of the light; two halves of noise lie closer together.
-        apart = distance > torch.maximum(torch.tensor(0.05), 6 * classes.deviations[:, 0] * (1.25 / 255))
+        # Contact takes at least a twentieth of the light; two halves of noise lie closer together. Frames that are
+        # brighter than the background (another exposure or bit depth) have classes, but no contact.
+        apart = (dequantize(classes.means[:, 1]) > 0.05) & (
+            distance > torch.maximum(torch.tensor(0.05), 6 * classes.deviations[:, 0] * (1.25 / 255))
+        )
         real = smooth > otsu.reshape(-1, 1, 1, 1)
         gross = self.gross(real) & valid
         ridges = median_of_counts(histogram(smooth, gross & real))

@@ -47,7 +47,9 @@ def measured(light: Tensor, noise: float = 0.0, graph: ContactGraph | None = Non
 def test_threshold_lies_half_way_between_ridge_and_valley(share: float, noise: float) -> None:
     """One byte of the signal holds 1/204; of a ridge of 5 px, blur and noise leave little plateau."""
     light, _ = drawn((120, 95), share=share)
-    assert float(measured(light, noise).threshold) == pytest.approx((0.5 + 0.04) / 2, abs=0.008 if share > 0.4 else 0.012)
+    assert float(measured(light, noise).threshold) == pytest.approx(
+        (0.5 + 0.04) / 2, abs=0.008 if share > 0.4 else 0.012
+    )
 
 
 def test_otsu_alone_would_lie_lower() -> None:
@@ -168,3 +170,12 @@ def test_batches_of_none_one_and_many() -> None:
         assert torch.equal(whole.gross[k], alone.gross[0])
         assert float(whole.threshold[k]) == float(alone.threshold[0])
     assert ContactGraph()(frames[:0], reference).real.shape == (0, *frames.shape[1:])
+
+
+@pytest.mark.parametrize("factor", [1.4, 16.0])
+def test_frames_brighter_than_the_background_have_no_contact(factor: float) -> None:
+    """Another exposure, or 12 bit against 8: there are two classes, but neither lost light."""
+    light, _ = drawn((60, 50))
+    contact = ContactGraph()(factor * 2 * 180 * light, torch.full_like(light, 180.0))
+    assert contact.threshold.isnan().all()
+    assert float(contact.real_area_px) == 0

@@ -89,7 +89,7 @@ class ContactStage:
         count = len(self._inputs.recording)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         light = [self._light(self._inputs.recording[[int(i)]].read()) for i in looks]
-        return int(looks[int(np.argmin(light))])
+        return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else 0
 
     def _light(self, frame: NDArray[np.generic]) -> float:
         view: Tensor = self._inputs.view(frame, self._view)

@@ -206,6 +206,8 @@ def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:
 
 def _median(values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
     """Median of what is finite; NaN, without a warning, where nothing is."""
+    if values.shape[axis] == 0:
+        return np.full(np.delete(values.shape, axis), np.nan)
     empty = np.isnan(values).all(axis=axis, keepdims=True)
     result = np.nanmedian(np.where(empty, 0.0, values), axis=axis)
     return np.where(empty.squeeze(axis), np.nan, result)

@@ -164,13 +164,25 @@ def test_one_frame_has_no_rate():
     assert "not filtered" in record.warnings[0]
 
 
-def test_nan_in_a_channel_stays_where_it_is():
-    values = np.ones(TIMES.size)
-    values[7000] = np.nan
-    result = forces(x=values, y=np.ones(TIMES.size)).resample(FRAMES)
-    near = np.abs(FRAMES - 0.7) < kernel_half_width(150)
-    np.testing.assert_array_equal(np.isnan(result["x"]), near)
-    np.testing.assert_allclose(result["y"], 1.0)
+def test_a_sample_that_is_nan_is_one_that_is_missing():
+    """One leaves nothing to bridge at 10 kHz; half a second of them is a gap, in this channel and no other."""
+    one, many = 2 + TIMES, 2 + TIMES
+    one[7000] = np.nan
+    many[5000:10000] = np.inf
+    record = forces(x=one, y=many, z=np.full(TIMES.size, np.nan), t=2 + TIMES)
+    result = record.resample(FRAMES)
+    np.testing.assert_allclose(result["x"], result["t"], atol=1e-3)
+    in_gap = (TIMES[4999] < FRAMES) & (TIMES[10000] > FRAMES)
+    np.testing.assert_array_equal(np.isnan(result["y"]), in_gap)
+    np.testing.assert_allclose(result["y"][~in_gap], result["t"][~in_gap], atol=0.2 / 300)
+    assert np.isnan(result["z"]).all()
+    assert any("z: no sample is a number" in warning for warning in record.warnings)
+    assert list(result) == ["x", "y", "z", "t"]
+
+
+def test_a_frame_half_a_sample_before_the_first_one_is_covered():
+    record = forces(TIMES + 0.4 * (TIMES[1] - TIMES[0]), x=np.ones(TIMES.size))
+    assert np.isfinite(record.resample(FRAMES[:5] - FRAMES[0])["x"]).all()
 
 
 @pytest.mark.parametrize("frames", [[], [np.nan, 1.0], [[0.1, 0.2]]])

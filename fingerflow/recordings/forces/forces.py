@@ -86,23 +86,47 @@ class Forces:
         that are sampled no faster than the frames are interpolated linearly instead, with a warning.
 
         Frames outside the time span of the forces, or in a gap between samples that is longer than a frame, get NaN;
-        their number goes to `warnings`. Raises FingerflowError if all frames lie outside.
+        their number goes to `warnings`. A sample that is NaN or infinite is taken for missing. Raises FingerflowError
+        if all frames lie outside.
         """
         wanted = np.asarray(frame_times, np.float64)
         if wanted.ndim != 1 or wanted.size == 0 or not np.all(np.isfinite(wanted)):
             raise FingerflowError(
                 f"{self.path}: frame times are one finite number a frame, in s; an array {wanted.shape} was given"
             )
-        covered = self._covered(wanted)
-        frame_rate, sample_rate = _rate(wanted), _rate(self.times)
+        self._check_overlap(wanted)
+        # A sample that is not a number is one that is missing; channels that lack the same ones go together.
+        lacking: dict[bytes, list[str]] = {}
+        for name, values in self.channels.items():
+            lacking.setdefault(np.isfinite(values).tobytes(), []).append(name)
+        result = {}
+        for known, names in lacking.items():
+            present = np.frombuffer(known, dtype=bool)
+            if not present.any():
+                self._warn(f"{', '.join(names)}: no sample is a number; NaN in all frames")
+                result.update({name: np.full(wanted.size, np.nan) for name in names})
+                continue
+            values = np.stack([self.channels[name][present] for name in names])
+            result.update(zip(names, self._at_frames(self.times[present], values, wanted), strict=True))
+        return {name: result[name] for name in self.channels}
+
+    def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
+        """Values (k, n) at `times` (n,) to (k, m) at the frames; NaN where nothing tells."""
+        frame_rate, sample_rate = _rate(wanted), _rate(times)
+        # A sample stands for the time around it: half a step before the first one is not beyond them.
+        margin = 0.0 if sample_rate is None else 0.5 / sample_rate
+        covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
+        if not covered.all():
+            self._warn(
+                f"{int(np.sum(~covered))} of {wanted.size} frames lie outside the time span of the forces: NaN there"
+            )
         if frame_rate is not None and sample_rate is not None and sample_rate > frame_rate:
-            after = np.clip(np.searchsorted(self.times, wanted), 1, self.times.size - 1)
-            in_gap = covered & (self.times[after] - self.times[after - 1] > 1 / frame_rate)
+            after = np.clip(np.searchsorted(times, wanted), 1, times.size - 1)
+            in_gap = covered & (times[after] - times[after - 1] > 1 / frame_rate)
             if in_gap.any():
                 self._warn(f"{int(in_gap.sum())} of {wanted.size} frames lie in gaps of the forces: NaN there")
                 covered &= ~in_gap
-            values = np.stack(list(self.channels.values()))
-            at_frames = low_pass_at(self.times, values, wanted[covered], nyquist=frame_rate / 2)
+            at_frames = low_pass_at(times, values, wanted[covered], nyquist=frame_rate / 2)
         else:
             rates = (
                 f"forces at {sample_rate:g} Hz, frames at {frame_rate:g} Hz"
@@ -110,24 +134,18 @@ class Forces:
                 else "one time"
             )
             self._warn(f"forces are sampled no faster than the frames ({rates}): interpolated linearly, not filtered")
-            at_frames = np.stack([np.interp(wanted[covered], self.times, row) for row in self.channels.values()])
-        result = np.full((len(self.channels), wanted.size), np.nan)
+            at_frames = np.stack([np.interp(wanted[covered], times, row) for row in values])
+        result = np.full((len(values), wanted.size), np.nan)
         result[:, covered] = at_frames
-        return dict(zip(self.channels, result, strict=True))
+        return result
 
-    def _covered(self, wanted: Samples) -> NDArray[np.bool_]:
+    def _check_overlap(self, wanted: Samples) -> None:
         first, last = self.times[0], self.times[-1]
-        inside: NDArray[np.bool_] = (wanted >= first) & (wanted <= last)
-        if not inside.any():
+        if not ((wanted >= first) & (wanted <= last)).any():
             raise FingerflowError(
                 f"{self.path}: forces last from {first:g} to {last:g} s, the frames from {wanted.min():g} to "
                 f"{wanted.max():g} s: no frame is covered. Align both to the trigger first."
             )
-        if not inside.all():
-            self._warn(
-                f"{int(np.sum(~inside))} of {wanted.size} frames lie outside the time span of the forces: NaN there"
-            )
-        return inside
 
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings:
