@@ -12,9 +12,21 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
-PLAIN = ["instruction_sets", "median", "noise", "parallel", "spline", "tracking"]
+PLAIN = [
+    "illumination",
+    "instruction_sets",
+    "median",
+    "median_above",
+    "morphology",
+    "noise",
+    "otsu",
+    "parallel",
+    "spline",
+    "tracking",
+]
 # Compiled for every instruction set; some need no exact agreement between the sets.
-EXACT, ROUNDED = ["median_band", "noise_rows", "spline_rows"], ["tracking_points"]
+EXACT = ["illumination_rows", "median_above_rows", "median_band", "morphology_rows", "noise_rows", "spline_rows"]
+ROUNDED = ["tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time.

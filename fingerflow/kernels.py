@@ -10,16 +10,20 @@ import functools
 import importlib.util
 import logging
 import os
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 2  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 3  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
+LARGEST_MEDIAN_ABOVE = 15
+MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
+COUNTED_DTYPES = (torch.uint8, torch.uint16)
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +63,152 @@ def median(frames: Tensor, size: int) -> Tensor:
         torch.get_num_threads(),
     )
     return medians
+
+
+def median_above(frames: Tensor, thresholds: Tensor, size: int) -> Tensor:
+    """Where more than half of a window lies above the threshold (B,) float64 of its frame, (B, 1, H, W) bool.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, or a size that is even or outside 1 to 15.
+    """
+    _check_frames(frames, MEDIAN_ABOVE_DTYPES)
+    if not 1 <= size <= LARGEST_MEDIAN_ABOVE or size % 2 == 0:
+        raise ValueError(f"the compiled count has odd sizes from 1 to {LARGEST_MEDIAN_ABOVE}: {size} was asked for")
+    _check_like("thresholds", thresholds, torch.float64, (len(frames),))
+    frames, thresholds = _rows_in_one_piece(frames), thresholds.contiguous()
+    above = torch.empty(frames.shape, dtype=torch.bool)
+    _call(
+        "fingerflow_median_above",
+        frames.data_ptr(),
+        above.data_ptr(),
+        *_extent(frames),
+        FRAME_KINDS[frames.dtype],
+        thresholds.data_ptr(),
+        size,
+        torch.get_num_threads(),
+    )
+    return above
+
+
+def light_lost(
+    frames: Tensor, reference: Tensor, dark: Tensor | None, minimum: float, low: float, levels_per_unit: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Signal float32, levels uint8 and valid bool, (B, 1, H, W), as `ops.illumination.light_lost` has them.
+
+    Raises:
+        TypeError, ValueError: images of another dtype than FRAME_KINDS, or not (B, 1, H, W) and (1 or B, 1, H, W).
+    """
+    given = [image for image in (frames, reference, dark) if image is not None]
+    for image in given:
+        _check_frames(image, tuple(FRAME_KINDS))
+        if image.shape[1:] != frames.shape[1:] or len(image) not in (1, len(frames)):
+            raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
+    frames, *given = (_rows_in_one_piece(image) for image in given)
+    signal = torch.empty(frames.shape)
+    levels, valid = (torch.empty(frames.shape, dtype=dtype) for dtype in (torch.uint8, torch.bool))
+    beside: list[int | None] = []
+    for image in given:
+        beside += [image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]]
+    _call(
+        "fingerflow_light_lost",
+        frames.data_ptr(),
+        *_extent(frames),
+        FRAME_KINDS[frames.dtype],
+        *(beside if dark is not None else [*beside, None, 0, 0, 0, 0]),
+        minimum,
+        low,
+        levels_per_unit,
+        *(result.data_ptr() for result in (signal, levels, valid)),
+        torch.get_num_threads(),
+    )
+    return signal, levels, valid
+
+
+def histogram(frames: Tensor, mask: Tensor | None, bin_of_level: Tensor | None, bins: int) -> Tensor:
+    """Counts (B, bins) int64 of uint8 or uint16 frames, of the pixels in mask (B or 1, 1, H, W) bool.
+
+    `bin_of_level` holds the bin of each of the 256 or 65536 levels, uint16; without it a level is its own bin.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, or fewer bins than levels without `bin_of_level`.
+    """
+    _check_frames(frames, COUNTED_DTYPES)
+    levels = 1 << 8 * frames.element_size()
+    if bin_of_level is not None:
+        _check_like("bin_of_level", bin_of_level, torch.uint16, (levels,))
+        if (highest := int(bin_of_level.int().amax())) >= bins:
+            raise ValueError(f"bin_of_level goes up to {highest}: there are {bins} bins, from 0 on")
+    if bins < 1 or bins > 1 << 16 or (bin_of_level is None and bins < levels):
+        raise ValueError(
+            f"{bins} bins for {levels} levels: give 1 to 65536, and the bin of each level if they are fewer"
+        )
+    frames = _rows_in_one_piece(frames)
+    masked: list[int | None] = [None, 0, 0, 0]
+    if mask is not None:
+        _check_frames(mask, (torch.bool,))
+        if mask.shape[1:] != frames.shape[1:] or len(mask) not in (1, len(frames)):
+            raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
+        mask = _rows_in_one_piece(mask)
+        masked = [mask.data_ptr(), len(mask), mask.stride(0), mask.stride(2)]
+    counts = torch.empty(len(frames), bins, dtype=torch.int64)
+    _call(
+        "fingerflow_histogram",
+        frames.data_ptr(),
+        *_extent(frames),
+        FRAME_KINDS[frames.dtype],
+        *masked,
+        None if bin_of_level is None else bin_of_level.data_ptr(),
+        bins,
+        counts.data_ptr(),
+        torch.get_num_threads(),
+    )
+    return counts
+
+
+def otsu_threshold(counts: Tensor, low: float, high: float) -> Tensor:
+    """Otsu's threshold (B,) float64 of histograms (B, 256) int64 whose bins go from `low` to `high`."""
+    _check_like("counts", counts, torch.int64, (len(counts), 256))
+    thresholds = torch.empty(len(counts), dtype=torch.float64)
+    counts = counts.contiguous()
+    _call("fingerflow_otsu_classes", counts.data_ptr(), len(counts), low, high, thresholds.data_ptr(), *[None] * 4)
+    return thresholds
+
+
+def otsu_classes(counts: Tensor) -> tuple[Tensor, ...]:
+    """Threshold (B,), fractions, means, deviations (B, 2) and separability (B,) of histograms (B, 256) of uint8."""
+    _check_like("counts", counts, torch.int64, (len(counts), 256))
+    counts, batch = counts.contiguous(), len(counts)
+    results = tuple(torch.empty(shape, dtype=torch.float64) for shape in ((batch,), *[(batch, 2)] * 3, (batch,)))
+    pointers = (result.data_ptr() for result in results)
+    _call("fingerflow_otsu_classes", counts.data_ptr(), batch, -1.0, 255.0, *pointers)
+    return results
+
+
+def dilate(mask: Tensor, half_widths: list[int], of_background: bool) -> Tensor:
+    """A mask (B, 1, H, W) bool dilated, or eroded, by an element given by the half widths of its rows.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, or rows that do not grow towards the middle.
+    """
+    _check_frames(mask, (torch.bool,))
+    radius = len(half_widths) // 2
+    upper = half_widths[: radius + 1]
+    if len(half_widths) % 2 == 0 or half_widths != half_widths[::-1] or upper != sorted(upper) or upper[-1] > radius:
+        raise ValueError(f"an element with rows of half widths {half_widths}: they must grow towards the middle")
+    mask = _rows_in_one_piece(mask)
+    dilated = torch.empty(mask.shape, dtype=torch.bool)
+    numbers = (ctypes.c_int32 * len(half_widths))(*half_widths)
+    _call(
+        "fingerflow_dilate",
+        mask.data_ptr(),
+        dilated.data_ptr(),
+        *_extent(mask),
+        ctypes.addressof(numbers),
+        radius,
+        int(of_background),
+        torch.get_num_threads(),
+    )
+    return dilated
 
 
 def track_points(
@@ -171,13 +321,32 @@ def _library() -> ctypes.CDLL | None:
     if not hasattr(library, "fingerflow_interface") or library.fingerflow_interface() != _INTERFACE:
         _log.info("%s was built from other sources: install again; portable ops serve, more slowly", found.origin)
         return None
-    count, pointer, number = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
+    count: Any = ctypes.c_int64
+    pointer: Any = ctypes.c_void_p
+    number: Any = ctypes.c_int
     extent = [count] * 5
     library.fingerflow_limit_instruction_set.argtypes = [number]
     library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, pointer, number]
     library.fingerflow_spline_coefficients.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_mean_response.argtypes = [pointer, pointer, *extent, number, number]
-    real = ctypes.c_float
+    real: Any = ctypes.c_float
+    double: Any = ctypes.c_double
+    library.fingerflow_median_above.argtypes = [pointer, pointer, *extent, number, pointer, number, number]
+    beside = [count] * 3
+    library.fingerflow_light_lost.argtypes = [
+        *[pointer, *extent, number],
+        *[pointer, *beside, number] * 2,
+        *[real] * 3,
+        *[pointer] * 3,
+        number,
+    ]
+    library.fingerflow_histogram.argtypes = [
+        *[pointer, *extent, number],
+        *[pointer, *beside],
+        *[pointer, count, pointer, number],
+    ]
+    library.fingerflow_otsu_classes.argtypes = [pointer, count, double, double, *[pointer] * 5]
+    library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_track_points.argtypes = [
         *[pointer] * 2,
         *[count] * 2,
@@ -225,6 +394,11 @@ def _check_frames(frames: Tensor, dtypes: tuple[torch.dtype, ...]) -> None:
         raise TypeError(f"frames are {frames.dtype}: this compiled kernel takes {' or '.join(map(str, dtypes))}")
     if frames.ndim != 4 or frames.shape[1] != 1:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+
+
+def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
+    if tensor.dtype != dtype or tuple(tensor.shape) != shape:
+        raise ValueError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}: {dtype} {shape} is needed")
 
 
 def _rows_in_one_piece(frames: Tensor) -> Tensor:

@@ -43,3 +43,40 @@ FINGERFLOW_EXPORT int fingerflow_spline_coefficients(const void* frames, float* 
 FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means, std::int64_t batch,
                                                std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                std::int64_t row_stride, int kind, int threads);
+
+// The contact signal of frames, in one byte too, and where it is known, as fingerflow/ops/illumination.py has it.
+// Reference and dark (or null) are one image or one a frame; results are contiguous.
+FINGERFLOW_EXPORT int fingerflow_light_lost(
+    const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+    std::int64_t row_stride, int kind, const void* reference, std::int64_t references, std::int64_t reference_stride,
+    std::int64_t reference_row_stride, int reference_kind, const void* dark, std::int64_t darks,
+    std::int64_t dark_stride, std::int64_t dark_row_stride, int dark_kind, float minimum, float low,
+    float levels_per_unit, float* signal, unsigned char* levels, unsigned char* valid, int threads);
+
+// Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
+// own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
+FINGERFLOW_EXPORT int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height,
+                                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
+                                           int kind, const unsigned char* mask, std::int64_t masks,
+                                           std::int64_t mask_stride, std::int64_t mask_row_stride,
+                                           const std::uint16_t* bins, std::int64_t count, std::int64_t* counts,
+                                           int threads);
+
+// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`; where `fractions` is not null, for bins that
+// are one whole number each, also fractions, means, deviations (batch, 2) and separability (batch) of the classes.
+FINGERFLOW_EXPORT int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high,
+                                              double* thresholds, double* fractions, double* means, double* deviations,
+                                              double* separability);
+
+// Where more than half of a window of up to 15 x 15 lies above the threshold of its frame; `above` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_median_above(const void* frames, unsigned char* above, std::int64_t batch,
+                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                              std::int64_t row_stride, int kind, const double* thresholds, int size,
+                                              int threads);
+
+// Masks of bytes dilated, or eroded where `of_background` is 1, by an element given by the half widths of its 2 radius +
+// 1 rows, which grow towards the middle; `dilated` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t batch,
+                                        std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                        std::int64_t row_stride, const std::int32_t* half_widths, std::int64_t radius,
+                                        int of_background, int threads);

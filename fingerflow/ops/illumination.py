@@ -5,10 +5,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.quantile import frame_quantile
 
 # The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
 _FULL_LIGHT = 0.99
+
+# The signal of levels 0 and 255. The lower end leaves room for pixels brighter than the empty glass.
+LEVEL_RANGE = (-0.25, 1.0)
 
 
 class NormalizedFrames(NamedTuple):
@@ -16,6 +20,38 @@ class NormalizedFrames(NamedTuple):
 
     frames: Tensor
     valid: Tensor
+
+
+class LightLost(NamedTuple):
+    """What one pass over frames (B, 1, H, W) tells of contact.
+
+    `signal` is the `contact_signal`, `levels` the same in one byte (`quantize`), `valid` bool where it is known.
+    """
+
+    signal: Tensor
+    levels: Tensor
+    valid: Tensor
+
+
+def light_lost(
+    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = 0.05
+) -> LightLost:
+    """`normalize_illumination`, `contact_signal` and `quantize` in one go.
+
+    Args, raises: as `normalize_illumination`.
+
+    Returns:
+        `LightLost`, its signal float32 (float64 if any input is).
+    """
+    images = [image for image in (frames, reference, dark) if image is not None]
+    _check(images, minimum_illumination)
+    if all(image.dtype in kernels.FRAME_KINDS for image in images) and kernels.serve(*images):
+        low, high = LEVEL_RANGE
+        scale = _levels_per_unit(low, high)
+        return LightLost(*kernels.light_lost(frames, reference, dark, minimum_illumination, low, scale))
+    normalized = normalize_illumination(frames, reference, dark, minimum_illumination=minimum_illumination)
+    signal = contact_signal(normalized)
+    return LightLost(signal, quantize(signal), normalized.valid)
 
 
 def normalize_illumination(
@@ -43,16 +79,8 @@ def normalize_illumination(
     Raises:
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
     """
-    if not 0 <= minimum_illumination < 1:
-        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
-    images = [frames, reference] if dark is None else [frames, reference, dark]
-    for name, image in zip(("frames", "reference", "dark"), images, strict=False):
-        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
-        if not fits or image.shape[1] != 1:
-            raise ValueError(
-                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
-                "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
-            )
+    images = [image for image in (frames, reference, dark) if image is not None]
+    _check(images, minimum_illumination)
     precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
     counts, empty, *black = (image.to(precision) for image in images)
     light = empty - black[0] if black else empty
@@ -83,7 +111,7 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
     return torch.where(normalized.valid & first.valid, first.frames - normalized.frames, 0.0)
 
 
-def quantize(signal: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
+def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
     """The contact signal in one byte: level = round(255 (signal - low) / (high - low)), saturating.
 
     One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel; the median and
@@ -103,7 +131,7 @@ def quantize(signal: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
     return torch.nan_to_num(scaled, nan=0.0).clamp(0, 255).round().to(torch.uint8)
 
 
-def dequantize(levels: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
+def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
     """The contact signal of a level, the inverse of `quantize`: for a threshold found on quantised frames.
 
     Args:
@@ -115,6 +143,19 @@ def dequantize(levels: Tensor, low: float = -0.25, high: float = 1.0) -> Tensor:
     """
     values = levels if levels.is_floating_point() else levels.float()
     return values / _levels_per_unit(low, high) + low
+
+
+def _check(images: list[Tensor], minimum_illumination: float) -> None:
+    if not 0 <= minimum_illumination < 1:
+        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
+    frames = images[0]
+    for name, image in zip(("frames", "reference", "dark"), images, strict=False):
+        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
+        if not fits or image.shape[1] != 1:
+            raise ValueError(
+                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
+                "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
+            )
 
 
 def _levels_per_unit(low: float, high: float) -> float:

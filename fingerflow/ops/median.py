@@ -77,11 +77,18 @@ def median_above(frames: Tensor, threshold: Tensor | float, size: int = 9) -> Te
         ValueError: `frames` is not (B, 1, H, W), `size` is even or under 1, or `threshold` has another length than B.
     """
     _check(frames, size)
+    if isinstance(threshold, Tensor) and threshold.ndim and threshold.shape != frames.shape[:1]:
+        raise ValueError(
+            f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one number a frame"
+        )
+    if (
+        frames.dtype in kernels.MEDIAN_ABOVE_DTYPES
+        and size <= kernels.LARGEST_MEDIAN_ABOVE
+        and kernels.serve(frames, *([threshold] if isinstance(threshold, Tensor) else []))
+        and not (isinstance(threshold, Tensor) and threshold.ndim == 0)
+    ):
+        return kernels.median_above(frames, _exact_thresholds(frames, threshold), size)
     if isinstance(threshold, Tensor) and threshold.ndim:
-        if threshold.shape != frames.shape[:1]:
-            raise ValueError(
-                f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one number a frame"
-            )
         threshold = threshold.to(frames.device).reshape(-1, 1, 1, 1)
     if frames.dtype == torch.uint16:  # torch has no comparison of uint16
         frames = frames.to(torch.int32)
@@ -99,6 +106,15 @@ def _check(frames: Tensor, size: int) -> None:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
     if size < 1 or size % 2 == 0:
         raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size")
+
+
+def _exact_thresholds(frames: Tensor, threshold: Tensor | float) -> Tensor:
+    """(B,) float64 that compare with the frames as torch compares the threshold."""
+    if isinstance(threshold, Tensor):
+        return threshold.double()
+    if frames.is_floating_point() or isinstance(threshold, float):  # torch compares them in float32
+        return torch.full((len(frames),), threshold, dtype=torch.float64).float().double()
+    return torch.full((len(frames),), threshold, dtype=torch.float64)
 
 
 def _replicated(length: int, size: int, like: Tensor) -> Tensor:

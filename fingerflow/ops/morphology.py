@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
+
 Shape = Literal["disc", "diamond"]
 
 
@@ -29,6 +31,8 @@ def dilate(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
         ValueError: `mask` is not (B, 1, H, W), `radius` is negative, or `shape` is unknown.
     """
     half_widths = _half_widths(mask, radius, shape)
+    if kernels.serve(mask):
+        return kernels.dilate(mask, half_widths, of_background=False)
     height = mask.shape[-2]
     padded = functional.pad(mask, (0, 0, radius, radius))
     widened, width = padded, 0
@@ -49,7 +53,9 @@ def erode(mask: Tensor, radius: int, shape: Shape = "disc") -> Tensor:
 
     Args, returns, raises: as `dilate`.
     """
-    _half_widths(mask, radius, shape)
+    half_widths = _half_widths(mask, radius, shape)
+    if kernels.serve(mask):
+        return kernels.dilate(mask, half_widths, of_background=True)
     return ~dilate(~mask, radius, shape)
 
 

@@ -1,9 +1,15 @@
 """Otsu's threshold (1979) from a histogram, and how well it separates two classes at all."""
 
+import functools
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from fingerflow import kernels
+
+_BINS = 256
+_MOST_COMPILED_BINS = 1 << 16
 
 
 class ClassSeparation(NamedTuple):
@@ -42,6 +48,10 @@ def histogram(
         ValueError: no `value_range` for a dtype other than uint8, or one whose high is not above its low.
     """
     low, high = _range(frames, value_range)
+    if frames.dtype in kernels.COUNTED_DTYPES and bins <= _MOST_COMPILED_BINS and kernels.serve(frames, mask):
+        own = frames.dtype == torch.uint8 and (low, high, bins) == (-1, 255, 256)
+        bin_of_level = None if own else _bin_of_level(frames.dtype, bins, low, high)
+        return kernels.histogram(frames, None if mask is None else mask.expand(frames.shape), bin_of_level, bins)
     index = _bin_index(frames, bins, low, high)
     if mask is not None:
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
@@ -72,7 +82,10 @@ def otsu_threshold(
         ValueError: see `histogram`.
     """
     low, high = _range(frames, value_range)
-    counts = histogram(frames, mask, 256, (low, high)).double()
+    counts = histogram(frames, mask, _BINS, (low, high))
+    if kernels.serve(counts):
+        return kernels.otsu_threshold(counts, low, high)
+    counts = counts.double()
     level = torch.arange(256, dtype=torch.float64, device=frames.device)
     # With n pixels of sum s up to a level, and n_all of sum s_all, the variance between the classes is
     # (s n_all - s_all n)^2 / (n_all^2 n (n_all - n)) (Otsu 1979, eq. 18). Its integers are exact in float64.
@@ -83,6 +96,26 @@ def otsu_threshold(
     best = torch.where(between == between.amax(1, keepdim=True), level, 256.0).amin(1)
     threshold = low + (best + 1) * ((high - low) / 256)
     return torch.where((product > 0).any(1), threshold, torch.nan)
+
+
+def otsu_classes(frames: Tensor, mask: Tensor | None = None) -> tuple[Tensor, ClassSeparation]:
+    """`otsu_threshold` of uint8 frames and the `class_separation` at it, from one histogram where kernels serve.
+
+    Args:
+        frames: (B, 1, H, W) uint8.
+        mask: see `histogram`.
+
+    Raises:
+        TypeError: `frames` is not uint8.
+        ValueError: see `histogram`.
+    """
+    if frames.dtype != torch.uint8:
+        raise TypeError(f"frames are {frames.dtype}: the two classes of one histogram are those of uint8")
+    if kernels.serve(frames, mask):
+        threshold, *classes = kernels.otsu_classes(histogram(frames, mask))
+        return threshold, ClassSeparation(*classes)
+    threshold = otsu_threshold(frames, mask)
+    return threshold, class_separation(frames, threshold, mask)
 
 
 def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = None) -> ClassSeparation:
@@ -143,6 +176,13 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
     if not low < high:
         raise ValueError(f"value_range {value_range}: high must be above low")
     return float(low), float(high)
+
+
+@functools.lru_cache(8)
+def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
+    """The bin of each level of an unsigned dtype, uint16."""
+    levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32)
+    return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 
 def _bin_index(frames: Tensor, bins: int, low: float, high: float) -> Tensor:

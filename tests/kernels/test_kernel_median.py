@@ -1,13 +1,13 @@
 """The compiled median against the portable one, SciPy and OpenCV, for every instruction set of this processor."""
 
 import functools
-from collections.abc import Iterator
 
 import cv2
 import numpy as np
 import pytest
 import scipy.ndimage
 import torch
+from kernel_images import images
 
 from fingerflow import kernels
 from fingerflow.ops.median import median_filter
@@ -15,29 +15,6 @@ from fingerflow.ops.median import median_filter
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 SHAPES = [(1, 1), (1, 300), (300, 1), (2, 3), (5, 8), (37, 41), (64, 129), (33, 800), (130, 65)]
-
-
-@pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
-def instruction_set(request: pytest.FixtureRequest) -> Iterator[int]:
-    if kernels.limit_instruction_set(request.param) != request.param:
-        kernels.limit_instruction_set(-1)
-        pytest.skip("this processor or build has no such instruction set")
-    yield request.param
-    kernels.limit_instruction_set(-1)
-
-
-def frames_of(shape: tuple[int, ...], dtype: torch.dtype, content: str) -> torch.Tensor:
-    batch, height, width = shape
-    highest = torch.iinfo(dtype).max
-    if content == "constant":
-        return torch.full((batch, 1, height, width), highest, dtype=torch.int32).to(dtype)
-    if content == "ramp":
-        values = torch.arange(batch * height * width, dtype=torch.int32) * 7 % (highest + 1)
-        return values.reshape(batch, 1, height, width).to(dtype)
-    generator = torch.Generator().manual_seed(height * 1000 + width)
-    levels = 2 if content == "two levels" else highest + 1
-    values = torch.randint(0, levels, (batch, 1, height, width), generator=generator, dtype=torch.int32)
-    return (values * (highest // (levels - 1))).to(dtype)
 
 
 def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
@@ -49,7 +26,7 @@ def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 11])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_random_frames_equal_scipy(instruction_set: int, size: int, shape: tuple[int, int], dtype: torch.dtype) -> None:
-    frames = frames_of((1, *shape), dtype, "random")
+    frames = images((1, *shape), dtype, "random")
     assert torch.equal(kernels.median(frames, size), scipy_median(frames, size))
 
 
@@ -59,7 +36,7 @@ def test_random_frames_equal_scipy(instruction_set: int, size: int, shape: tuple
 def test_equals_the_portable_form(
     monkeypatch: pytest.MonkeyPatch, instruction_set: int, size: int, content: str, dtype: torch.dtype
 ) -> None:
-    frames = frames_of((2, 61, 94), dtype, content)
+    frames = images((2, 61, 94), dtype, content)
     compiled = kernels.median(frames, size)
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     assert torch.equal(compiled, median_filter(frames, size))
@@ -71,24 +48,24 @@ def test_equals_the_portable_form(
 def test_windows_by_table_equal_scipy(
     instruction_set: int, size: int, shape: tuple[int, int], dtype: torch.dtype
 ) -> None:
-    frames = frames_of((1, *shape), dtype, "random")
+    frames = images((1, *shape), dtype, "random")
     assert torch.equal(kernels.median(frames, size), _scipy_median_once(shape, dtype, size))
 
 
 @functools.cache
 def _scipy_median_once(shape: tuple[int, int], dtype: torch.dtype, size: int) -> torch.Tensor:
-    return scipy_median(frames_of((1, *shape), dtype, "random"), size)
+    return scipy_median(images((1, *shape), dtype, "random"), size)
 
 
 @pytest.mark.parametrize("size", [17, 19, 23, 25, 27, 29])
 def test_every_other_size(size: int) -> None:
-    frames = frames_of((1, 40, 50), torch.uint8, "random")
+    frames = images((1, 40, 50), torch.uint8, "random")
     assert np.array_equal(kernels.median(frames, size)[0, 0], cv2.medianBlur(frames[0, 0].numpy(), size))
 
 
 @pytest.mark.parametrize("size", [3, 5, 7, 9, 11])
 def test_equals_opencv(instruction_set: int, size: int) -> None:
-    frame = frames_of((1, 512, 640), torch.uint8, "random")
+    frame = images((1, 512, 640), torch.uint8, "random")
     assert np.array_equal(kernels.median(frame, size)[0, 0], cv2.medianBlur(frame[0, 0].numpy(), size))
 
 
@@ -109,7 +86,7 @@ def test_windows_at_the_edge_of_the_majority(instruction_set: int, size: int) ->
 @pytest.mark.parametrize("batch", [0, 1, 5])
 def test_batches_and_threads(batch: int, threads: int) -> None:
     before = torch.get_num_threads()
-    frames = frames_of((batch, 150, 90), torch.uint8, "random")
+    frames = images((batch, 150, 90), torch.uint8, "random")
     try:
         torch.set_num_threads(threads)
         together = median_filter(frames, 9)
@@ -121,7 +98,7 @@ def test_batches_and_threads(batch: int, threads: int) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16])
 def test_views_are_read_where_they_are(dtype: torch.dtype) -> None:
-    frames = frames_of((4, 80, 120), torch.uint8, "random").to(dtype)
+    frames = images((4, 80, 120), torch.uint8, "random").to(dtype)
     for view in (frames[::2, :, 7:60, 33:90], frames[..., ::2], frames.mT, frames[:1].expand(3, 1, 80, 120)):
         assert torch.equal(
             kernels.median(view, 5), kernels.median(view.clone(memory_format=torch.contiguous_format), 5)
@@ -131,7 +108,7 @@ def test_views_are_read_where_they_are(dtype: torch.dtype) -> None:
 def test_callers_in_many_threads_get_their_own_answer() -> None:
     from concurrent.futures import ThreadPoolExecutor
 
-    frames = frames_of((8, 120, 200), torch.uint8, "random")
+    frames = images((8, 120, 200), torch.uint8, "random")
     expected = scipy_median(frames, 9)
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):

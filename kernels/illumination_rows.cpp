@@ -1,0 +1,111 @@
+// One line at a time: whatever type the images have, the arithmetic is that of fingerflow/ops/illumination.py in float.
+#include "illumination_rows.h"
+
+#include <math.h>
+
+#include "lanes.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr float kInfinity = HUGE_VALF, kUnknown = NAN;
+
+template <class Pixel>
+void convert(const Pixel* FINGERFLOW_RESTRICT from, std::int64_t width, float* FINGERFLOW_RESTRICT to) {
+    for (std::int64_t x = 0; x < width; ++x) to[x] = static_cast<float>(from[x]);
+}
+
+// Row y of an image, or of the only one, as floats.
+void line_of(const Frames& frames, std::int64_t frame, std::int64_t y, float* line) {
+    const std::int64_t at = (frames.batch == 1 ? 0 : frame) * frames.frame_stride + y * frames.row_stride;
+    const auto row = [&](const auto* data) { convert(data + at, frames.width, line); };
+    FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, row)
+}
+
+// Light of the empty glass on row y, and the dark counts below it.
+void light_of(const Illumination& given, std::int64_t frame, std::int64_t y, float* FINGERFLOW_RESTRICT light,
+              float* FINGERFLOW_RESTRICT dark) {
+    line_of(given.reference, frame, y, light);
+    if (given.dark.data == nullptr) return;
+    line_of(given.dark, frame, y, dark);
+    for (std::int64_t x = 0; x < given.frames.width; ++x) light[x] -= dark[x];
+}
+
+std::int64_t count_up_to(const float* values, std::int64_t count, float limit) {
+    std::int64_t reached = 0;
+    for (std::int64_t begin = 0; begin < count; begin += 1 << 20) {
+        const std::int64_t end = begin + (1 << 20) < count ? begin + (1 << 20) : count;
+        std::int32_t some = 0;
+        for (std::int64_t k = begin; k < end; ++k) some += values[k] <= limit;
+        reached += some;
+    }
+    return reached;
+}
+
+}  // namespace
+
+float least_light(const Illumination& given, std::int64_t frame, std::int64_t step, float* lines, float* values) {
+    // The quantile as fingerflow/ops/quantile.py finds it, by halving an interval.
+    const std::int64_t width = given.frames.width;
+    std::int64_t count = 0, present = 0;
+    float lowest = kInfinity, highest = -kInfinity;
+    for (std::int64_t y = 0; y < given.frames.height; y += step) {
+        light_of(given, frame, y, lines, lines + width);
+        for (std::int64_t x = 0; x < width; x += step) {
+            const float light = lines[x];
+            const bool finite = light - light == 0.0f;
+            present += finite;
+            values[count++] = finite ? light : kInfinity;
+            if (finite && light < lowest) lowest = light;
+            if (finite && light > highest) highest = light;
+        }
+    }
+    if (present == 0) return NAN;
+    const double exact = ceil(static_cast<double>(present) * 0.99);
+    const auto wanted = static_cast<std::int64_t>(exact < 1 ? 1 : exact);
+    double low = lowest, high = highest;
+    for (int halving = 0; halving < 24; ++halving) {
+        const double middle = low + (high - low) / 2;
+        if (count_up_to(values, count, static_cast<float>(middle)) >= wanted) high = middle;
+        else low = middle;
+    }
+    if (count_up_to(values, count, lowest) >= wanted) high = lowest;
+    return given.minimum * static_cast<float>(high);
+}
+
+void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t top, std::int64_t bottom, float least,
+                     float* lines, const LightLost& lost) {
+    const std::int64_t width = given.frames.width;
+    float* FINGERFLOW_RESTRICT passed = lines;
+    float* FINGERFLOW_RESTRICT light = lines + width;
+    float* FINGERFLOW_RESTRICT dark = lines + 2 * width;
+    for (std::int64_t y = top; y < bottom; ++y) {
+        light_of(given, frame, y, light, dark);
+        line_of(given.frames, frame, y, passed);
+        if (given.dark.data != nullptr)
+            for (std::int64_t x = 0; x < width; ++x) passed[x] -= dark[x];
+        const std::int64_t at = (frame * given.frames.height + y) * width;
+        unsigned char* FINGERFLOW_RESTRICT levels = lost.levels + at;
+        unsigned char* FINGERFLOW_RESTRICT valid = lost.valid + at;
+        float* FINGERFLOW_RESTRICT signal = lost.signal == nullptr ? lines + 3 * width : lost.signal + at;
+        for (std::int64_t x = 0; x < width; ++x) {
+            // An infinite light has a finite quotient of 0.
+            const bool lit = light[x] > 0.0f && light[x] > least && light[x] < kInfinity;
+            const float quotient = passed[x] / (lit ? light[x] : kUnknown);
+            const bool known = quotient - quotient == 0.0f;
+            signal[x] = 1.0f - (known ? quotient : 1.0f);
+            valid[x] = known;
+        }
+        for (std::int64_t x = 0; x < width; ++x) {
+            float level = (signal[x] - given.low) * given.levels_per_unit;
+            level = level > 0.0f ? level : 0.0f;
+            level = level < 255.0f ? level : 255.0f;
+            // Adding 3 * 2^22 rounds to an integer, halves to even, for any compiler and processor.
+            levels[x] = static_cast<unsigned char>(static_cast<int>((level + 12582912.0f) - 12582912.0f));
+        }
+    }
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow

@@ -1,0 +1,157 @@
+// Histograms of frames, and Otsu's threshold with its two classes from them.
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <limits>
+#include <vector>
+
+#include "interface.h"
+#include "parallel.h"
+#include "pixels.h"
+#include "workspace.h"
+
+namespace fingerflow {
+namespace {
+
+struct Counted {
+    Frames frames, mask;        // mask.data is null where every pixel counts; a batch of one serves all frames
+    const std::uint16_t* bins;  // of each level, or null where a level is its own bin
+    std::int64_t count;         // of bins
+};
+
+// Neighbours are often equal, and a count cannot be raised again before it has been written: four counts side by side.
+constexpr std::int64_t kSides = 4;
+
+// Bin of each pixel of a line; `count` for one that does not count.
+template <class Pixel>
+void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given,
+             std::uint32_t* places) {
+    const std::int64_t width = given.frames.width;
+    const auto none = static_cast<std::uint32_t>(given.count);
+    if (given.bins == nullptr)
+        for (std::int64_t x = 0; x < width; ++x) places[x] = row[x];
+    else
+        for (std::int64_t x = 0; x < width; ++x) places[x] = given.bins[row[x]];
+    if (mask != nullptr)
+        for (std::int64_t x = 0; x < width; ++x) places[x] = mask[x] != 0 ? places[x] : none;
+}
+
+// Adds up some rows in `sums` (kSides times count + 1), zero before.
+template <class Pixel>
+void count_rows(const Pixel* frame, const unsigned char* mask, const Counted& given, std::int64_t rows,
+                std::uint32_t* places, std::uint32_t* sums) {
+    const std::int64_t width = given.frames.width, side = given.count + 1;
+    for (std::int64_t y = 0; y < rows; ++y) {
+        bins_of(frame + y * given.frames.row_stride, mask == nullptr ? nullptr : mask + y * given.mask.row_stride, given, places);
+        std::int64_t x = 0;
+        for (; x + kSides <= width; x += kSides) {
+            ++sums[places[x]];
+            ++sums[side + places[x + 1]];
+            ++sums[2 * side + places[x + 2]];
+            ++sums[3 * side + places[x + 3]];
+        }
+        for (; x < width; ++x) ++sums[places[x]];
+    }
+}
+
+void count_piece(const Counted& given, std::int64_t frame, std::int64_t top, std::int64_t rows, std::uint32_t* places,
+                 std::uint32_t* sums) {
+    const auto* mask = static_cast<const unsigned char*>(given.mask.data);
+    if (mask != nullptr)
+        mask += (given.mask.batch == 1 ? 0 : frame) * given.mask.frame_stride + top * given.mask.row_stride;
+    const std::int64_t at = frame * given.frames.frame_stride + top * given.frames.row_stride;
+    if (given.frames.kind == kUint8)
+        count_rows(static_cast<const std::uint8_t*>(given.frames.data) + at, mask, given, rows, places, sums);
+    else
+        count_rows(static_cast<const std::uint16_t*>(given.frames.data) + at, mask, given, rows, places, sums);
+}
+
+}  // namespace
+}  // namespace fingerflow
+
+int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                         std::int64_t frame_stride, std::int64_t row_stride, int kind, const unsigned char* mask,
+                         std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
+                         const std::uint16_t* bins, std::int64_t count, std::int64_t* counts, int threads) try {
+    using namespace fingerflow;
+    const Counted given{{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)},
+                        {mask, masks, height, width, mask_stride, mask_row_stride, kUint8},
+                        bins, count};
+    std::fill(counts, counts + batch * count, 0);
+    if (height * width == 0) return 0;
+
+    // Pieces so large that adding up their counts takes little beside counting, and that no sum of 32 bits overflows.
+    const std::int64_t least = std::max<std::int64_t>(1, 16 * count / width);
+    const std::int64_t most = std::max<std::int64_t>(1, (std::int64_t{1} << 31) / width);
+    const std::int64_t shared = (height * batch + threads - 1) / threads;
+    const std::int64_t rows = std::min({height, most, std::max(least, shared)});
+    const std::int64_t pieces = (height + rows - 1) / rows, size = kSides * (count + 1);
+    std::vector<std::uint32_t> sums(static_cast<std::size_t>(batch * pieces * size));
+    parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
+        const std::int64_t top = piece % pieces * rows;
+        const auto places = static_cast<std::uint32_t*>(workspace(static_cast<std::size_t>(4 * width)));
+        count_piece(given, piece / pieces, top, std::min(rows, height - top), places, sums.data() + piece * size);
+    });
+    for (std::int64_t piece = 0; piece < batch * pieces; ++piece)
+        for (std::int64_t side = 0; side < kSides; ++side)
+            for (std::int64_t bin = 0; bin < count; ++bin)
+                counts[piece / pieces * count + bin] += sums[static_cast<std::size_t>(piece * size + side * (count + 1) + bin)];
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}
+
+int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds,
+                            double* fractions, double* means, double* deviations, double* separability) {
+    constexpr int kBins = 256;
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    for (std::int64_t frame = 0; frame < batch; ++frame, counts += kBins) {
+        double total = 0, all = 0;
+        for (int bin = 0; bin < kBins; ++bin) {
+            total += static_cast<double>(counts[bin]);
+            all += static_cast<double>(counts[bin]) * bin;
+        }
+        // As fingerflow/ops/otsu.py: between = (moment total - all below)^2 / (below (total - below)).
+        double below = 0, moment = 0, best = -1;
+        int last = -1;
+        bool split = false;
+        for (int bin = 0; bin < kBins; ++bin) {
+            below += static_cast<double>(counts[bin]);
+            moment += static_cast<double>(counts[bin]) * bin;
+            const double product = below * (total - below), difference = moment * total - all * below;
+            const double between = difference * difference / (product < 1 ? 1 : product);
+            split = split || product > 0;
+            if (between > best) {
+                best = between;
+                last = bin;
+            }
+        }
+        const double threshold = split ? low + (last + 1) * ((high - low) / kBins) : nan;
+        thresholds[frame] = threshold;
+        if (fractions == nullptr) continue;
+
+        // Moments about the threshold are whole numbers: exact in any order.
+        double number[2] = {}, first[2] = {}, second[2] = {};
+        for (int bin = 0; bin < kBins; ++bin) {
+            const double count = static_cast<double>(counts[bin]), from = low + 1 + bin - threshold;
+            const int above = from > 0;
+            number[above] += count;
+            first[above] += count * from;
+            second[above] += count * (from * from);
+        }
+        double variances[2];
+        for (int side = 0; side < 2; ++side) {
+            const double n = split ? number[side] : nan, mean = first[side] / n;
+            const double variance = second[side] / n - mean * mean;
+            variances[side] = variance < 0 ? 0 : variance;
+            fractions[2 * frame + side] = split ? n / (number[0] + number[1]) : nan;
+            means[2 * frame + side] = mean + threshold;
+            deviations[2 * frame + side] = std::sqrt(variances[side]);
+        }
+        const double* const f = fractions + 2 * frame;
+        const double apart = means[2 * frame + 1] - means[2 * frame];
+        const double between = f[0] * f[1] * (apart * apart);
+        separability[frame] = between / (between + (f[0] * variances[0] + f[1] * variances[1]));
+    }
+    return 0;
+}

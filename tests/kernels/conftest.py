@@ -1,0 +1,31 @@
+"""What the tests of compiled kernels share."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from fingerflow import kernels
+
+
+@pytest.fixture(params=[0, 1, 2], ids=["baseline", "avx2", "avx512"])
+def instruction_set(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Each instruction set that this processor and build have."""
+    if not kernels.serve():
+        pytest.skip("the compiled kernels were not built or are turned off")
+    if kernels.limit_instruction_set(request.param) != request.param:
+        kernels.limit_instruction_set(-1)
+        pytest.skip("this processor or build has no such instruction set")
+    yield request.param
+    kernels.limit_instruction_set(-1)
+
+
+@pytest.fixture
+def portable(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]], object]:
+    """Calls a function with the compiled kernels turned off."""
+
+    def call(function: Callable[[], object]) -> object:
+        with monkeypatch.context() as patch:
+            patch.setattr(kernels, "serve", lambda *tensors: False)
+            return function()
+
+    return call
