@@ -1,6 +1,7 @@
 // A vector of floats as wide as the instruction set's registers, so that sums stay in registers.
 #pragma once
 
+#include <cstdint>
 #include <cstring>
 
 // Before a loop over a few vectors: unrolled, they stay in registers.
@@ -26,6 +27,7 @@ constexpr int kFloats = 4;
 #if defined(__GNUC__) || defined(__clang__)
 typedef float Floats __attribute__((vector_size(4 * kFloats)));
 inline Floats all(float value) { return Floats{} + value; }
+typedef float Floats4 __attribute__((vector_size(16)));
 typedef int Integers __attribute__((vector_size(4 * kFloats)));
 // The first `count` of a vector's numbers, zero behind them.
 struct Beginning {
@@ -53,6 +55,17 @@ struct Beginning {
         return value;
     }
 };
+struct Floats4 {
+    float of[4];
+};
+inline Floats4 operator+(Floats4 a, const Floats4& b) {
+    for (int k = 0; k < 4; ++k) a.of[k] += b.of[k];
+    return a;
+}
+inline Floats4 operator*(Floats4 a, float b) {
+    for (int k = 0; k < 4; ++k) a.of[k] *= b;
+    return a;
+}
 inline Floats operator+(Floats a, const Floats& b) { return a += b; }
 inline Floats operator-(Floats a, const Floats& b) {
     for (int k = 0; k < kFloats; ++k) a.of[k] -= b.of[k];
@@ -74,6 +87,11 @@ inline Floats all(float value) {
 }
 #endif
 
+inline Floats4 load4(const float* from) {
+    Floats4 value;
+    std::memcpy(&value, from, sizeof value);
+    return value;
+}
 inline Floats load(const float* from) {
     Floats value;
     std::memcpy(&value, from, sizeof value);
@@ -100,7 +118,6 @@ inline Half folded(Whole value) {
     std::memcpy(&high, reinterpret_cast<const char*>(&copy) + sizeof low, sizeof high);
     return low + high;
 }
-typedef float Floats4 __attribute__((vector_size(16)));
 inline float sum(Floats4 value) { return (value[0] + value[2]) + (value[1] + value[3]); }
 #if defined(__AVX__)
 typedef float Floats8 __attribute__((vector_size(32)));
@@ -113,6 +130,39 @@ inline float sum(Floats value) { return sum(folded<Floats8>(value)); }
 inline float sum(const Floats& value) {
     float result = 0;
     for (int k = 0; k < kFloats; ++k) result += value[k];
+    return result;
+}
+#endif
+
+// Numbers kept within limits and split into whole and fraction. What is not a number becomes `low`.
+struct Split {
+    std::int32_t whole[kFloats];
+    Floats fraction;
+};
+#if defined(__GNUC__) || defined(__clang__)
+inline Split split(Floats value, float low, float high) {
+    // The whole part is limited, not the number: beyond the limits the fraction grows.
+    Floats whole = value > all(low) ? value : all(low);
+    whole = whole < all(high) ? whole : all(high);
+    const Floats towards_zero = __builtin_convertvector(__builtin_convertvector(whole, Integers), Floats);
+    whole = towards_zero > whole ? towards_zero - 1.0f : towards_zero;
+    Split result;
+    const Integers integers = __builtin_convertvector(whole, Integers);
+    std::memcpy(result.whole, &integers, sizeof integers);
+    result.fraction = value - whole;
+    return result;
+}
+#else
+inline Split split(const Floats& value, float low, float high) {
+    Split result;
+    for (int k = 0; k < kFloats; ++k) {
+        float whole = value.of[k] > low ? value.of[k] : low;
+        whole = whole < high ? whole : high;
+        std::int32_t integer = static_cast<std::int32_t>(whole);
+        if (static_cast<float>(integer) > whole) --integer;
+        result.whole[k] = integer;
+        result.fraction.of[k] = value.of[k] - static_cast<float>(integer);
+    }
     return result;
 }
 #endif

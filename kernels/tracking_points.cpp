@@ -271,37 +271,48 @@ private:
         const int n = layout_.window, width = static_cast<int>(pair_.width);
         // Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
         const float right = static_cast<float>(pair_.width - 1) - kLast, bottom = static_cast<float>(pair_.height - 1) - kLast;
+        float columns[kFloats];
+        for (int k = 0; k < kFloats; ++k) columns[k] = static_cast<float>(k - n / 2);
         for (int r = 0; r < n; ++r) {
             const float down = static_cast<float>(r - n / 2);
             for (int c = 0; c < layout_.span; c += kFloats) {
-                float fraction_x[kFloats], fraction_y[kFloats];
+                const Floats along = load(columns) + all(static_cast<float>(c));
+                const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, -kFirst, right);
+                const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, -kFirst, bottom);
                 std::int32_t index[kFloats];
-                for (int k = 0; k < kFloats; ++k) {
-                    const float along = static_cast<float>(c + k - n / 2);
-                    const float x = place.x + warp.xx * along + warp.xy * down;
-                    const float y = place.y + warp.yx * along + warp.yy * down;
-                    const float whole_x = clamped(floorf(x), -kFirst, right), whole_y = clamped(floorf(y), -kFirst, bottom);
-                    fraction_x[k] = x - whole_x;
-                    fraction_y[k] = y - whole_y;
-                    index[k] = static_cast<std::int32_t>(whole_y + kFirst) * width + static_cast<std::int32_t>(whole_x + kFirst);
-                }
+                for (int k = 0; k < kFloats; ++k) index[k] = (y.whole[k] - 1) * width + (x.whole[k] - 1);
                 Floats across[kTaps], across_slope[kTaps], below[kTaps], below_slope[kTaps];
-                cubic_taps(load(fraction_x), across, across_slope);
-                cubic_taps(load(fraction_y), below, below_slope);
-                Floats value = all(0), along_x = all(0), along_y = all(0);
+                cubic_taps(x.fraction, across, across_slope);
+                cubic_taps(y.fraction, below, below_slope);
+                // First down the columns, four at a time as they lie in memory, for one sample after the other; then
+                // across, for all samples at once.
+                float down_weights[kTaps][kFloats], down_slopes[kTaps][kFloats];
                 for (int i = 0; i < kTaps; ++i) {
-                    Floats row = all(0), slope = all(0);
-                    for (int j = 0; j < kTaps; ++j) {
-                        const float* shifted = image + i * width + j;
-                        float taps[kFloats];
-                        for (int k = 0; k < kFloats; ++k) taps[k] = shifted[index[k]];
-                        const Floats tap = load(taps);
-                        row += tap * across[j];
-                        slope += tap * across_slope[j];
+                    store(down_weights[i], below[i]);
+                    store(down_slopes[i], below_slope[i]);
+                }
+                float values[kFloats][kTaps], slopes[kFloats][kTaps];
+                for (int k = 0; k < kFloats; ++k) {
+                    const float* taps = image + index[k];
+                    const Floats4 first = load4(taps), second = load4(taps + width), third = load4(taps + 2 * width),
+                                  fourth = load4(taps + 3 * width);
+                    const Floats4 sampled = first * down_weights[0][k] + second * down_weights[1][k] +
+                                            third * down_weights[2][k] + fourth * down_weights[3][k];
+                    const Floats4 sloped = first * down_slopes[0][k] + second * down_slopes[1][k] +
+                                           third * down_slopes[2][k] + fourth * down_slopes[3][k];
+                    std::memcpy(values[k], &sampled, sizeof sampled);
+                    std::memcpy(slopes[k], &sloped, sizeof sloped);
+                }
+                Floats value = all(0), along_x = all(0), along_y = all(0);
+                for (int j = 0; j < kTaps; ++j) {
+                    float column[kFloats], column_slope[kFloats];
+                    for (int k = 0; k < kFloats; ++k) {
+                        column[k] = values[k][j];
+                        column_slope[k] = slopes[k][j];
                     }
-                    value += row * below[i];
-                    along_x += slope * below[i];
-                    along_y += row * below_slope[i];
+                    value += load(column) * across[j];
+                    along_x += load(column) * across_slope[j];
+                    along_y += load(column_slope) * across[j];
                 }
                 // Chain rule: d/dw = A^T d/dx.
                 write(to, r, c, value, all(warp.xx) * along_x + all(warp.yx) * along_y,
