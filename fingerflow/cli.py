@@ -15,6 +15,10 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
+_DEMO_FILES = {
+    *("scene.toml", "frames.npy", "empty.npy", "dark.npy", "forces.csv", "truth.json"),
+    *("result.h5", "report.html", "overlay.mp4"),
+}
 _INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
 PixelRanges = tuple[int, int, int, int]
@@ -34,8 +38,8 @@ def demo(
     from fingerflow.scene import load_scene
     from fingerflow.synthetic import rebuild_scene
 
-    if (folder / "truth.json").exists():
-        shutil.rmtree(folder)  # an earlier demo: only a folder that this command wrote holds the truth of a scene
+    if folder.exists():
+        _remove_demo(folder)
     _simulate("press", folder)
     scene = load_scene(folder / "scene.toml")
     result = _process(scene, None, quiet=as_json)
@@ -114,6 +118,8 @@ def calibrate(
     views = _views(ring_frame.shape, contact, topography, both=target is not None)
     found = calibration.calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame)
     picture = output.with_suffix(".png")
+    _spare(output, ring, target, background)
+    _spare(picture, ring, target, background)
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
@@ -156,7 +162,10 @@ def process(
     from fingerflow.scene import load_scene
 
     path = to or scene.parent / "result.h5"
-    result = _process(load_scene(scene), outputs, quiet=as_json, device=device)
+    loaded = load_scene(scene)
+    forces = None if loaded.forces is None else loaded.forces.file
+    _spare(path, scene, loaded.recording.frames, loaded.background.frames, loaded.background.dark, forces)
+    result = _process(loaded, outputs, quiet=as_json, device=device)
     save_result(result, path)
     if as_json:
         _print_json(
@@ -190,8 +199,32 @@ def export_table(result: Path, table: Annotated[Path, typer.Argument(help="A .cs
     """Write a result as CSV (one row a frame) or .mat (everything)."""
     from fingerflow import result as results
 
+    if table.exists() and not _is_table(table):
+        raise FingerflowError(f"{table} exists and was not written by export-table; give another name or remove it")
     results.export_table(results.load_result(result), table)
     typer.echo(f"{table} was written")
+
+
+def _spare(output: Path, *inputs: Path | None) -> None:
+    """Raises FingerflowError where an output would replace an input."""
+    for given in inputs:
+        if given is not None and output.exists() and output.samefile(given):
+            raise FingerflowError(f"{output} is an input of this command and would be replaced; give another output")
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is what export-table writes: a .mat file of a result, or a .csv that begins with its frames."""
+    with path.open("rb") as file:
+        return file.read(6) in (b"MATLAB", b"frame,")
+
+
+def _remove_demo(folder: Path) -> None:
+    """Removes what an earlier demo wrote; raises FingerflowError, and removes nothing, where anything else is there."""
+    strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)
+    if strange or not (folder / "truth.json").exists():
+        found = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"
+        raise FingerflowError(f"{folder} exists and {found}; give another folder, or remove it")
+    shutil.rmtree(folder)
 
 
 def main() -> None:

@@ -152,7 +152,7 @@ class CalibrationSettings(_Table):
     """
 
     file: Path | None = None
-    mm_per_px: Positive
+    mm_per_px: Annotated[Positive, Field(le=1.0)]
     topography_to_contact: tuple[Row, Row] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
     @model_validator(mode="before")
@@ -187,16 +187,16 @@ class CalibrationSettings(_Table):
 class ContactSettings(_Table):
     """[contact]"""
 
-    median_px: OddSide = 3
+    median_px: Annotated[OddSide, Field(le=63)] = 3
     threshold: Literal["reference_frame", "per_frame"] | Annotated[Number, Field(gt=0, lt=1)] = "reference_frame"
-    gross_radius_px: Annotated[Whole, Field(ge=1)] = 8
+    gross_radius_px: Annotated[Whole, Field(ge=1, le=255)] = 8
 
 
 class TrackingSettings(_Table):
     """[tracking]"""
 
     points: Annotated[Whole, Field(ge=3)] = 700
-    window_px: Annotated[OddSide, Field(ge=5)] = 25
+    window_px: Annotated[OddSide, Field(ge=5, le=255)] = 25
     min_distance_px: Positive = 6.0
     direction: Literal["forward", "backward"] = "forward"
     template: Literal["keyframe", "previous"] = "keyframe"
@@ -208,7 +208,7 @@ class TrackingSettings(_Table):
 class FieldSettings(_Table):
     """[fields]"""
 
-    gauge_length_mm: Positive = 1.6
+    gauge_length_mm: Annotated[Positive, Field(le=100.0)] = 1.6
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = "green_lagrange"
     young_modulus_mpa: Positive = 1.0
     poisson_ratio: Annotated[Number, Field(gt=-1, lt=0.5)] = 0.4

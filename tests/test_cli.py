@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from fingerflow import cli, load_scene, process
+from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.result import save_result
 from fingerflow.synthetic import Press, write_recording
@@ -262,3 +263,25 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
     assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration.png", "calibration.toml"]
     assert main_with(monkeypatch, *arguments, "--topography", "0", "1", "0", "1") == 2
     assert main_with(monkeypatch, *arguments, "--contact", "0", "999", "0", "1") == 2
+
+
+def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither by a name that was given nor by a default one."""
+    from fingerflow.cli import _remove_demo, _spare
+
+    frame = tmp_path / "calibration.png"
+    frame.write_bytes(b"a frame")
+    with pytest.raises(FingerflowError, match="would be replaced"):
+        _spare(tmp_path / "calibration.png", None, frame)
+    _spare(tmp_path / "other.png", frame)
+
+    folder = tmp_path / "demo"
+    folder.mkdir()
+    (folder / "truth.json").write_text("{}")
+    (folder / "thesis.txt").write_text("years of work")
+    with pytest.raises(FingerflowError, match=r"thesis\.txt"):
+        _remove_demo(folder)
+    assert (folder / "thesis.txt").exists()
+    (folder / "thesis.txt").unlink()
+    _remove_demo(folder)
+    assert not folder.exists()

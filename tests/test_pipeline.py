@@ -238,3 +238,51 @@ def test_report_of_areas_alone(scene: Scene, tmp_path: Path) -> None:
 
     page = write_report(process(scene, ["gross_contact_area"]), scene, tmp_path)
     assert page.read_text(encoding="utf-8").count("data:image/png;base64,") == 2
+
+
+def test_a_point_that_was_lost_at_its_onset_has_none(scene: Scene) -> None:
+    """A later frame would be taken for the onset, and the displacement since then for the whole."""
+    from fingerflow.stages.deformation import displace
+    from fingerflow.stages.inputs import open_inputs
+    from fingerflow.stages.tracking import TrackSeries
+
+    position = np.zeros((4, 3, 2)) + np.arange(4)[:, None, None]
+    position[1, 1] = np.nan
+    covered = np.array([[0, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 0]], dtype=bool)
+    rest = np.zeros((4, 3), np.float32)
+    moved = displace(open_inputs(scene, "cpu"), TrackSeries(position, rest, rest, rest.astype(np.uint8)), covered)
+    assert moved.onset.tolist() == [1, -1, -1]
+    assert np.isnan(moved.displacement[:, 1:]).all()
+    assert np.isfinite(moved.displacement[1:, 0]).all()
+
+
+def test_energy_of_lost_triangles_is_not_zero() -> None:
+    from fingerflow.stages.deformation import _total
+
+    areas = np.array([1.0, 1.0, 2.0], np.float32)
+    density = np.array([[1, 1, 1], [1, 1, np.nan], [1, np.nan, np.nan], [np.nan] * 3, [np.nan] * 3], np.float32)
+    inside = np.array([[1, 1, 1], [1, 1, 1], [1, 1, 1], [1, 1, 1], [0, 0, 0]], bool)
+    np.testing.assert_allclose(_total(density, inside, areas), [4, 4, np.nan, np.nan, 0])
+
+
+def test_float64_frames(scene: Scene, tmp_path: Path) -> None:
+    from fingerflow.recordings import open_recording
+
+    frames = open_recording(scene.recording.frames, frame_rate=24.0)[-2:].read().astype(np.float64)
+    np.save(tmp_path / "frames.npy", frames)
+    recording = scene.recording.model_copy(update={"frames": tmp_path / "frames.npy", "trigger_frame": None})
+    found = process(scene.model_copy(update={"recording": recording, "forces": None}), ["position", "status"])
+    assert (found["status"].values[1] == 0).mean() > 0.9
+
+
+def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
+    frames = open_recording(scene.recording.frames, frame_rate=24.0).read()
+    expected = frames.copy()
+    frames[7] = 0
+    areas = []
+    for name, stack in (("black", frames), ("whole", expected)):
+        np.save(tmp_path / f"{name}.npy", stack)
+        recording = scene.recording.model_copy(update={"frames": tmp_path / f"{name}.npy", "trigger_frame": None})
+        alone = scene.model_copy(update={"recording": recording, "forces": None})
+        areas.append(process(alone, ["real_contact_area"])["real_contact_area"].values)
+    np.testing.assert_allclose(np.delete(areas[0], 7), np.delete(areas[1], 7))

@@ -21,6 +21,7 @@ GIVES = frozenset(
         "ellipse_angle",
     }
 )
+_LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames that are looked at to find the one with most contact, where no forces tell
 
 
@@ -92,8 +93,11 @@ class ContactStage:
         return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else 0
 
     def _light(self, frame: NDArray[np.generic]) -> float:
+        """Mean light of a frame as a share of the background's; NaN where hardly any is left, as in a dark frame: a
+        contact leaves half."""
         view: Tensor = self._inputs.view(frame, self._view)
-        return float((view / self._reference.clamp_min(1)).clamp(0, 1).mean())
+        light = float((view / self._reference.clamp_min(1)).clamp(0, 1).mean())
+        return light if light > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
         """Share of light lost that counts as contact; None where every frame has its own."""

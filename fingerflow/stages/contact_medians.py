@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
 
 from fingerflow.stages.contact import ContactSeries
 
 _SPACING_MM = 0.15  # of the positions over which a median is taken: a fingertip holds thousands, of which some percent
 # more or less on one side move the median of a steep field
-_INVERSIONS = 6  # each leaves the strain's share of the error before, at most a quarter
+_INVERSIONS = 12  # each leaves the strain's share of the error before
+_MOST_STEPS = 200
+_LEAST_SHARE = 0.75  # of the contact over which a field must be known for its median to mean anything
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class ReferenceGrid:
         if not len(known):
             return None
         low = known.min(0) - margin
+        # A contact is some centimetres wide at most; a scale that is wrong by a thousand must not ask for all memory.
+        step = max(step, float((known.max(0) - known.min(0)).max()) / _MOST_STEPS)
         columns, rows = np.ceil((known.max(0) + margin - low) / step).astype(int) + 1
         return cls(low, step, int(columns), int(rows))
 
@@ -55,16 +60,26 @@ def medians_over_contact(
 
     The median is that of the area: over evenly spread positions of the current contact, each led back to its reference
     position by the displacement (2, Q) mm of the nodes. Over the tracked points, or over reference positions, it is
-    another one: points crowd where skin has texture, and skin that spreads covers more of the area than before.
+    another one: points crowd where skin has texture, and skin that spreads covers more of the area than before. NaN
+    where the field is known over less than three quarters of the contact.
     """
     positions = _positions_inside(contact, frame)
-    reference = positions
+    nodes = grid.nodes()
+    known_nodes = np.isfinite(displacement).all(0)
+    if not len(positions) or not known_nodes.any():
+        return np.full(len(fields), np.nan)
+    # From the node that is nearest now: skin may have moved by more than the contact is wide.
+    _, nearest = cKDTree((nodes + displacement.T)[known_nodes]).query(positions)
+    reference = positions - displacement.T[known_nodes][nearest]
     for _ in range(_INVERSIONS):
-        reference = positions - np.nan_to_num(grid.interpolate(displacement, reference).T)
-    values = grid.interpolate(fields, reference)
+        before, reference = reference, positions - grid.interpolate(displacement, reference).T
+        reference = np.where(np.isfinite(reference), reference, before)
+    settled = np.linalg.norm(reference - before, axis=1) < grid.step / 10
+    values = np.where(settled, grid.interpolate(fields, reference), np.nan)
     known = np.isfinite(values)
+    enough = known.mean(axis=1) >= _LEAST_SHARE
     return np.array(
-        [np.median(field[some]) if some.any() else np.nan for field, some in zip(values, known, strict=True)]
+        [np.median(field[some]) if good else np.nan for field, some, good in zip(values, known, enough, strict=True)]
     )
 
 

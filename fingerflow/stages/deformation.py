@@ -35,7 +35,7 @@ FIELDS_GIVE = frozenset(
 )
 STRAIN_GIVES = frozenset({"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"})
 _FRAMES = 16  # a batch
-_GRID_MM = 0.2  # between reference positions at which fields are fitted for the medians
+_NODES_A_GAUGE = 8  # reference positions at which fields are fitted for the medians, a gauge length
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Displacement:
     """Displacement since the onset of contact, mm; NaN before it and for points that never touch.
 
     Attributes:
-        onset: (N,) first frame in which the contact covers the point, -1 for never.
+        onset: (N,) first frame in which the contact covers the point, -1 for never, or if the point was lost then.
         reference: (N, 2) position at onset, mm.
         displacement: (F, N, 2) mm.
         deviation: (F, N) mm, standard deviation of a component.
@@ -90,9 +90,11 @@ def glass_positions(inputs: Inputs, pixels: NDArray[np.float64]) -> NDArray[np.f
 def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) -> Displacement:
     """Displacement of each point from where it was when the contact first covered it."""
     position = glass_positions(inputs, tracks.position)
-    touched = covered & np.isfinite(position).all(-1)
-    onset = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
-    numbers = np.arange(len(onset))
+    numbers = np.arange(position.shape[1])
+    onset = np.where(covered.any(0), covered.argmax(0), -1).astype(np.int32)
+    # A point that was lost when the contact reached it has no known place of onset: a later one would be taken for it.
+    known = (onset >= 0) & np.isfinite(position[onset, numbers]).all(-1)
+    onset = np.where(known, onset, -1).astype(np.int32)
     never = onset < 0
     reference = np.where(never[:, None], np.nan, position[onset, numbers])
     displacement = position - reference
@@ -119,7 +121,9 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
     )
     reference = _tensor(inputs, moved.reference)[None]
     # Medians are read from a grid of reference positions, the same for all frames, so that its fits share weights.
-    grid = ReferenceGrid.around(moved.reference, _GRID_MM, settings.gauge_length_mm / 2)
+    grid = ReferenceGrid.around(
+        moved.reference, settings.gauge_length_mm / _NODES_A_GAUGE, settings.gauge_length_mm / 2
+    )
     nodes = None if grid is None else _tensor(inputs, grid.nodes())[None]
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
@@ -158,6 +162,7 @@ def strains(inputs: Inputs, moved: Displacement) -> StrainSeries:
         np.zeros(count),
     )
     reference = _tensor(inputs, moved.reference)[None]
+    touching = (moved.onset >= 0) & (np.arange(count)[:, None] >= moved.onset)
     corners = torch.from_numpy(triangles.astype(np.int64)).to(inputs.device)
     areas = triangle_areas(reference, corners)
     for first in range(0, count, _FRAMES):
@@ -167,8 +172,22 @@ def strains(inputs: Inputs, moved: Displacement) -> StrainSeries:
         density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio)
         series.strain[part] = strain.cpu()
         series.density[part] = density.cpu()
-        series.energy[part] = (density * areas).nansum(-1).cpu() * settings.depth_mm
+        inside = touching[part][:, triangles].all(-1)
+        energy = _total(series.density[part], inside, areas[0].cpu().numpy())
+        series.energy[part] = energy * settings.depth_mm
     return series
+
+
+def _total(density: NDArray[np.float32], inside: NDArray[np.bool_], areas: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Integral (n,) of a density (n, M) over the triangles that touch; 0 where none does.
+
+    Triangles whose points are lost are taken at the mean of the others; NaN where these are less than half of the area.
+    """
+    known = inside & np.isfinite(density)
+    touching, seen = (inside * areas).sum(-1), (known * areas).sum(-1)
+    total = np.where(known, density * areas, 0.0).sum(-1, dtype=np.float64)
+    scaled = total * touching / np.maximum(seen, 1e-12)
+    return np.where(touching == 0, 0.0, np.where(seen >= touching / 2, scaled, np.nan))
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:

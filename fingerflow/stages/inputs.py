@@ -41,6 +41,8 @@ class Inputs:
         part = np.ascontiguousarray(view.crop(frames))
         if part.dtype == np.uint16:
             part = part.astype(np.int32)
+        elif part.dtype == np.float64:
+            part = part.astype(np.float32)
         return torch.from_numpy(part)[:, None].to(self.device)
 
     def reference(self, view: View) -> Tensor:

@@ -74,3 +74,18 @@ def test_a_tiny_contact_has_as_many_positions() -> None:
         nodes.T,  # type: ignore[arg-type]
     )
     np.testing.assert_allclose(median, (8.0, 6.0), atol=1e-6)
+
+
+def test_skin_that_travelled_further_than_the_contact_is_wide() -> None:
+    made, nodes = grid()
+    far = np.tile([[20.0], [-15.0]], len(nodes))
+    moved = contact((3.0, 3.0), center=(28.0, -9.0))
+    median = medians_over_contact(moved, 0, made, far, nodes.T)  # type: ignore[arg-type]
+    np.testing.assert_allclose(median, (8.0, 6.0), atol=0.02)
+
+
+def test_half_of_a_contact_is_not_taken_for_all_of_it() -> None:
+    made, nodes = grid()
+    field = np.where(nodes[:, 0] < 8.0, 1.0, np.nan)[None]
+    still = np.zeros((2, len(nodes)))
+    assert np.isnan(medians_over_contact(contact((3.0, 3.0)), 0, made, still, field)).all()  # type: ignore[arg-type]
