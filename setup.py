@@ -13,6 +13,7 @@ from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
 PLAIN = [
+    "contact_classes",
     "illumination",
     "instruction_sets",
     "median",

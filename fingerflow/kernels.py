@@ -10,14 +10,14 @@ import functools
 import importlib.util
 import logging
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 3  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 4  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -26,6 +26,25 @@ MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
 
 _log = logging.getLogger(__name__)
+
+
+class OtsuClasses(NamedTuple):
+    """Threshold (B,), fractions, means, deviations (B, 2) and separability (B,), float64."""
+
+    threshold: Tensor
+    fractions: Tensor
+    means: Tensor
+    deviations: Tensor
+    separability: Tensor
+
+
+class ContactPictures(NamedTuple):
+    """(B, 1, H, W) float32, bool, uint8 and bool."""
+
+    signal: Tensor
+    valid: Tensor
+    smooth: Tensor
+    touching: Tensor
 
 
 def serve(*tensors: Tensor | None) -> bool:
@@ -47,8 +66,7 @@ def median(frames: Tensor, size: int) -> Tensor:
         TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 31.
     """
     _check_frames(frames, MEDIAN_DTYPES)
-    if not 3 <= size <= LARGEST_MEDIAN or size % 2 == 0:
-        raise ValueError(f"the compiled median has odd sizes from 3 to {LARGEST_MEDIAN}: {size} was asked for")
+    _check_size(size, 3)
     frames = _rows_in_one_piece(frames)
     table = None if size in COMPILED_SIZES else _table(size)
     medians = torch.empty(frames.shape, dtype=frames.dtype)
@@ -98,23 +116,16 @@ def light_lost(
     Raises:
         TypeError, ValueError: images of another dtype than FRAME_KINDS, or not (B, 1, H, W) and (1 or B, 1, H, W).
     """
-    given = [image for image in (frames, reference, dark) if image is not None]
-    for image in given:
-        _check_frames(image, tuple(FRAME_KINDS))
-        if image.shape[1:] != frames.shape[1:] or len(image) not in (1, len(frames)):
-            raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
-    frames, *given = (_rows_in_one_piece(image) for image in given)
+    frames, reference, dark = _images(frames, reference, dark)
     signal = torch.empty(frames.shape)
     levels, valid = (torch.empty(frames.shape, dtype=dtype) for dtype in (torch.uint8, torch.bool))
-    beside: list[int | None] = []
-    for image in given:
-        beside += [image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]]
     _call(
         "fingerflow_light_lost",
         frames.data_ptr(),
         *_extent(frames),
         FRAME_KINDS[frames.dtype],
-        *(beside if dark is not None else [*beside, None, 0, 0, 0, 0]),
+        *_image(reference),
+        *_image(dark),
         minimum,
         low,
         levels_per_unit,
@@ -122,6 +133,54 @@ def light_lost(
         torch.get_num_threads(),
     )
     return signal, levels, valid
+
+
+def contact_classes(
+    frames: Tensor,
+    reference: Tensor,
+    dark: Tensor | None,
+    minimum: float,
+    low: float,
+    levels_per_unit: float,
+    size: int,
+) -> tuple[ContactPictures, OtsuClasses]:
+    """Light lost, smoothed, and split by Otsu's threshold.
+
+    As `ops.contact_classes` has them; images as for `light_lost`, `size` as for `median`, or 1.
+
+    Raises:
+        TypeError, ValueError: see there.
+    """
+    _check_size(size, 1)
+    frames, reference, dark = _images(frames, reference, dark)
+    table = None if size in (1, *COMPILED_SIZES) else _table(size)
+    batch = len(frames)
+    signal = torch.empty(frames.shape)
+    levels, smooth = (torch.empty(frames.shape, dtype=torch.uint8) for _ in range(2))
+    valid, touching = (torch.empty(frames.shape, dtype=torch.bool) for _ in range(2))
+    classes = torch.empty(8 * batch, dtype=torch.float64)
+    images = (ctypes.c_int64 * 18)(
+        frames.data_ptr(),
+        batch,
+        frames.stride(0),
+        frames.stride(2),
+        FRAME_KINDS[frames.dtype],
+        *(number or 0 for number in (*_image(reference), *_image(dark))),
+        batch,
+        *frames.shape[2:],
+    )
+    _call(
+        "fingerflow_contact_classes",
+        ctypes.addressof(images),
+        minimum,
+        low,
+        levels_per_unit,
+        size,
+        None if table is None else ctypes.addressof(table),
+        *(result.data_ptr() for result in (signal, levels, valid, smooth, touching, classes)),
+        torch.get_num_threads(),
+    )
+    return ContactPictures(signal, valid, smooth, touching), _classes(classes)
 
 
 def histogram(frames: Tensor, mask: Tensor | None, bin_of_level: Tensor | None, bins: int) -> Tensor:
@@ -174,14 +233,14 @@ def otsu_threshold(counts: Tensor, low: float, high: float) -> Tensor:
     return thresholds
 
 
-def otsu_classes(counts: Tensor) -> tuple[Tensor, ...]:
-    """Threshold (B,), fractions, means, deviations (B, 2) and separability (B,) of histograms (B, 256) of uint8."""
+def otsu_classes(counts: Tensor) -> OtsuClasses:
+    """Otsu's threshold and classes of histograms (B, 256) int64 of uint8."""
     _check_like("counts", counts, torch.int64, (len(counts), 256))
     counts, batch = counts.contiguous(), len(counts)
-    results = tuple(torch.empty(shape, dtype=torch.float64) for shape in ((batch,), *[(batch, 2)] * 3, (batch,)))
-    pointers = (result.data_ptr() for result in results)
+    results = torch.empty(8 * batch, dtype=torch.float64)
+    pointers = (results.data_ptr() + 8 * first * batch for first in (0, 1, 3, 5, 7))
     _call("fingerflow_otsu_classes", counts.data_ptr(), batch, -1.0, 255.0, *pointers)
-    return results
+    return _classes(results)
 
 
 def dilate(mask: Tensor, half_widths: list[int], of_background: bool) -> Tensor:
@@ -340,6 +399,7 @@ def _library() -> ctypes.CDLL | None:
         *[pointer] * 3,
         number,
     ]
+    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 7, number]
     library.fingerflow_histogram.argtypes = [
         *[pointer, *extent, number],
         *[pointer, *beside],
@@ -394,6 +454,36 @@ def _check_frames(frames: Tensor, dtypes: tuple[torch.dtype, ...]) -> None:
         raise TypeError(f"frames are {frames.dtype}: this compiled kernel takes {' or '.join(map(str, dtypes))}")
     if frames.ndim != 4 or frames.shape[1] != 1:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+
+
+def _classes(numbers: Tensor) -> OtsuClasses:
+    batch = len(numbers) // 8
+    threshold, *pairs, separability = numbers.split([batch, 2 * batch, 2 * batch, 2 * batch, batch])
+    fractions, means, variances = (pair.reshape(batch, 2) for pair in pairs)
+    # The portable op's own root: torch's is not the nearest number for all (the root of 8).
+    return OtsuClasses(threshold, fractions, means, variances.sqrt(), separability)
+
+
+def _check_size(size: int, least: int) -> None:
+    if not least <= size <= LARGEST_MEDIAN or size % 2 == 0:
+        raise ValueError(f"the compiled median has odd sizes from {least} to {LARGEST_MEDIAN}: {size} was asked for")
+
+
+def _images(frames: Tensor, reference: Tensor, dark: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Frames and what lies beside them, checked, pixels of a row neighbours in memory."""
+    for image in (frames, reference) if dark is None else (frames, reference, dark):
+        _check_frames(image, tuple(FRAME_KINDS))
+        if image.shape[1:] != frames.shape[1:] or len(image) not in (1, len(frames)):
+            raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
+    dark = None if dark is None else _rows_in_one_piece(dark)
+    return _rows_in_one_piece(frames), _rows_in_one_piece(reference), dark
+
+
+def _image(image: Tensor | None) -> tuple[int | None, int, int, int, int]:
+    """Data, number of images, strides of an image and of a row in pixels, number type."""
+    if image is None:
+        return None, 0, 0, 0, 0
+    return image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]
 
 
 def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:

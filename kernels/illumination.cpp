@@ -27,7 +27,7 @@ int fingerflow_light_lost(const void* frames, std::int64_t batch, std::int64_t h
     std::vector<float> least(static_cast<std::size_t>(lights));
     const auto find = FINGERFLOW_PICK(least_light);
     parallel_for(lights, threads, [&](std::int64_t light) {
-        const auto lines = static_cast<float*>(workspace(static_cast<std::size_t>(4 * (2 * width + looked_at))));
+        const auto lines = static_cast<float*>(workspace(static_cast<std::size_t>(4 * (2 * width + looked_at + 31))));
         least[static_cast<std::size_t>(light)] = find(given, light, step, lines, lines + 2 * width);
     });
 
@@ -35,7 +35,7 @@ int fingerflow_light_lost(const void* frames, std::int64_t batch, std::int64_t h
     const auto filter = FINGERFLOW_PICK(light_lost_rows);
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t frame = piece / pieces, top = piece % pieces * rows;
-        const auto lines = static_cast<float*>(workspace(static_cast<std::size_t>(16 * width)));
+        const auto lines = static_cast<float*>(workspace(static_cast<std::size_t>(20 * width)));
         const float limit = least[static_cast<std::size_t>(lights == 1 ? 0 : frame)];
         filter(given, frame, top, std::min(height, top + rows), limit, lines, {signal, levels, valid});
     });

@@ -48,18 +48,33 @@ std::int64_t count_up_to(const float* values, std::int64_t count, float limit) {
 float least_light(const Illumination& given, std::int64_t frame, std::int64_t step, float* lines, float* values) {
     // The quantile as fingerflow/ops/quantile.py finds it, by halving an interval.
     const std::int64_t width = given.frames.width;
-    std::int64_t count = 0, present = 0;
-    float lowest = kInfinity, highest = -kInfinity;
+    std::int64_t count = 0;
     for (std::int64_t y = 0; y < given.frames.height; y += step) {
         light_of(given, frame, y, lines, lines + width);
-        for (std::int64_t x = 0; x < width; x += step) {
-            const float light = lines[x];
-            const bool finite = light - light == 0.0f;
-            present += finite;
-            values[count++] = finite ? light : kInfinity;
-            if (finite && light < lowest) lowest = light;
-            if (finite && light > highest) highest = light;
+        for (std::int64_t x = 0; x < width; x += step) values[count++] = lines[x];
+    }
+    // What is not finite counts as infinite: above every limit. Side by side, for vectors.
+    constexpr std::int64_t kSides = 32;
+    float lows[kSides], highs[kSides];
+    std::int32_t finite[kSides] = {};
+    for (std::int64_t side = 0; side < kSides; ++side) lows[side] = kInfinity, highs[side] = -kInfinity;
+    for (std::int64_t k = count; k % kSides != 0; ++k) values[k] = kInfinity;
+    for (std::int64_t k = 0; k < count; k += kSides)
+        for (std::int64_t side = 0; side < kSides; ++side) {
+            const float value = values[k + side];
+            const bool known = value - value == 0.0f;
+            const float low = known ? value : kInfinity, high = known ? value : -kInfinity;
+            lows[side] = low < lows[side] ? low : lows[side];
+            highs[side] = high > highs[side] ? high : highs[side];
+            finite[side] += known;
+            values[k + side] = low;
         }
+    std::int64_t present = 0;
+    float lowest = kInfinity, highest = -kInfinity;
+    for (std::int64_t side = 0; side < kSides; ++side) {
+        lowest = lows[side] < lowest ? lows[side] : lowest;
+        highest = highs[side] > highest ? highs[side] : highest;
+        present += finite[side];
     }
     if (present == 0) return NAN;
     const double exact = ceil(static_cast<double>(present) * 0.99);
@@ -77,9 +92,13 @@ float least_light(const Illumination& given, std::int64_t frame, std::int64_t st
 void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t top, std::int64_t bottom, float least,
                      float* lines, const LightLost& lost) {
     const std::int64_t width = given.frames.width;
+    const float low = given.low, scale = given.levels_per_unit;
+    const float dimmest = least < 0.0f ? 0.0f : least;  // a NaN stays, and nothing is lit
     float* FINGERFLOW_RESTRICT passed = lines;
     float* FINGERFLOW_RESTRICT light = lines + width;
     float* FINGERFLOW_RESTRICT dark = lines + 2 * width;
+    auto* FINGERFLOW_RESTRICT rounded = reinterpret_cast<std::int32_t*>(lines + 3 * width);
+    auto* FINGERFLOW_RESTRICT known_here = reinterpret_cast<std::int32_t*>(lines + 4 * width);
     for (std::int64_t y = top; y < bottom; ++y) {
         light_of(given, frame, y, light, dark);
         line_of(given.frames, frame, y, passed);
@@ -88,22 +107,25 @@ void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t
         const std::int64_t at = (frame * given.frames.height + y) * width;
         unsigned char* FINGERFLOW_RESTRICT levels = lost.levels + at;
         unsigned char* FINGERFLOW_RESTRICT valid = lost.valid + at;
-        float* FINGERFLOW_RESTRICT signal = lost.signal == nullptr ? lines + 3 * width : lost.signal + at;
+        float* FINGERFLOW_RESTRICT signal = lost.signal + at;
+        // Two loops, each over numbers of one size: vectors of bytes are packed at the end.
+        FINGERFLOW_INDEPENDENT
         for (std::int64_t x = 0; x < width; ++x) {
             // An infinite light has a finite quotient of 0.
-            const bool lit = light[x] > 0.0f && light[x] > least && light[x] < kInfinity;
+            const bool lit = (light[x] > dimmest) & (light[x] < kInfinity);
             const float quotient = passed[x] / (lit ? light[x] : kUnknown);
-            const bool known = quotient - quotient == 0.0f;
-            signal[x] = 1.0f - (known ? quotient : 1.0f);
-            valid[x] = known;
-        }
-        for (std::int64_t x = 0; x < width; ++x) {
-            float level = (signal[x] - given.low) * given.levels_per_unit;
+            const bool known = fabsf(quotient) < kInfinity;
+            const float lost_here = 1.0f - (known ? quotient : 1.0f);
+            float level = (lost_here - low) * scale;
             level = level > 0.0f ? level : 0.0f;
             level = level < 255.0f ? level : 255.0f;
+            signal[x] = lost_here;
+            known_here[x] = known;
             // Adding 3 * 2^22 rounds to an integer, halves to even, for any compiler and processor.
-            levels[x] = static_cast<unsigned char>(static_cast<int>((level + 12582912.0f) - 12582912.0f));
+            rounded[x] = static_cast<std::int32_t>((level + 12582912.0f) - 12582912.0f);
         }
+        for (std::int64_t x = 0; x < width; ++x) levels[x] = static_cast<unsigned char>(rounded[x]);
+        for (std::int64_t x = 0; x < width; ++x) valid[x] = static_cast<unsigned char>(known_here[x]);
     }
 }
 

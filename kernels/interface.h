@@ -53,6 +53,25 @@ FINGERFLOW_EXPORT int fingerflow_light_lost(
     std::int64_t dark_stride, std::int64_t dark_row_stride, int dark_kind, float minimum, float low,
     float levels_per_unit, float* signal, unsigned char* levels, unsigned char* valid, int threads);
 
+// Frames, their reference and dark (data null for none): one image or one a frame each.
+struct fingerflow_image {
+    const void* data;
+    std::int64_t count, image_stride, row_stride, kind;
+};
+struct fingerflow_images {
+    fingerflow_image frames, reference, dark;
+    std::int64_t batch, height, width;
+};
+
+// From frames to what touches: light lost, its levels smoothed by a median of `size` (1 for none; `table` as for
+// fingerflow_median), Otsu's threshold of the valid ones, what lies above it. `classes` holds batch x (threshold), (2
+// fractions), (2 means), (2 variances), (separability), one after the other.
+FINGERFLOW_EXPORT int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low,
+                                                 float levels_per_unit, int size, const std::uint16_t* table,
+                                                 float* signal, unsigned char* levels, unsigned char* valid,
+                                                 unsigned char* smooth, unsigned char* touching, double* classes,
+                                                 int threads);
+
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
 FINGERFLOW_EXPORT int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height,
@@ -63,9 +82,9 @@ FINGERFLOW_EXPORT int fingerflow_histogram(const void* frames, std::int64_t batc
                                            int threads);
 
 // Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`; where `fractions` is not null, for bins that
-// are one whole number each, also fractions, means, deviations (batch, 2) and separability (batch) of the classes.
+// are one whole number each, also fractions, means, variances (batch, 2) and separability (batch) of the classes.
 FINGERFLOW_EXPORT int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                                              double* thresholds, double* fractions, double* means, double* deviations,
+                                              double* thresholds, double* fractions, double* means, double* variances,
                                               double* separability);
 
 // Where more than half of a window of up to 15 x 15 lies above the threshold of its frame; `above` is contiguous.

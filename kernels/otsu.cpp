@@ -1,6 +1,5 @@
 // Histograms of frames, and Otsu's threshold with its two classes from them.
 #include <algorithm>
-#include <cmath>
 #include <exception>
 #include <limits>
 #include <vector>
@@ -23,11 +22,10 @@ struct Counted {
 constexpr std::int64_t kSides = 4;
 
 // Bin of each pixel of a line; `count` for one that does not count.
-template <class Pixel>
-void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given,
-             std::uint32_t* places) {
+template <class Pixel, class Place>
+void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given, Place* places) {
     const std::int64_t width = given.frames.width;
-    const auto none = static_cast<std::uint32_t>(given.count);
+    const auto none = static_cast<Place>(given.count);
     if (given.bins == nullptr)
         for (std::int64_t x = 0; x < width; ++x) places[x] = row[x];
     else
@@ -37,33 +35,43 @@ void bins_of(const Pixel* row, const unsigned char* mask, const Counted& given,
 }
 
 // Adds up some rows in `sums` (kSides times count + 1), zero before.
-template <class Pixel>
-void count_rows(const Pixel* frame, const unsigned char* mask, const Counted& given, std::int64_t rows,
-                std::uint32_t* places, std::uint32_t* sums) {
-    const std::int64_t width = given.frames.width, side = given.count + 1;
+template <class Place, class Pixel>
+void count_rows(const Pixel* frame, const unsigned char* mask, const Counted& given, std::int64_t rows, Place* places,
+                std::uint32_t* sums) {
+    const std::int64_t width = given.frames.width;
+    std::uint32_t* side[kSides];
+    for (std::int64_t s = 0; s < kSides; ++s) side[s] = sums + s * (given.count + 1);
     for (std::int64_t y = 0; y < rows; ++y) {
         bins_of(frame + y * given.frames.row_stride, mask == nullptr ? nullptr : mask + y * given.mask.row_stride, given, places);
         std::int64_t x = 0;
         for (; x + kSides <= width; x += kSides) {
-            ++sums[places[x]];
-            ++sums[side + places[x + 1]];
-            ++sums[2 * side + places[x + 2]];
-            ++sums[3 * side + places[x + 3]];
+            const std::uint32_t first = places[x], second = places[x + 1], third = places[x + 2], fourth = places[x + 3];
+            ++side[0][first];
+            ++side[1][second];
+            ++side[2][third];
+            ++side[3][fourth];
         }
         for (; x < width; ++x) ++sums[places[x]];
     }
 }
 
-void count_piece(const Counted& given, std::int64_t frame, std::int64_t top, std::int64_t rows, std::uint32_t* places,
+template <class Pixel>
+void count_pixels(const Pixel* frame, const unsigned char* mask, const Counted& given, std::int64_t rows, void* places,
+                  std::uint32_t* sums) {
+    if (given.count < 1 << 16) count_rows(frame, mask, given, rows, static_cast<std::uint16_t*>(places), sums);
+    else count_rows(frame, mask, given, rows, static_cast<std::uint32_t*>(places), sums);
+}
+
+void count_piece(const Counted& given, std::int64_t frame, std::int64_t top, std::int64_t rows, void* places,
                  std::uint32_t* sums) {
     const auto* mask = static_cast<const unsigned char*>(given.mask.data);
     if (mask != nullptr)
         mask += (given.mask.batch == 1 ? 0 : frame) * given.mask.frame_stride + top * given.mask.row_stride;
     const std::int64_t at = frame * given.frames.frame_stride + top * given.frames.row_stride;
     if (given.frames.kind == kUint8)
-        count_rows(static_cast<const std::uint8_t*>(given.frames.data) + at, mask, given, rows, places, sums);
+        count_pixels(static_cast<const std::uint8_t*>(given.frames.data) + at, mask, given, rows, places, sums);
     else
-        count_rows(static_cast<const std::uint16_t*>(given.frames.data) + at, mask, given, rows, places, sums);
+        count_pixels(static_cast<const std::uint16_t*>(given.frames.data) + at, mask, given, rows, places, sums);
 }
 
 }  // namespace
@@ -89,7 +97,7 @@ int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t he
     std::vector<std::uint32_t> sums(static_cast<std::size_t>(batch * pieces * size));
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t top = piece % pieces * rows;
-        const auto places = static_cast<std::uint32_t*>(workspace(static_cast<std::size_t>(4 * width)));
+        void* const places = workspace(static_cast<std::size_t>(4 * width));
         count_piece(given, piece / pieces, top, std::min(rows, height - top), places, sums.data() + piece * size);
     });
     for (std::int64_t piece = 0; piece < batch * pieces; ++piece)
@@ -102,7 +110,7 @@ int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t he
 }
 
 int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds,
-                            double* fractions, double* means, double* deviations, double* separability) {
+                            double* fractions, double* means, double* variances, double* separability) {
     constexpr int kBins = 256;
     const double nan = std::numeric_limits<double>::quiet_NaN();
     for (std::int64_t frame = 0; frame < batch; ++frame, counts += kBins) {
@@ -139,19 +147,17 @@ int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, doub
             first[above] += count * from;
             second[above] += count * (from * from);
         }
-        double variances[2];
         for (int side = 0; side < 2; ++side) {
             const double n = split ? number[side] : nan, mean = first[side] / n;
             const double variance = second[side] / n - mean * mean;
-            variances[side] = variance < 0 ? 0 : variance;
+            variances[2 * frame + side] = variance < 0 ? 0 : variance;
             fractions[2 * frame + side] = split ? n / (number[0] + number[1]) : nan;
             means[2 * frame + side] = mean + threshold;
-            deviations[2 * frame + side] = std::sqrt(variances[side]);
         }
-        const double* const f = fractions + 2 * frame;
+        const double *const f = fractions + 2 * frame, *const v = variances + 2 * frame;
         const double apart = means[2 * frame + 1] - means[2 * frame];
         const double between = f[0] * f[1] * (apart * apart);
-        separability[frame] = between / (between + (f[0] * variances[0] + f[1] * variances[1]));
+        separability[frame] = between / (between + (f[0] * v[0] + f[1] * v[1]));
     }
     return 0;
 }

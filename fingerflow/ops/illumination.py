@@ -44,10 +44,10 @@ def light_lost(
         `LightLost`, its signal float32 (float64 if any input is).
     """
     images = [image for image in (frames, reference, dark) if image is not None]
-    _check(images, minimum_illumination)
+    check_images(images, minimum_illumination)
     if all(image.dtype in kernels.FRAME_KINDS for image in images) and kernels.serve(*images):
         low, high = LEVEL_RANGE
-        scale = _levels_per_unit(low, high)
+        scale = levels_per_unit(low, high)
         return LightLost(*kernels.light_lost(frames, reference, dark, minimum_illumination, low, scale))
     normalized = normalize_illumination(frames, reference, dark, minimum_illumination=minimum_illumination)
     signal = contact_signal(normalized)
@@ -80,7 +80,7 @@ def normalize_illumination(
         ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
     """
     images = [image for image in (frames, reference, dark) if image is not None]
-    _check(images, minimum_illumination)
+    check_images(images, minimum_illumination)
     precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
     counts, empty, *black = (image.to(precision) for image in images)
     light = empty - black[0] if black else empty
@@ -127,7 +127,7 @@ def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RA
     Raises:
         ValueError: `high` is not above `low`.
     """
-    scaled = (signal - low) * _levels_per_unit(low, high)
+    scaled = (signal - low) * levels_per_unit(low, high)
     return torch.nan_to_num(scaled, nan=0.0).clamp(0, 255).round().to(torch.uint8)
 
 
@@ -142,10 +142,11 @@ def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_
         float32, or the dtype of floating `levels`.
     """
     values = levels if levels.is_floating_point() else levels.float()
-    return values / _levels_per_unit(low, high) + low
+    return values / levels_per_unit(low, high) + low
 
 
-def _check(images: list[Tensor], minimum_illumination: float) -> None:
+def check_images(images: list[Tensor], minimum_illumination: float) -> None:
+    """Raises ValueError where frames, reference and dark, in this order, or the limit do not fit."""
     if not 0 <= minimum_illumination < 1:
         raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
     frames = images[0]
@@ -158,7 +159,8 @@ def _check(images: list[Tensor], minimum_illumination: float) -> None:
             )
 
 
-def _levels_per_unit(low: float, high: float) -> float:
+def levels_per_unit(low: float, high: float) -> float:
+    """Levels that a unit of the signal spans where `low` and `high` are levels 0 and 255."""
     if not low < high:
         raise ValueError(f"levels 0 to 255 cannot span {low} to {high}: high must be above low")
     return 255 / (high - low)

@@ -1,0 +1,44 @@
+// The path from camera counts to what touches: each step the twin of its own op, without a way through Python between.
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <vector>
+
+#include "interface.h"
+#include "parallel.h"
+
+int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low, float levels_per_unit, int size,
+                               const std::uint16_t* table, float* signal, unsigned char* levels, unsigned char* valid,
+                               unsigned char* smooth, unsigned char* touching, double* classes, int threads) try {
+    const auto& [frames, reference, dark, batch, height, width] = *images;
+    const std::int64_t pixels = height * width;
+    int failed = fingerflow_light_lost(
+        frames.data, batch, height, width, frames.image_stride, frames.row_stride, static_cast<int>(frames.kind), reference.data,
+        reference.count, reference.image_stride, reference.row_stride, static_cast<int>(reference.kind), dark.data, dark.count,
+        dark.image_stride, dark.row_stride, static_cast<int>(dark.kind), minimum, low, levels_per_unit, signal, levels, valid, threads);
+    if (failed != 0) return failed;
+    if (size == 1) std::copy(levels, levels + batch * pixels, smooth);
+    else failed = fingerflow_median(levels, smooth, batch, height, width, pixels, width, 1, size, table, threads);
+    if (failed != 0) return failed;
+
+    constexpr int kBins = 256;
+    std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * kBins));
+    failed = fingerflow_histogram(smooth, batch, height, width, pixels, width, 0, valid, batch, pixels, width, nullptr,
+                                  kBins, counts.data(), threads);
+    if (failed != 0) return failed;
+    double* const fractions = classes + batch;
+    fingerflow_otsu_classes(counts.data(), batch, -1, 255, classes, fractions, fractions + 2 * batch, fractions + 4 * batch,
+                            fractions + 6 * batch);
+
+    const std::int64_t rows = 64, pieces = (height + rows - 1) / rows;
+    fingerflow::parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
+        const std::int64_t frame = piece / pieces, top = piece % pieces * rows;
+        const std::int64_t begin = frame * pixels + top * width, end = frame * pixels + std::min(height, top + rows) * width;
+        // Above NaN lies nothing.
+        const int limit = std::isnan(classes[frame]) ? kBins : static_cast<int>(classes[frame]);
+        for (std::int64_t k = begin; k < end; ++k) touching[k] = smooth[k] > limit;
+    });
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}
