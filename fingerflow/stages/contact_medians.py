@@ -13,7 +13,7 @@ _SPACING_MM = 0.15  # of the positions over which a median is taken: a fingertip
 # more or less on one side move the median of a steep field
 _INVERSIONS = 12  # each leaves the strain's share of the error before
 _MOST_STEPS = 200
-_LEAST_SHARE = 0.75  # of the contact over which a field must be known for its median to mean anything
+_LEAST_SHARE = 0.9  # of the contact over which a field must be known for its median to mean anything
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def medians_over_contact(
     The median is that of the area: over evenly spread positions of the current contact, each led back to its reference
     position by the displacement (2, Q) mm of the nodes. Over the tracked points, or over reference positions, it is
     another one: points crowd where skin has texture, and skin that spreads covers more of the area than before. NaN
-    where the field is known over less than three quarters of the contact.
+    where the field is known over less than nine tenths of the contact.
     """
     positions = _positions_inside(contact, frame)
     nodes = grid.nodes()

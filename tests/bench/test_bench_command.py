@@ -61,7 +61,7 @@ def test_one_file_is_a_suite(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert record["remark"] == "nothing else ran"
     assert record["quick"] is False
     assert record["threads"]["torch"] == torch.get_num_threads()
-    assert record["versions"]["torch"] == torch.__version__
+    assert torch.__version__.split("+")[0] == record["versions"]["torch"].split("+")[0]
     assert record["machine"]["cores"] > 0
     assert record["kernels"]["compiled"] is kernels.serve()
     assert (folder / "figures" / "counting.png").read_text() == "2"
