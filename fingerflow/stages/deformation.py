@@ -172,7 +172,7 @@ def strains(inputs: Inputs, moved: Displacement) -> StrainSeries:
         density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio)
         series.strain[part] = strain.cpu()
         series.density[part] = density.cpu()
-        inside: NDArray[np.bool_] = touching[part][:, triangles].all(-1)
+        inside = np.asarray(touching[part][:, triangles].all(-1))
         energy = _total(series.density[part], inside, areas[0].cpu().numpy())
         series.energy[part] = energy * settings.depth_mm
     return series
