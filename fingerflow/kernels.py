@@ -17,7 +17,7 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 4  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 5  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -154,9 +154,9 @@ def contact_classes(
     _check_size(size, 1)
     frames, reference, dark = _images(frames, reference, dark)
     table = None if size in (1, *COMPILED_SIZES) else _table(size)
-    batch = len(frames)
+    batch = frames.shape[0]
     signal = torch.empty(frames.shape)
-    levels, smooth = (torch.empty(frames.shape, dtype=torch.uint8) for _ in range(2))
+    smooth = torch.empty(frames.shape, dtype=torch.uint8)
     valid, touching = (torch.empty(frames.shape, dtype=torch.bool) for _ in range(2))
     classes = torch.empty(8 * batch, dtype=torch.float64)
     images = (ctypes.c_int64 * 18)(
@@ -177,7 +177,7 @@ def contact_classes(
         levels_per_unit,
         size,
         None if table is None else ctypes.addressof(table),
-        *(result.data_ptr() for result in (signal, levels, valid, smooth, touching, classes)),
+        *(result.data_ptr() for result in (signal, valid, smooth, touching, classes)),
         torch.get_num_threads(),
     )
     return ContactPictures(signal, valid, smooth, touching), _classes(classes)
@@ -399,7 +399,7 @@ def _library() -> ctypes.CDLL | None:
         *[pointer] * 3,
         number,
     ]
-    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 7, number]
+    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 6, number]
     library.fingerflow_histogram.argtypes = [
         *[pointer, *extent, number],
         *[pointer, *beside],
@@ -457,7 +457,7 @@ def _check_frames(frames: Tensor, dtypes: tuple[torch.dtype, ...]) -> None:
 
 
 def _classes(numbers: Tensor) -> OtsuClasses:
-    batch = len(numbers) // 8
+    batch = numbers.shape[0] // 8
     threshold, *pairs, separability = numbers.split([batch, 2 * batch, 2 * batch, 2 * batch, batch])
     fractions, means, variances = (pair.reshape(batch, 2) for pair in pairs)
     # The portable op's own root: torch's is not the nearest number for all (the root of 8).
@@ -473,7 +473,7 @@ def _images(frames: Tensor, reference: Tensor, dark: Tensor | None) -> tuple[Ten
     """Frames and what lies beside them, checked, pixels of a row neighbours in memory."""
     for image in (frames, reference) if dark is None else (frames, reference, dark):
         _check_frames(image, tuple(FRAME_KINDS))
-        if image.shape[1:] != frames.shape[1:] or len(image) not in (1, len(frames)):
+        if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
             raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
     dark = None if dark is None else _rows_in_one_piece(dark)
     return _rows_in_one_piece(frames), _rows_in_one_piece(reference), dark
@@ -483,7 +483,7 @@ def _image(image: Tensor | None) -> tuple[int | None, int, int, int, int]:
     """Data, number of images, strides of an image and of a row in pixels, number type."""
     if image is None:
         return None, 0, 0, 0, 0
-    return image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]
+    return image.data_ptr(), image.shape[0], image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]
 
 
 def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:

@@ -8,10 +8,11 @@
 #include "parallel.h"
 
 int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low, float levels_per_unit, int size,
-                               const std::uint16_t* table, float* signal, unsigned char* levels, unsigned char* valid,
-                               unsigned char* smooth, unsigned char* touching, double* classes, int threads) try {
+                               const std::uint16_t* table, float* signal, unsigned char* valid, unsigned char* smooth,
+                               unsigned char* touching, double* classes, int threads) try {
     const auto& [frames, reference, dark, batch, height, width] = *images;
     const std::int64_t pixels = height * width;
+    unsigned char* const levels = touching;  // until it is known what touches
     int failed = fingerflow_light_lost(
         frames.data, batch, height, width, frames.image_stride, frames.row_stride, static_cast<int>(frames.kind), reference.data,
         reference.count, reference.image_stride, reference.row_stride, static_cast<int>(reference.kind), dark.data, dark.count,
@@ -33,10 +34,13 @@ int fingerflow_contact_classes(const fingerflow_images* images, float minimum, f
     const std::int64_t rows = 64, pieces = (height + rows - 1) / rows;
     fingerflow::parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t frame = piece / pieces, top = piece % pieces * rows;
-        const std::int64_t begin = frame * pixels + top * width, end = frame * pixels + std::min(height, top + rows) * width;
+        // Bytes may lie anywhere: what the loop uses is its own.
+        const std::int64_t begin = frame * pixels + top * width, count = (std::min(height, top + rows) - top) * width;
+        const unsigned char* const from = smooth + begin;
+        unsigned char* const to = touching + begin;
         // Above NaN lies nothing.
         const int limit = std::isnan(classes[frame]) ? kBins : static_cast<int>(classes[frame]);
-        for (std::int64_t k = begin; k < end; ++k) touching[k] = smooth[k] > limit;
+        for (std::int64_t k = 0; k < count; ++k) to[k] = from[k] > limit;
     });
     return 0;
 } catch (const std::exception&) {

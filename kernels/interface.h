@@ -68,7 +68,7 @@ struct fingerflow_images {
 // fractions), (2 means), (2 variances), (separability), one after the other.
 FINGERFLOW_EXPORT int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low,
                                                  float levels_per_unit, int size, const std::uint16_t* table,
-                                                 float* signal, unsigned char* levels, unsigned char* valid,
+                                                 float* signal, unsigned char* valid,
                                                  unsigned char* smooth, unsigned char* touching, double* classes,
                                                  int threads);
 

@@ -1,0 +1,95 @@
+// Every kernel on images of awkward sizes whose memory ends right behind them, for a build with sanitizers.
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+#include "interface.h"
+
+namespace {
+
+int failures = 0;
+
+void expect(bool right, const char* what) {
+    if (!right) {
+        std::printf("wrong: %s\n", what);
+        ++failures;
+    }
+}
+
+template <class Pixel>
+std::vector<Pixel> noise(std::int64_t count, unsigned seed) {
+    std::vector<Pixel> values(static_cast<std::size_t>(count));
+    for (Pixel& value : values) {
+        seed = seed * 1664525u + 1013904223u;
+        value = static_cast<Pixel>(seed >> 16 & 255);
+    }
+    return values;
+}
+
+void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int threads) {
+    const std::int64_t count = batch * height * width, frame = height * width;
+    const auto eight = noise<std::uint8_t>(count, 1);
+    const auto sixteen = noise<std::uint16_t>(count, 2);
+    const auto real = noise<float>(count, 3);
+    const auto mask = noise<std::uint8_t>(count, 4);
+    std::vector<std::uint8_t> bytes(eight.size()), other(eight.size());
+    for (int size : {3, 5, 7, 9, 11}) {
+        std::vector<std::uint16_t> wide(sixteen.size());
+        expect(fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads) == 0, "median");
+        expect(fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads) == 0, "median");
+    }
+    const std::vector<double> thresholds(static_cast<std::size_t>(batch), 127.5);
+    for (int size : {1, 3, 15}) {
+        expect(fingerflow_median_above(eight.data(), bytes.data(), batch, height, width, frame, width, 0, thresholds.data(), size, threads) == 0, "above");
+        expect(fingerflow_median_above(real.data(), bytes.data(), batch, height, width, frame, width, 3, thresholds.data(), size, threads) == 0, "above");
+    }
+    for (std::int64_t radius : {0, 1, 8}) {
+        std::vector<std::int32_t> rows;
+        for (std::int64_t y = -radius; y <= radius; ++y) rows.push_back(static_cast<std::int32_t>(radius - std::llabs(y)));
+        for (int inverted : {0, 1})
+            expect(fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads) == 0, "dilate");
+    }
+    std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
+    expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads) == 0, "histogram");
+    expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads) == 0, "histogram");
+    std::int64_t total = 0;
+    for (std::int64_t bin : counts) total += bin;
+    expect(total == count, "histogram counts every pixel");
+
+    std::vector<float> signal(real.size());
+    std::vector<double> classes(static_cast<std::size_t>(8 * batch));
+    const fingerflow_images images{{eight.data(), batch, frame, width, 0},
+                                   {real.data(), 1, frame, width, 3},
+                                   {sixteen.data(), batch, frame, width, 1},
+                                   batch, height, width};
+    std::vector<std::uint8_t> touching(eight.size());
+    for (int size : {1, 9}) {
+        const int failed = fingerflow_contact_classes(&images, 0.05f, -0.25f, 204.0f, size, nullptr, signal.data(),
+                                                      bytes.data(), other.data(), touching.data(), classes.data(), threads);
+        expect(failed == 0, "contact classes");
+    }
+    if (height >= 3 && width >= 3) {
+        std::vector<float> coefficients(real.size());
+        std::vector<double> means(static_cast<std::size_t>(batch));
+        expect(fingerflow_spline_coefficients(eight.data(), coefficients.data(), batch, height, width, frame, width, 0, threads) == 0, "spline");
+        expect(fingerflow_mean_response(sixteen.data(), means.data(), batch, height, width, frame, width, 1, threads) == 0, "noise");
+    }
+}
+
+}  // namespace
+
+int main() {
+    for (int set = fingerflow_limit_instruction_set(-1); set >= 0; --set) {
+        fingerflow_limit_instruction_set(set);
+        for (int threads : {1, 3}) {
+            try_all(1, 1, 1, threads);
+            try_all(2, 1, 131, threads);
+            try_all(1, 70, 1, threads);
+            try_all(2, 37, 43, threads);
+            try_all(1, 40, 1300, threads);
+        }
+    }
+    std::printf("%d failures\n", failures);
+    return failures != 0;
+}
