@@ -14,6 +14,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from fingerflow.views import View
 
 
 @pytest.fixture(scope="session")
@@ -286,3 +287,15 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
         alone = scene.model_copy(update={"recording": recording, "forces": None})
         areas.append(process(alone, ["real_contact_area"])["real_contact_area"].values)
     np.testing.assert_allclose(np.delete(areas[0], 7), np.delete(areas[1], 7))
+
+
+def test_swapped_views_are_named(scene: Scene) -> None:
+    from fingerflow.scene import Views
+
+    def given(view: View) -> dict[str, object]:
+        return {"rows": view.rows, "columns": view.columns}
+
+    assert scene.views.topography is not None
+    swapped = Views.model_validate({"contact": given(scene.views.topography), "topography": given(scene.views.contact)})
+    with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
+        process(scene.model_copy(update={"views": swapped}), ["real_contact_area"])
