@@ -10,7 +10,8 @@
 int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low, float levels_per_unit, int size,
                                const std::uint16_t* table, float* signal, unsigned char* valid, unsigned char* smooth,
                                unsigned char* touching, double* classes, int threads) try {
-    const auto& [frames, reference, dark, batch, height, width] = *images;
+    const fingerflow_image &frames = images->frames, &reference = images->reference, &dark = images->dark;
+    const std::int64_t batch = images->batch, height = images->height, width = images->width;
     const std::int64_t pixels = height * width;
     unsigned char* const levels = touching;  // until it is known what touches
     int failed = fingerflow_light_lost(

@@ -211,7 +211,7 @@ template <class Pixel, class Network>
 void filter_by_network(const Pixel* frame, Pixel* medians, const MedianBand& band, Pixel* workspace) {
     constexpr long ages = Network::kAges, ring_size = Network::kRingSlots * Network::kStride;
     filter(compiled_shape<Pixel, Network>(), frame, medians, band, workspace,
-           [](long n, const Pixel* const* lines, Pixel* slots, long tiles) {
+           [=](long n, const Pixel* const* lines, Pixel* slots, long tiles) {
                Pixel* ring[ages];
                for (long age = 0; age < ages; ++age)
                    ring[age] = slots + (n + Network::kWarmUp + ages - age) % ages * ring_size;
