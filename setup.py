@@ -30,13 +30,15 @@ EXACT = ["illumination_rows", "median_above_rows", "median_band", "morphology_ro
 ROUNDED = ["tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
-# of hundreds of products may differ by that, and take half the time.
+# of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers may
+# compute both, which no vector code can do without, and changes no number.
 GNU_FLAGS = [
     "-std=c++17",
     "-O3",
     "-fvisibility=hidden",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fno-trapping-math",
     "-pthread",
     "-g0",
     "-fno-strict-aliasing",

@@ -2,6 +2,7 @@
 #include "illumination_rows.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "lanes.h"
 
@@ -30,6 +31,18 @@ void light_of(const Illumination& given, std::int64_t frame, std::int64_t y, flo
     if (given.dark.data == nullptr) return;
     line_of(given.dark, frame, y, dark);
     for (std::int64_t x = 0; x < given.frames.width; ++x) light[x] -= dark[x];
+}
+
+// A number from 0 to 255. Positive floats are ordered as their bits are, and negative ones have negative bits: whole
+// numbers have a minimum and a maximum on every processor, floats need not (they may be NaN, this one may not).
+inline float clamped(float level) {
+    std::int32_t bits;
+    memcpy(&bits, &level, sizeof bits);
+    constexpr std::int32_t most = 0x437f0000;  // 255
+    bits = bits > 0 ? bits : 0;
+    bits = bits < most ? bits : most;
+    memcpy(&level, &bits, sizeof level);
+    return level;
 }
 
 std::int64_t count_up_to(const float* values, std::int64_t count, float limit) {
@@ -116,9 +129,7 @@ void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t
             const float quotient = passed[x] / (lit ? light[x] : kUnknown);
             const bool known = fabsf(quotient) < kInfinity;
             const float lost_here = 1.0f - (known ? quotient : 1.0f);
-            float level = (lost_here - low) * scale;
-            level = level > 0.0f ? level : 0.0f;
-            level = level < 255.0f ? level : 255.0f;
+            const float level = clamped((lost_here - low) * scale);
             signal[x] = lost_here;
             known_here[x] = known;
             // Adding 3 * 2^22 rounds to an integer, halves to even, for any compiler and processor.
