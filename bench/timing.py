@@ -14,6 +14,10 @@ class Timing(NamedTuple):
     high_ms: float
     to_peer: float
 
+    def of_each(self, count: int) -> "Timing":
+        """The same of each of ``count`` frames that a run went through."""
+        return Timing(self.median_ms / count, self.low_ms / count, self.high_ms / count, self.to_peer)
+
     def cells(self) -> dict[str, float]:
         """The columns of a row."""
         return {"ms": self.median_ms, "ms_p10": self.low_ms, "ms_p90": self.high_ms, "time_to_peer": self.to_peer}

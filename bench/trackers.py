@@ -67,13 +67,13 @@ def track_opencv(
     first, second = previous[0, 0].numpy(), current[0, 0].numpy()
     start = points[0].numpy()
     guess = start if initial is None else initial[0].numpy()
-    there, found = _lucas_kanade(first, second, start, guess, window, levels)
-    back, found_back = _lucas_kanade(second, first, there, there - (guess - start), window, levels)
+    there, found = lucas_kanade(first, second, start, guess, window, levels)
+    back, found_back = lucas_kanade(second, first, there, there - (guess - start), window, levels)
     accepted = found & found_back & (np.linalg.norm(back - start, axis=-1) <= limit)
     return Found(torch.from_numpy(there)[None], torch.from_numpy(accepted))
 
 
-def _lucas_kanade(
+def lucas_kanade(
     first: NDArray[np.uint8],
     second: NDArray[np.uint8],
     start: NDArray[np.float32],

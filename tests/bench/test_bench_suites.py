@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from bench.rows import Row, Skipped, number
-from bench.suites import dic, drift, image_ops, interpolant, large_motion, speed_against_error, tracking
+from bench.suites import dic, drift, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking
 
 
 @pytest.fixture(autouse=True)
@@ -20,7 +20,7 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         assert rounds >= 2
         return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}
 
-    for suite in (dic, image_ops, interpolant, large_motion, speed_against_error, tracking):
+    for suite in (dic, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking):
         monkeypatch.setattr(suite, "time_in_turns", once)
 
 
@@ -124,3 +124,19 @@ def test_image_ops() -> None:
     assert len(same) == 4 + 4 + 3 + 2 + 3 + 1 + 1
     assert all(number({"same": value}, "same") > 0.8 for value in corners.values())
     assert all(value == 1 for key, value in same.items() if key not in corners), same
+
+
+def test_pipeline() -> None:
+    """Both pipelines find the truth, fingerflow positions and contact better; 24 frames leave divergence to 1.5 %."""
+    rows = pipeline.run(quick=True)
+    ours, theirs = one(rows, pipeline="fingerflow"), one(rows, pipeline="opencv")
+    for row, limits in ((ours, (0.06, 1.5, 2, 2)), (theirs, (0.08, 2, 4, 3))):
+        for name, limit in zip(("position_px", "real_area_pct", "gross_area_pct", "axes_pct"), limits, strict=True):
+            assert number(row, name) < limit, (row, name)
+        assert number(row, "tracked") > 0.98
+        assert number(row, "median_divergence_um_mm") < 15
+        assert number(row, "median_strain_um_mm") < 8
+        assert number(row, "divergence_um_mm") < 60
+        assert number(row, "contact_ms") > 0
+    assert number(ours, "position_px") < number(theirs, "position_px")
+    assert number(ours, "gross_area_pct") < number(theirs, "gross_area_pct")

@@ -1,0 +1,137 @@
+"""A whole recording, from frames on disk to areas, tracks and strain: `fingerflow.process` beside OpenCV.
+
+The simulated press of `make demo` in 60 frames of two 512 x 640 px views (a small one of 24 with --quick), 20 px of
+motion, noise of 2 grey levels. Both pipelines read the same file and do the same work: light divided by that of the
+empty glass, real and gross contact, its ellipse, 700 corners followed forward and backward, displacement since the
+contact reached each point, gradients over 1.6 mm, their medians over the contact. What OpenCV's pipeline does, and why
+that and nothing else, is at the top of `bench/opencv_pipeline.py`.
+
+ms is a frame's share of the whole call, the columns contact_ms to fields_ms its parts in the last run. Errors are
+against the exact truth: position_px RMS of the points in the last frame; areas and axes in percent, RMS over every
+third frame in which the gross contact has an eighth of its final area or more; divergence_um_mm at the points of the
+last frame (what a gauge length flattens is in it); medians over the contact, RMS over the same frames as areas.
+
+- The frame of onset is coarse at 60 frames a second: a part of the error of divergence and strain in both.
+- `process` also writes down what a user keeps: status and uncertainty of every point, labels and units.
+- OpenCV's contact is convex by construction (its hull), as the true one is here; fingerflow does not assume it.
+"""
+
+import contextlib
+import io
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import opencv_pipeline
+from bench.opencv_pipeline import Measured, Rig
+from bench.rows import Row
+from bench.timing import time_in_turns
+from fingerflow import load_scene, process
+from fingerflow.synthetic import Press, write_recording
+
+PRESS = Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3)
+QUICK_PRESS = Press(
+    n_frames=24,
+    frame_rate=24.0,
+    frames_before_trigger=1,
+    frame_shape=(224, 560),
+    finger=(3.6, 3.1),
+    semi_axes=(2.6, 2.2),
+)
+#: What fingerflow calls the fields of `Measured`.
+OUTPUTS = {
+    "real_area": "real_contact_area",
+    "gross_area": "gross_contact_area",
+    "semi_axes": "ellipse_semi_axes",
+    "position": "position_px",
+    "divergence": "divergence",
+    "median_divergence": "median_divergence",
+    "median_strain": "median_strain",
+}
+PARTS = ("contact", "tracking", "fields")
+PEER = "opencv"
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a pipeline."""
+    press = QUICK_PRESS if quick else PRESS
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "press"
+        with contextlib.redirect_stderr(io.StringIO()):  # a progress bar
+            write_recording(recording, press)
+        measured: dict[str, Measured] = {}
+
+        def keep(name: str, pipeline: Callable[[Path, Press], Measured]) -> Callable[[], None]:
+            def call() -> None:
+                measured[name] = pipeline(recording, press)
+
+            return call
+
+        calls = {name: keep(name, pipeline) for name, pipeline in PIPELINES.items()}
+        times = time_in_turns(calls, PEER, rounds=2 if quick else 5)
+        for name in calls.keys() - measured.keys():
+            calls[name]()
+    return [
+        {
+            "pipeline": name,
+            **times[name].of_each(press.n_frames).cells(),
+            **{f"{part}_ms": 1e3 * measured[name].seconds[part] / press.n_frames for part in PARTS},
+            **_errors(measured[name], press),
+        }
+        for name in PIPELINES
+    ]
+
+
+def _with_opencv(recording: Path, press: Press) -> Measured:
+    views = press.views
+    frames = np.load(recording / "frames.npy")
+    empty, dark = (
+        np.ascontiguousarray(views["contact"].crop(np.load(recording / f"{name}.npy"))) for name in ("empty", "dark")
+    )
+    rig = Rig(empty, dark, press.mm_per_px, np.array(press.topography_to_contact))
+    contact, topography = (np.ascontiguousarray(views[name].crop(frames)) for name in ("contact", "topography"))
+    return opencv_pipeline.run(contact, topography, rig)
+
+
+def _with_fingerflow(recording: Path, press: Press) -> Measured:
+    result = process(load_scene(recording / "scene.toml"), OUTPUTS.values(), device="cpu")
+    seconds = json.loads(result.attrs["stage_seconds"])
+    return Measured(**{field: result[name].values for field, name in OUTPUTS.items()}, seconds=seconds)
+
+
+#: Peer first.
+PIPELINES: dict[str, Callable[[Path, Press], Measured]] = {PEER: _with_opencv, "fingerflow": _with_fingerflow}
+
+
+def _errors(measured: Measured, press: Press) -> dict[str, float]:
+    truth, last = press.truth, press.n_frames - 1
+    gross = np.array([truth.gross_contact_area_mm2(frame) for frame in range(press.n_frames)])
+    frames = [frame for frame in range(last, -1, -3) if gross[frame] > gross[-1] / 8]
+    ellipses = [ellipse for frame in frames if (ellipse := truth.ellipse(frame)) is not None]
+    axes = np.array([sorted(ellipse.semi_axes, reverse=True) for ellipse in ellipses])
+    real = np.array([truth.real_contact_area_mm2(frame) for frame in frames])
+    medians = [truth.medians(frame) for frame in frames]
+    divergence = np.array([true.divergence for true in medians])
+    strain = np.array([(true.exx, true.eyy, true.exy) for true in medians])
+    material = truth.material(truth.topography_positions(measured.position[0]), 0)
+    distance = measured.position[last] - truth.topography_pixels(truth.positions(material, last))
+    tracked = np.isfinite(distance).all(-1)
+    field = measured.divergence[last] - np.trace(truth.gradient(material, last), axis1=-2, axis2=-1)
+    return {
+        "tracked": float(tracked.mean()),
+        "position_px": float(np.sqrt((distance[tracked] ** 2).sum(-1).mean())),
+        "real_area_pct": 100 * _rms(measured.real_area[frames] / real - 1),
+        "gross_area_pct": 100 * _rms(measured.gross_area[frames] / gross[frames] - 1),
+        "axes_pct": 100 * _rms(measured.semi_axes[frames] / axes - 1),
+        "divergence_um_mm": 1e3 * _rms(field[np.isfinite(field)]),
+        "median_divergence_um_mm": 1e3 * _rms(measured.median_divergence[frames] - divergence),
+        "median_strain_um_mm": 1e3 * _rms(measured.median_strain[frames] - strain),
+    }
+
+
+def _rms(errors: NDArray[np.float64]) -> float:
+    return float(np.sqrt((errors**2).mean()))
