@@ -13,7 +13,10 @@ from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
 PLAIN = [
+    "components",
     "contact_classes",
+    "dense_region",
+    "ellipse",
     "illumination",
     "instruction_sets",
     "median",
@@ -26,12 +29,21 @@ PLAIN = [
     "tracking",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
-EXACT = ["illumination_rows", "median_above_rows", "median_band", "morphology_rows", "noise_rows", "spline_rows"]
+EXACT = [
+    "dense_region_rows",
+    "ellipse_rows",
+    "illumination_rows",
+    "median_above_rows",
+    "median_band",
+    "morphology_rows",
+    "noise_rows",
+    "spline_rows",
+]
 ROUNDED = ["tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
-# of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers may
-# compute both, which no vector code can do without, and changes no number.
+# of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers
+# may compute both, which no vector code can do without, and changes no number.
 GNU_FLAGS = [
     "-std=c++17",
     "-O3",

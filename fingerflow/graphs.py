@@ -3,22 +3,19 @@
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.components import fill_holes, largest_component
-from fingerflow.ops.ellipse import Ellipse, fit_ellipse
-from fingerflow.ops.illumination import contact_signal, dequantize, normalize_illumination, quantize
+from fingerflow.ops.contact_classes import ContactClasses, contact_classes
+from fingerflow.ops.dense_region import dense_region
+from fingerflow.ops.ellipse import Ellipse, fit_ellipse, mask_moments
+from fingerflow.ops.illumination import dequantize, light_lost
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.median import median_above, median_filter
-from fingerflow.ops.otsu import class_separation, histogram, otsu_threshold
+from fingerflow.ops.median import median_above
+from fingerflow.ops.otsu import histogram
 from fingerflow.ops.quantile import median_of_counts
 from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.strain_uncertainty import divergence_deviation
 from fingerflow.ops.tracking import Tracks, track_points
-
-_LEAST_DENSITY = 0.2  # share of a contact that touches at least; fingertips show 0.3 to 0.6
 
 
 class Contact(NamedTuple):
@@ -48,7 +45,7 @@ class ContactGraph(nn.Module):
             fingertip as it is, 5 takes about 1 % of it and 9 (the paper's) about 4 %.
         gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by
             it, which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
-            end at its border, and not where they run along it; see :meth:`gross` for what is done instead.
+            end at its border, and not where they run along it. `dense_region` is what is done instead.
     """
 
     def __init__(self, median_px: int = 3, gross_radius_px: int = 8) -> None:
@@ -60,14 +57,15 @@ class ContactGraph(nn.Module):
         self, frames: Tensor, reference: Tensor, dark: Tensor | None = None, threshold: Tensor | None = None
     ) -> Contact:
         """(B, 1, H, W) frames, (1, 1, H, W) reference and dark; ``threshold`` (B,), or None for each frame's own."""
-        normalized = normalize_illumination(frames, reference, dark)
-        signal = contact_signal(normalized)
         if threshold is None:
-            threshold = self._threshold(signal, normalized.valid)
-        real = median_above(signal, threshold, self.median_px) & normalized.valid
-        gross = self.gross(real)
-        area = gross.sum((1, 2, 3), dtype=torch.float64)
-        return Contact(real, gross, real.sum((1, 2, 3), dtype=torch.float64), area, fit_ellipse(gross), threshold)
+            classes = contact_classes(frames, reference, dark, median_px=self.median_px)
+            threshold, signal, valid = self._threshold(classes), classes.signal, classes.valid
+        else:
+            signal, _, valid = light_lost(frames, reference, dark)
+        real = median_above(signal, threshold, self.median_px) & valid
+        gross = dense_region(real, self.gross_radius_px)
+        ellipse = fit_ellipse(gross)
+        return Contact(real, gross, mask_moments(real)[:, 0].double(), ellipse.area_px, ellipse, threshold)
 
     def threshold(self, frames: Tensor, reference: Tensor, dark: Tensor | None = None) -> Tensor:
         """(B,) share of light lost half-way between touching ridges and the skin beside them; NaN without contact.
@@ -77,52 +75,21 @@ class ContactGraph(nn.Module):
         and the area up by 2 %. Half-way between the medians of the two classes inside the gross region is where the
         blurred edge of a ridge has its true place.
         """
-        normalized = normalize_illumination(frames, reference, dark)
-        return self._threshold(contact_signal(normalized), normalized.valid)
+        return self._threshold(contact_classes(frames, reference, dark, median_px=self.median_px))
 
-    def gross(self, real: Tensor) -> Tensor:
-        """The region that the micro-junctions span: where their density exceeds about half of what it is inside.
-
-        The density is their mean over about two ridges (three box means). At a straight border the smoothed density
-        has fallen to one half of that inside, whatever the ridges' direction; at a border curved outwards to less.
-        How much less is read from the region itself, smoothed in the same way. The region and the density inside
-        depend on each other: a fixed point, near after few rounds.
-        """
-        density = self._smooth(real)
-        region = density > 0.25
-        for _ in range(2):
-            region = density > _inside(real, region) / 2
-        neighbours = box_sum(F.pad(region.float(), (1,) * 4), 3)
-        level = _mean(self._smooth(region), (neighbours > 0) & (neighbours < 9)).clamp(0.25, 0.5)
-        for _ in range(2):
-            region = density > _inside(real, region) * level
-        return largest_component(fill_holes(region))
-
-    def _threshold(self, signal: Tensor, valid: Tensor) -> Tensor:
-        smooth = median_filter(quantize(signal), self.median_px)
-        otsu = otsu_threshold(smooth, valid)
-        classes = class_separation(smooth, otsu, valid)
-        distance = dequantize(classes.means[:, 1]) - dequantize(classes.means[:, 0])
+    def _threshold(self, contact: ContactClasses) -> Tensor:
+        low, high = dequantize(contact.classes.means).unbind(1)
         # Contact takes at least a twentieth of the light; two halves of noise lie closer together. Frames that are
         # brighter than the background (another exposure or bit depth) have classes, but no contact.
-        apart = (dequantize(classes.means[:, 1]) > 0.05) & (
-            distance > torch.maximum(torch.tensor(0.05), 6 * classes.deviations[:, 0] * (1.25 / 255))
-        )
-        real = smooth > otsu.reshape(-1, 1, 1, 1)
-        gross = self.gross(real) & valid
-        ridges = median_of_counts(histogram(smooth, gross & real))
-        valleys = median_of_counts(histogram(smooth, gross & ~real))
+        noise = contact.classes.deviations[:, 0] * (1.25 / 255)
+        apart = (high > 0.05) & (high - low > (6 * noise).clamp(min=0.05))
+        gross = dense_region(contact.touching, self.gross_radius_px)
+        counts = histogram(contact.smooth, gross & contact.valid)
+        touching = torch.arange(counts.shape[1], device=counts.device) > contact.threshold[:, None]
+        ridges, valleys = median_of_counts(torch.cat([counts * touching, counts * ~touching])).chunk(2)
         # Contact without gaps has no valleys: the empty glass stands for them.
-        valleys = torch.where(valleys.isfinite(), valleys, classes.means[:, 0])
-        return torch.where(apart & otsu.isfinite(), dequantize((ridges + valleys) / 2), torch.nan)
-
-    def _smooth(self, mask: Tensor) -> Tensor:
-        """Three box means of side 2 r + 1, zero beyond the frame."""
-        side = 2 * self.gross_radius_px + 1
-        density = mask.float()
-        for _ in range(3):
-            density = box_sum(F.pad(density, (self.gross_radius_px,) * 4), side) / side**2
-        return density
+        valleys = torch.where(valleys.isfinite(), valleys, contact.classes.means[:, 0])
+        return torch.where(apart & contact.threshold.isfinite(), dequantize((ridges + valleys) / 2), torch.nan)
 
 
 class TrackGraph(nn.Module):
@@ -200,13 +167,3 @@ class FieldsGraph(nn.Module):
             green_lagrange(fit.gradient, self.measure),
             divergence_deviation(fit.covariance),
         )
-
-
-def _inside(real: Tensor, region: Tensor) -> Tensor:
-    """Share (B, 1, 1, 1) of the region that touches."""
-    return _mean(real.float(), region).clamp(_LEAST_DENSITY, 1.0)
-
-
-def _mean(values: Tensor, mask: Tensor) -> Tensor:
-    """Mean (B, 1, 1, 1) of the values where the mask holds; 0 where it holds nowhere."""
-    return (values * mask).sum((2, 3), keepdim=True) / mask.sum((2, 3), keepdim=True).clamp_min(1)

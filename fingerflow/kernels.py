@@ -17,11 +17,13 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 5  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 6  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
 LARGEST_MEDIAN_ABOVE = 15
+LARGEST_DENSITY_RADIUS = 17
+WIDEST_MOMENTS = (1 << 16) - 1
 MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
 
@@ -270,6 +272,49 @@ def dilate(mask: Tensor, half_widths: list[int], of_background: bool) -> Tensor:
     return dilated
 
 
+def fill_holes(mask: Tensor) -> Tensor:
+    """The mask (B, 1, H, W) bool without holes, as `ops.components` has it."""
+    return _changed_mask("fingerflow_fill_holes", mask)
+
+
+def largest_component(mask: Tensor) -> Tensor:
+    """The largest part of the mask (B, 1, H, W) bool, as `ops.components` has it."""
+    return _changed_mask("fingerflow_largest_component", mask)
+
+
+def dense_region(mask: Tensor, radius: int) -> Tensor:
+    """The region that a mask (B, 1, H, W) bool spans, as `ops.dense_region` has it.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, or a radius outside 1 to LARGEST_DENSITY_RADIUS.
+    """
+    if not 1 <= radius <= LARGEST_DENSITY_RADIUS:
+        raise ValueError(f"the compiled density has radii of 1 to {LARGEST_DENSITY_RADIUS} px: {radius} was asked for")
+    return _changed_mask("fingerflow_dense_region", mask, radius)
+
+
+def mask_moments(mask: Tensor) -> Tensor:
+    """Sums (B, 6) int64 over a mask (B, 1, H, W) bool, as `ops.ellipse` has them.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, or more than WIDEST_MOMENTS columns.
+    """
+    moments = torch.empty(len(mask), 6, dtype=torch.int64)
+    _measure_mask("fingerflow_mask_moments", mask, moments)
+    return moments
+
+
+def fit_ellipse(mask: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Centre (B, 2), semi axes (B, 2), angle (B,) and area (B,) float64, as `ops.ellipse` has them.
+
+    Raises:
+        TypeError, ValueError: as `mask_moments`.
+    """
+    numbers = torch.empty(len(mask), 6, dtype=torch.float64)
+    _measure_mask("fingerflow_fit_ellipse", mask, numbers)
+    return numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5]
+
+
 def track_points(
     coefficients: tuple[Tensor, Tensor],
     image_index: Tensor,
@@ -407,6 +452,11 @@ def _library() -> ctypes.CDLL | None:
     ]
     library.fingerflow_otsu_classes.argtypes = [pointer, count, double, double, *[pointer] * 5]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
+    library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
+    library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]
+    library.fingerflow_dense_region.argtypes = [pointer, pointer, *extent, number, number]
+    library.fingerflow_mask_moments.argtypes = [pointer, pointer, *extent, number]
+    library.fingerflow_fit_ellipse.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_track_points.argtypes = [
         *[pointer] * 2,
         *[count] * 2,
@@ -418,6 +468,22 @@ def _library() -> ctypes.CDLL | None:
         number,
     ]
     return library
+
+
+def _changed_mask(name: str, mask: Tensor, *settings: int) -> Tensor:
+    _check_frames(mask, (torch.bool,))
+    mask = _rows_in_one_piece(mask)
+    changed = torch.empty(mask.shape, dtype=torch.bool)
+    _call(name, mask.data_ptr(), changed.data_ptr(), *_extent(mask), *settings, torch.get_num_threads())
+    return changed
+
+
+def _measure_mask(name: str, mask: Tensor, numbers: Tensor) -> None:
+    _check_frames(mask, (torch.bool,))
+    if mask.shape[3] > WIDEST_MOMENTS:
+        raise ValueError(f"a mask {mask.shape[3]} px wide: the compiled moments end at {WIDEST_MOMENTS} px")
+    mask = _rows_in_one_piece(mask)
+    _call(name, mask.data_ptr(), numbers.data_ptr(), *_extent(mask), torch.get_num_threads())
 
 
 def _per_frame(name: str, frames: Tensor, result: Tensor) -> None:

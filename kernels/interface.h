@@ -99,3 +99,28 @@ FINGERFLOW_EXPORT int fingerflow_dilate(const void* masks, unsigned char* dilate
                                         std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                         std::int64_t row_stride, const std::int32_t* half_widths, std::int64_t radius,
                                         int of_background, int threads);
+
+// Masks of bytes with their holes filled (fingerflow/ops/components.py), or but their largest part; results are
+// contiguous.
+FINGERFLOW_EXPORT int fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch,
+                                            std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                            std::int64_t row_stride, int threads);
+FINGERFLOW_EXPORT int fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch,
+                                                   std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                                   std::int64_t row_stride, int threads);
+
+// The regions that masks of bytes span, as fingerflow/ops/dense_region.py has them, for a radius of up to 17 px;
+// `regions` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_dense_region(const unsigned char* masks, unsigned char* regions, std::int64_t batch,
+                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                              std::int64_t row_stride, int radius, int threads);
+
+// Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
+FINGERFLOW_EXPORT int fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch,
+                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                              std::int64_t row_stride, int threads);
+
+// Ellipses (batch, 6) of the same moments: centre x and y, semi axes, major first, angle and area.
+FINGERFLOW_EXPORT int fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch,
+                                             std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                             std::int64_t row_stride, int threads);

@@ -82,8 +82,9 @@ const int registered = pthread_atfork(nullptr, nullptr, start_afresh);
 
 void parallel_for(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work) {
     if (threads > pieces) threads = static_cast<int>(pieces);
-    std::unique_lock<std::mutex> turn(one_at_a_time, std::try_to_lock);
-    if (threads <= 1 || !turn.owns_lock()) {  // the threads serve another caller, whose own thread works beside this one
+    // One thread may be a piece of other work, which holds the lock.
+    std::unique_lock<std::mutex> turn(one_at_a_time, std::defer_lock);
+    if (threads <= 1 || !turn.try_lock()) {  // the threads serve another caller, whose own thread works beside this one
         for (std::int64_t piece = 0; piece < pieces; ++piece) work(piece);
         return;
     }

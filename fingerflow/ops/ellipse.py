@@ -5,6 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
+
 
 class Ellipse(NamedTuple):
     """`center` (B, 2) as (x, y) px; `semi_axes` (B, 2) px, major first; `angle` (B,) rad; `area_px` (B,); float64.
@@ -35,21 +37,55 @@ def fit_ellipse(mask: Tensor) -> Ellipse:
         TypeError: `mask` is not bool.
         ValueError: `mask` is not (B, 1, H, W).
     """
-    if mask.dtype != torch.bool:
-        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
-        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
-    filled = mask[:, 0]
-    y, x = (torch.arange(length, dtype=torch.float64, device=mask.device) for length in filled.shape[1:])
-    columns, rows = filled.sum(1).double(), filled.sum(2).double()
-    area = columns.sum(1)
-    center_x, center_y = (columns @ x) / area, (rows @ y) / area
-    # About the centre, so that a small mask far from the origin loses no digits.
-    dx, dy = x - center_x[:, None], y - center_y[:, None]
-    xx, yy = (columns * dx * dx).sum(1) / area, (rows * dy * dy).sum(1) / area
-    xy = (filled.double() @ dx[:, :, None]).squeeze(2).mul(dy).sum(1) / area
+    _check(mask)
+    if _compiled(mask):
+        return Ellipse(*kernels.fit_ellipse(mask))
+    number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
+    area = number.double()
+    center_x, center_y = x / area, y / area
+    # About the pixel next to the centre, in whole numbers: a small mask far from the origin loses no digits.
+    near_x, near_y = (center.nan_to_num(0.0).round().long() for center in (center_x, center_y))
+    dx, dy = (x - number * near_x) / area, (y - number * near_y) / area
+    xx = (xx - near_x * (2 * x - number * near_x)) / area - dx * dx
+    yy = (yy - near_y * (2 * y - number * near_y)) / area - dy * dy
+    xy = (xy - near_x * y - near_y * (x - number * near_x)) / area - dx * dy
 
     middle, spread = (xx + yy) / 2, torch.hypot((xx - yy) / 2, xy)
     variances = torch.stack([middle + spread, (middle - spread).clamp(min=0)], 1)
     angle = torch.atan2(2 * xy, xx - yy) / 2
     return Ellipse(torch.stack([center_x, center_y], 1), 2 * variances.sqrt(), angle, area)
+
+
+def mask_moments(mask: Tensor) -> Tensor:
+    """Exact sums over the pixels of a mask: the area and the moments of first and second order.
+
+    Args:
+        mask: (B, 1, H, W) bool.
+
+    Returns:
+        (B, 6) int64, the sums of 1, x, y, x x, x y and y y, in px.
+
+    Raises:
+        TypeError: `mask` is not bool.
+        ValueError: `mask` is not (B, 1, H, W).
+    """
+    _check(mask)
+    if _compiled(mask):
+        return kernels.mask_moments(mask)
+    filled = mask[:, 0]
+    y, x = (torch.arange(length, device=mask.device) for length in filled.shape[1:])
+    columns, rows = filled.sum(1), filled.sum(2)
+    along = torch.where(filled, x, 0).sum(2)
+    sums = columns, along, rows * y, columns * x * x, along * y, rows * y * y
+    return torch.stack([some.sum(1) for some in sums], 1)
+
+
+def _check(mask: Tensor) -> None:
+    if mask.dtype != torch.bool:
+        raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
+    if mask.ndim != 4 or mask.shape[1] != 1:
+        raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
+
+
+def _compiled(mask: Tensor) -> bool:
+    return mask.shape[3] <= kernels.WIDEST_MOMENTS and kernels.serve(mask)

@@ -50,6 +50,16 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (int inverted : {0, 1})
             expect(fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads) == 0, "dilate");
     }
+    expect(fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads) == 0, "holes");
+    expect(fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads) == 0, "largest");
+    for (int radius : {1, 8, 17})
+        expect(fingerflow_dense_region(mask.data(), bytes.data(), batch, height, width, frame, width, radius, threads) == 0, "dense region");
+    std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
+    std::vector<double> ellipses(moments.size());
+    expect(fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads) == 0, "moments");
+    expect(fingerflow_fit_ellipse(mask.data(), ellipses.data(), batch, height, width, frame, width, threads) == 0, "ellipse");
+    expect(ellipses[5] == static_cast<double>(moments[0]), "area of the ellipse");
+
     std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
     expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads) == 0, "histogram");
     expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads) == 0, "histogram");

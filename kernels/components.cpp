@@ -1,0 +1,115 @@
+// Runs of rows joined to those of the row above, as trees whose root is the first run of a part.
+#include "components.h"
+
+#include <algorithm>
+#include <cstring>
+#include <exception>
+#include <vector>
+
+#include "interface.h"
+#include "parallel.h"
+
+namespace fingerflow {
+namespace {
+
+struct Run {
+    std::int64_t row, first, last;  // pixels of the row
+    std::size_t above;              // in its tree; a root lies above itself
+};
+
+// The first pixel from x on that is set, or is not; `width` if there is none.
+std::int64_t next(const unsigned char* row, std::int64_t x, std::int64_t width, bool set) {
+    const std::uint64_t others = set ? 0 : 0x0101010101010101;  // eight pixels to pass over
+    for (std::uint64_t eight; x + 8 <= width; x += 8) {
+        std::memcpy(&eight, row + x, sizeof eight);
+        if (eight != others) break;
+    }
+    while (x < width && (row[x] != 0) != set) ++x;
+    return x;
+}
+
+std::size_t root_of(std::vector<Run>& runs, std::size_t run) {
+    while (runs[run].above != run) {
+        runs[run].above = runs[runs[run].above].above;
+        run = runs[run].above;
+    }
+    return run;
+}
+
+void join(std::vector<Run>& runs, std::size_t one, std::size_t other) {
+    one = root_of(runs, one);
+    other = root_of(runs, other);
+    runs[std::max(one, other)].above = std::min(one, other);
+}
+
+// Runs of pixels that are set, or are not, in reading order; they touch those of the next row up to `reach` px aside.
+std::vector<Run> joined_runs(const unsigned char* mask, std::int64_t height, std::int64_t width, bool set, std::int64_t reach) {
+    std::vector<Run> runs;
+    std::size_t upper = 0;  // the first run of the row above that may touch the next one
+    for (std::int64_t y = 0; y < height; ++y) {
+        const unsigned char* const row = mask + y * width;
+        const std::size_t begin = runs.size();
+        for (std::int64_t x = next(row, 0, width, set); x < width; x = next(row, x, width, set)) {
+            const std::int64_t end = next(row, x, width, !set);
+            const std::size_t run = runs.size();
+            runs.push_back({y, x, end - 1, run});
+            while (upper < begin && runs[upper].last + reach < x) ++upper;
+            for (std::size_t above = upper; above < begin && runs[above].first < end + reach; ++above) join(runs, above, run);
+            x = end;
+        }
+        upper = begin;
+    }
+    return runs;
+}
+
+// A copy of each mask, changed by `change`.
+template <class Change>
+int changed(const unsigned char* masks, unsigned char* results, std::int64_t batch, std::int64_t height,
+            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads, Change change) try {
+    parallel_for(batch, threads, [&](std::int64_t frame) {
+        unsigned char* const result = results + frame * height * width;
+        for (std::int64_t y = 0; y < height; ++y)
+            std::copy_n(masks + frame * frame_stride + y * row_stride, width, result + y * width);
+        change(result, height, width);
+    });
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}
+
+}  // namespace
+
+void fill_holes(unsigned char* mask, std::int64_t height, std::int64_t width) {
+    std::vector<Run> runs = joined_runs(mask, height, width, false, 0);
+    std::vector<bool> outside(runs.size());
+    for (std::size_t k = 0; k < runs.size(); ++k) {
+        const Run& run = runs[k];
+        if (run.row == 0 || run.row == height - 1 || run.first == 0 || run.last == width - 1) outside[root_of(runs, k)] = true;
+    }
+    for (std::size_t k = 0; k < runs.size(); ++k)
+        if (!outside[root_of(runs, k)])
+            std::fill(mask + runs[k].row * width + runs[k].first, mask + runs[k].row * width + runs[k].last + 1, 1);
+}
+
+void keep_largest(unsigned char* mask, std::int64_t height, std::int64_t width) {
+    std::vector<Run> runs = joined_runs(mask, height, width, true, 1);
+    if (runs.empty()) return;
+    std::vector<std::int64_t> area(runs.size());
+    for (std::size_t k = 0; k < runs.size(); ++k) area[root_of(runs, k)] += runs[k].last - runs[k].first + 1;
+    const auto largest = static_cast<std::size_t>(std::max_element(area.begin(), area.end()) - area.begin());
+    for (std::size_t k = 0; k < runs.size(); ++k)
+        if (root_of(runs, k) != largest)
+            std::fill(mask + runs[k].row * width + runs[k].first, mask + runs[k].row * width + runs[k].last + 1, 0);
+}
+
+}  // namespace fingerflow
+
+int fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
+                          std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
+    return fingerflow::changed(masks, filled, batch, height, width, frame_stride, row_stride, threads, fingerflow::fill_holes);
+}
+
+int fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch, std::int64_t height,
+                                 std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
+    return fingerflow::changed(masks, largest, batch, height, width, frame_stride, row_stride, threads, fingerflow::keep_largest);
+}

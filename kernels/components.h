@@ -1,0 +1,14 @@
+// Connected parts of one mask of bytes, in place; rows are `width` bytes.
+#pragma once
+
+#include <cstdint>
+
+namespace fingerflow {
+
+// Sets the background that no 4-connected path joins to the border of the frame.
+void fill_holes(unsigned char* mask, std::int64_t height, std::int64_t width);
+
+// Clears all but the largest 8-connected part; of equal ones the first in reading order stays.
+void keep_largest(unsigned char* mask, std::int64_t height, std::int64_t width);
+
+}  // namespace fingerflow
