@@ -19,6 +19,7 @@ PLAIN = [
     "ellipse",
     "illumination",
     "instruction_sets",
+    "local_fit",
     "median",
     "median_above",
     "morphology",
@@ -39,7 +40,7 @@ EXACT = [
     "noise_rows",
     "spline_rows",
 ]
-ROUNDED = ["tracking_points"]
+ROUNDED = ["local_fit_block", "tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers

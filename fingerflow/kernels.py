@@ -1,8 +1,9 @@
 """The compiled twins of some ops: whether they serve, and one typed function for each.
 
 They serve plain tensors on the processor, outside tracing, export, compilation and autograd, and give what the
-portable op gives, bit for bit. `FINGERFLOW_KERNELS=0` in the environment turns them off. Where they were not built,
-because no C++ compiler was there at install time, the portable ops serve and a log message of level INFO says so once.
+portable op gives, bit for bit, or to rounding where a docstring says so. `FINGERFLOW_KERNELS=0` in the environment
+turns them off. Where they were not built, because no C++ compiler was there at install time, the portable ops serve and
+a log message of level INFO says so once.
 """
 
 import ctypes
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 6  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 7  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -38,6 +39,16 @@ class OtsuClasses(NamedTuple):
     means: Tensor
     deviations: Tensor
     separability: Tensor
+
+
+class FittedPlanes(NamedTuple):
+    """As `ops.local_fit.LocalFit` has them."""
+
+    value: Tensor
+    gradient: Tensor
+    covariance: Tensor | None
+    point_count: Tensor
+    centroid_offset: Tensor
 
 
 class ContactPictures(NamedTuple):
@@ -385,6 +396,66 @@ def track_points(
     return points, error, covariance, status
 
 
+def local_gradients(
+    points: Tensor,
+    values: Tensor,
+    queries: Tensor,
+    noise: Tensor | None,
+    *,
+    radius: float,
+    least_spread: float,
+    minimum_points: int,
+) -> FittedPlanes:
+    """Planes fitted as `ops.local_fit` has it, to rounding: sums run in another order.
+
+    Points (B, N, 2), values (B, N, C), queries (B, Q, 2) and noise (B, N, 1 or C * C) share a dtype, float32 or
+    float64; a batch is that of the results, or 1.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    given = {"points": points, "values": values, "queries": queries, "noise": noise}
+    count, components = values.shape[1:]
+    batches = {len(tensor) for tensor in given.values() if tensor is not None} - {1}
+    if len(batches) > 1:
+        raise ValueError(f"batches of {sorted(batches)}: they are equal, or 1")
+    batch = batches.pop() if batches else 1
+    noises = () if noise is None else (1, components**2)
+    for name, tensor, rows, columns in (
+        ("points", points, count, (2,)),
+        ("values", values, count, (components,)),
+        ("queries", queries, queries.shape[1], (2,)),
+        ("noise", noise, count, noises),
+    ):
+        if tensor is None:
+            continue
+        if tensor.dtype != points.dtype or tensor.dtype not in (torch.float32, torch.float64):
+            raise TypeError(f"{name} is {tensor.dtype}: all are torch.float32 or torch.float64")
+        if tensor.ndim != 3 or tensor.shape[1] != rows or tensor.shape[2] not in columns:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}: (B, {rows}, {columns}) is needed")
+    contiguous = [None if tensor is None else tensor.contiguous() for tensor in given.values()]
+    total = queries.shape[1]
+    shapes = ((components,), (components, 2), () if noise is None else (components, 2) * 2, ())
+    value, gradient, covariance, offset = (points.new_empty(batch, total, *shape) for shape in shapes)
+    counts = torch.empty(batch, total, dtype=torch.int64)
+    request = (ctypes.c_int64 * 19)(
+        *(0 if tensor is None else tensor.data_ptr() for tensor in contiguous),
+        *(0 if tensor is None else len(tensor) for tensor in contiguous),
+        *(batch, count, total, components, 0 if noise is None else noise.shape[2], minimum_points),
+        *(value.data_ptr(), gradient.data_ptr(), 0 if noise is None else covariance.data_ptr(), offset.data_ptr()),
+        counts.data_ptr(),
+    )
+    _call(
+        "fingerflow_local_gradients",
+        ctypes.addressof(request),
+        radius,
+        least_spread,
+        int(points.dtype == torch.float64),
+        torch.get_num_threads(),
+    )
+    return FittedPlanes(value, gradient, None if noise is None else covariance, counts, offset)
+
+
 def spline_coefficients(frames: Tensor) -> Tensor:
     """Coefficients (B, 1, H, W) float32, as `ops.spline` has them, of frames of FRAME_KINDS, H and W at least 3."""
     coefficients = torch.empty(frames.shape)
@@ -451,6 +522,7 @@ def _library() -> ctypes.CDLL | None:
         *[pointer, count, pointer, number],
     ]
     library.fingerflow_otsu_classes.argtypes = [pointer, count, double, double, *[pointer] * 5]
+    library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

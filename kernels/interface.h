@@ -124,3 +124,15 @@ FINGERFLOW_EXPORT int fingerflow_mask_moments(const unsigned char* masks, std::i
 FINGERFLOW_EXPORT int fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch,
                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                              std::int64_t row_stride, int threads);
+
+// Weighted linear fits around queries, as fingerflow/ops/local_fit.py has them: arrays of float, or of double where
+// `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
+struct fingerflow_local_fit {
+    const void *points, *values, *queries, *noise;
+    std::int64_t points_batch, values_batch, queries_batch, noise_batch;
+    std::int64_t batch, point_count, query_count, components, noises, minimum_points;
+    void *value, *gradient, *covariance, *offset;  // covariance null without noise
+    std::int64_t* counts;
+};
+FINGERFLOW_EXPORT int fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread,
+                                                 int wide, int threads);

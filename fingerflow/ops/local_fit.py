@@ -6,6 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.weighted_moments import weighted_moments
 
@@ -64,14 +65,33 @@ def local_gradients(
     given = (points, values, queries)
     dtype = working_dtype(*given)
     positions, measured, wanted = (tensor.to(dtype) for tensor in given)
-    components = values.shape[2]
-
-    # NaN becomes 0 here with a weight of 0, rather than being masked at the end: autograd stays finite that way.
-    usable = torch.isfinite(positions).all(-1) & torch.isfinite(measured).all(-1)
+    components, radius = values.shape[2], gauge_length / 2
     noise = None
     if variance is not None:
         noise = variance.to(dtype).flatten(2) if variance.dim() == 4 else variance.to(dtype)[..., None]
-        own = noise[..., :: components + 1] if variance.dim() == 4 else noise
+    if kernels.serve(positions, measured, wanted, noise):
+        fitted = kernels.local_gradients(
+            positions,
+            measured,
+            wanted,
+            noise,
+            radius=radius,
+            least_spread=_MINIMUM_SPREAD * radius,
+            minimum_points=minimum_points,
+        )
+        kept = result_dtype(*given)
+        return LocalFit(
+            fitted.value.to(kept),
+            fitted.gradient.to(kept),
+            None if fitted.covariance is None else fitted.covariance.to(kept),
+            fitted.point_count,
+            fitted.centroid_offset.to(kept),
+        )
+
+    # NaN becomes 0 here with a weight of 0, rather than being masked at the end: autograd stays finite that way.
+    usable = torch.isfinite(positions).all(-1) & torch.isfinite(measured).all(-1)
+    if noise is not None:
+        own = noise[..., :: components + 1] if noise.shape[2] == components**2 else noise
         usable = usable & torch.isfinite(noise).all(-1) & (own >= 0).all(-1)
         noise = torch.where(usable[..., None], noise, 0)
     asked = torch.isfinite(wanted).all(-1)
@@ -82,7 +102,6 @@ def local_gradients(
     level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
     measured = torch.where(usable[..., None], measured - level, 0)
 
-    radius = gauge_length / 2
     sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
     count = torch.where(asked, sums.point_count, 0)
     determined = count >= minimum_points

@@ -48,10 +48,11 @@ def weighted_moments(
         # Differences to the query, not raw moments: the latter lose the digits of points far from the origin.
         dx = point_x - query_x[:, start : start + rows]
         dy = point_y - query_y[:, start : start + rows]
-        closeness = torch.addcmul(torch.addcmul(one, dx, dx, value=scale), dy, dy, value=scale).clamp(min=0)
+        squared = torch.addcmul(dx * dx, dy, dy)  # exact for whole numbers: points on the rim are never within it
+        closeness = torch.add(one, squared, alpha=scale).clamp(min=0)
         weight = closeness * closeness
         weight_x, weight_y = weight * dx, weight * dy
-        inside = torch.sign(closeness)
+        inside = (squared < radius**2).to(values.dtype)
         piece = [present.summed(kernel) for kernel in (inside, weight_x * dx, weight_x * dy, weight_y * dy)]
         piece += [present_and_data.summed(kernel) for kernel in (weight, weight_x, weight_y)]
         if noise_columns is not None:

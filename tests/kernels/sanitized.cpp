@@ -87,6 +87,24 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     }
 }
 
+template <class Real>
+void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components, std::int64_t geometries, int threads) {
+    const std::int64_t batch = 2;
+    const auto places = noise<Real>(geometries * points * 2, 5), asked = noise<Real>(geometries * queries * 2, 6);
+    const auto values = noise<Real>(batch * points * components, 7);
+    for (std::int64_t noises : {std::int64_t(0), std::int64_t(1), components * components}) {
+        const auto variances = noise<Real>(batch * points * noises, 8);
+        std::vector<Real> value(static_cast<std::size_t>(batch * queries * components)), gradient(2 * value.size());
+        std::vector<Real> offset(static_cast<std::size_t>(batch * queries)), covariance(4 * components * value.size());
+        std::vector<std::int64_t> counts(offset.size());
+        const fingerflow_local_fit given{places.data(), values.data(), asked.data(), noises ? variances.data() : nullptr,
+                                         geometries, batch, geometries, batch, batch, points, queries, components, noises, 5,
+                                         value.data(), gradient.data(), noises ? covariance.data() : nullptr,
+                                         offset.data(), counts.data()};
+        expect(fingerflow_local_gradients(&given, 50.0, 5.0, sizeof(Real) == 8, threads) == 0, "local fit");
+    }
+}
+
 }  // namespace
 
 int main() {
@@ -98,6 +116,11 @@ int main() {
             try_all(1, 70, 1, threads);
             try_all(2, 37, 43, threads);
             try_all(1, 40, 1300, threads);
+            for (std::int64_t geometries : {1, 2}) {
+                try_fits<float>(300, 50, 2, geometries, threads);
+                try_fits<double>(37, 1, 3, geometries, threads);
+                try_fits<float>(0, 20, 1, geometries, threads);
+            }
         }
     }
     std::printf("%d failures\n", failures);

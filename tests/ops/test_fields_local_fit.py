@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from scipy.special import jv
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops import weighted_moments
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence
@@ -253,6 +254,7 @@ def test_shared_positions_and_positions_of_each_frame_agree() -> None:
 
 
 def test_the_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "serve", lambda *_: False)
     points, queries = cloud(3), inner_queries(17)
     whole = local_gradients(points, points.sin(), queries, gauge_length=GAUGE, variance=points[..., 0])
     monkeypatch.setattr(weighted_moments, "_CHUNK_ELEMENTS", 3 * 200 * 5)

@@ -1,0 +1,257 @@
+// Weighted linear fits around queries. Queries that lie near each other go together, so that few points beyond the
+// radius are looked at.
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <limits>
+#include <vector>
+
+#include "interface.h"
+#include "local_fit_block.h"
+#include "parallel.h"
+#include "workspace.h"
+
+namespace fingerflow {
+namespace {
+
+template <class Real>
+bool finite(const Real* numbers, std::int64_t count) {
+    return std::all_of(numbers, numbers + count, [](Real number) { return std::isfinite(number); });
+}
+
+std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+template <class Real>
+struct Place {
+    Real x, y;
+    std::int64_t number;
+};
+
+// The finite ones of places (count, 2), by y.
+template <class Real>
+std::vector<Place<Real>> finite_by_y(const Real* places, std::int64_t count) {
+    std::vector<Place<Real>> result;
+    result.reserve(size(count));
+    for (std::int64_t k = 0; k < count; ++k)
+        if (finite(places + 2 * k, 2)) result.push_back({places[2 * k], places[2 * k + 1], k});
+    std::sort(result.begin(), result.end(), [](const Place<Real>& a, const Place<Real>& b) { return a.y < b.y; });
+    return result;
+}
+
+// Points and queries of one geometry: points by y; queries in bands by y, in a band by x.
+template <class Real>
+struct Cloud {
+    std::vector<Place<Real>> points, queries;
+
+    Cloud(const Real* points_at, std::int64_t point_count, const Real* queries_at, std::int64_t query_count)
+        : points(finite_by_y(points_at, point_count)), queries(finite_by_y(queries_at, query_count)) {
+        const auto end = static_cast<std::int64_t>(queries.size());
+        // So many queries that a block of neighbours by x is about as wide as the band is high.
+        const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
+        for (std::int64_t first = 0; first < end; first += band)
+            std::sort(queries.begin() + first, queries.begin() + std::min(end, first + band),
+                      [](const Place<Real>& a, const Place<Real>& b) { return a.x < b.x; });
+    }
+};
+
+void fit_block(const FitFrames<float>& frames, const FitBlock<float>& block, float* memory) {
+    FINGERFLOW_PICK(fit_floats)(frames, block, memory);
+}
+void fit_block(const FitFrames<double>& frames, const FitBlock<double>& block, double* memory) {
+    FINGERFLOW_PICK(fit_doubles)(frames, block, memory);
+}
+
+template <class Real>
+class Fits {
+public:
+    Fits(const fingerflow_local_fit& given, double radius, double least_spread)
+        : given_(given),
+          radius_(radius),
+          shared_(given.points_batch == 1 && given.queries_batch == 1),
+          fields_(1 + given.components + given.noises),
+          records_(size(given.batch * given.point_count * fields_)),
+          levels_(size(given.batch * given.components)),
+          same_usable_(size(given.batch)),
+          frames_{shared_ ? given.batch : 1,
+                  given.point_count,
+                  given.query_count,
+                  given.components,
+                  given.noises,
+                  given.minimum_points,
+                  static_cast<Real>(radius),
+                  static_cast<Real>(least_spread),
+                  nullptr,
+                  nullptr,
+                  same_usable_.data(),
+                  nullptr,
+                  nullptr,
+                  nullptr,
+                  nullptr,
+                  nullptr} {}
+
+    void run(int threads) {
+        if (given_.batch == 0) return;
+        parallel_for(given_.batch, threads, [&](std::int64_t frame) { record(frame); });
+        for (std::int64_t frame = 1; frame < given_.batch; ++frame) same_usable_[size(frame)] = same_as_before(frame);
+        if (shared_) {
+            const Cloud<Real> cloud = cloud_of(0);
+            parallel_for(blocks_of(cloud), threads, [&](std::int64_t block) { fit(0, cloud, block); });
+            return;
+        }
+        parallel_for(given_.batch, threads, [&](std::int64_t geometry) {
+            const Cloud<Real> cloud = cloud_of(geometry);
+            for (std::int64_t block = 0; block < blocks_of(cloud); ++block) fit(geometry, cloud, block);
+        });
+    }
+
+private:
+    const Real* part(const void* all, std::int64_t batch, std::int64_t frame, std::int64_t numbers) const {
+        return static_cast<const Real*>(all) + (batch == 1 ? 0 : frame) * numbers;
+    }
+    const Real* points(std::int64_t frame) const {
+        return part(given_.points, given_.points_batch, frame, 2 * given_.point_count);
+    }
+    const Real* queries(std::int64_t frame) const {
+        return part(given_.queries, given_.queries_batch, frame, 2 * given_.query_count);
+    }
+
+    // Writes the records and the level of a frame.
+    void record(std::int64_t frame) {
+        const std::int64_t count = given_.point_count, components = given_.components, noises = given_.noises;
+        const Real* const place = points(frame);
+        const Real* const values = part(given_.values, given_.values_batch, frame, count * components);
+        const Real* const noise = part(given_.noise, given_.noise_batch, frame, count * noises);
+        Real* const records = records_.data() + frame * count * fields_;
+        const std::int64_t own = noises == 1 ? 1 : components + 1;  // steps from one component's variance to the next
+        std::vector<double> sums(size(components));
+        std::int64_t usable = 0;
+        for (std::int64_t k = 0; k < count; ++k) {
+            const Real *value = values + k * components, *variance = noise + k * noises;
+            bool good = finite(place + 2 * k, 2) && finite(value, components) && finite(variance, noises);
+            for (std::int64_t v = 0; v < noises; v += own) good = good && variance[v] >= 0;
+            if (!good) continue;
+            ++usable;
+            Real* const to = records + k * fields_;
+            to[0] = 1;
+            std::copy(value, value + components, to + 1);
+            std::copy(variance, variance + noises, to + 1 + components);
+            for (std::int64_t c = 0; c < components; ++c) sums[size(c)] += static_cast<double>(value[c]);
+        }
+        for (std::int64_t c = 0; c < components; ++c) {
+            // A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+            const auto level = static_cast<Real>(sums[size(c)] / static_cast<double>(std::max<std::int64_t>(usable, 1)));
+            levels_[size(frame * components + c)] = level;
+            for (Real* to = records; to < records + count * fields_; to += fields_)
+                if (to[0] != 0) to[1 + c] -= level;
+        }
+    }
+
+    unsigned char same_as_before(std::int64_t frame) const {
+        const std::int64_t numbers = given_.point_count * fields_;
+        const Real* const here = records_.data() + frame * numbers;
+        for (std::int64_t k = 0; k < numbers; k += fields_)
+            if (here[k] != here[k - numbers]) return 0;
+        return 1;
+    }
+
+    // Of a geometry; writes the results of queries that are nowhere.
+    Cloud<Real> cloud_of(std::int64_t geometry) {
+        Cloud<Real> cloud(points(geometry), given_.point_count, queries(geometry), given_.query_count);
+        if (static_cast<std::int64_t>(cloud.queries.size()) < given_.query_count) {
+            const FitFrames<Real> frames = frames_of(geometry);
+            const Real unknown = std::numeric_limits<Real>::quiet_NaN();
+            for (std::int64_t k = 0; k < frames.count * frames.queries; ++k) {
+                if (finite(queries(geometry) + 2 * (k % frames.queries), 2)) continue;
+                const std::int64_t components = frames.components, squared = 4 * components * components;
+                std::fill_n(frames.value + k * components, components, unknown);
+                std::fill_n(frames.gradient + 2 * k * components, 2 * components, unknown);
+                if (frames.covariance != nullptr) std::fill_n(frames.covariance + k * squared, squared, unknown);
+                frames.point_count[k] = 0;
+                frames.offset[k] = unknown;
+            }
+        }
+        return cloud;
+    }
+
+    std::int64_t blocks_of(const Cloud<Real>& cloud) const {
+        return (static_cast<std::int64_t>(cloud.queries.size()) + kFitBlock - 1) / kFitBlock;
+    }
+
+    FitFrames<Real> frames_of(std::int64_t geometry) {
+        FitFrames<Real> frames = frames_;
+        const std::int64_t components = given_.components, first = geometry * given_.query_count;
+        frames.records = records_.data() + geometry * given_.point_count * fields_;
+        frames.levels = levels_.data() + geometry * components;
+        frames.value = static_cast<Real*>(given_.value) + first * components;
+        frames.gradient = static_cast<Real*>(given_.gradient) + 2 * first * components;
+        if (given_.covariance != nullptr)
+            frames.covariance = static_cast<Real*>(given_.covariance) + 4 * first * components * components;
+        frames.point_count = given_.counts + first;
+        frames.offset = static_cast<Real*>(given_.offset) + first;
+        return frames;
+    }
+
+    void fit(std::int64_t geometry, const Cloud<Real>& cloud, std::int64_t number) {
+        const FitFrames<Real> frames = frames_of(geometry);
+        const std::int64_t points = frames.points, first = number * kFitBlock;
+        const std::size_t numbers = size(2 * points + fit_memory(frames));
+        const auto memory = static_cast<unsigned char*>(workspace(8 * size(points) + sizeof(Real) * numbers));
+        const auto point = reinterpret_cast<std::int64_t*>(memory);
+        const auto x = reinterpret_cast<Real*>(point + points), y = x + points;
+
+        FitBlock<Real> block;
+        const auto left = static_cast<std::int64_t>(cloud.queries.size()) - first;
+        block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
+        double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
+        for (int q = 0; q < kFitBlock; ++q) {
+            const Place<Real>& query = cloud.queries[size(first + std::min(q, block.queries - 1))];
+            block.query[q] = query.number;
+            block.query_x[q] = query.x;
+            block.query_y[q] = query.y;
+            low_x = std::min<double>(low_x, query.x);
+            low_y = std::min<double>(low_y, query.y);
+            high_x = std::max<double>(high_x, query.x);
+            high_y = std::max<double>(high_y, query.y);
+        }
+
+        const double radius = radius_ * (1 + 1e-5);  // the block decides with the rounding of its number type
+        std::int64_t candidates = 0;
+        const auto begin = std::lower_bound(cloud.points.begin(), cloud.points.end(), low_y - radius,
+                                            [](const Place<Real>& place, double y) { return place.y < y; });
+        for (auto place = begin; place != cloud.points.end() && place->y <= high_y + radius; ++place) {
+            const double dx = std::max({low_x - place->x, 0.0, place->x - high_x});
+            const double dy = std::max({low_y - place->y, 0.0, place->y - high_y});
+            x[candidates] = place->x;
+            y[candidates] = place->y;
+            point[candidates] = place->number;
+            candidates += dx * dx + dy * dy < radius * radius;
+        }
+        block.x = x;
+        block.y = y;
+        block.point = point;
+        block.candidates = candidates;
+        fit_block(frames, block, y + points);
+    }
+
+    const fingerflow_local_fit given_;
+    const double radius_;
+    const bool shared_;
+    const std::int64_t fields_;
+    std::vector<Real> records_, levels_;
+    std::vector<unsigned char> same_usable_;
+    const FitFrames<Real> frames_;  // without what differs between the geometries
+};
+
+}  // namespace
+}  // namespace fingerflow
+
+int fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
+                               int threads) try {
+    if (wide)
+        fingerflow::Fits<double>(*given, radius, least_spread).run(threads);
+    else
+        fingerflow::Fits<float>(*given, radius, least_spread).run(threads);
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}

@@ -1,0 +1,298 @@
+#include "local_fit_block.h"
+
+#include <math.h>
+
+#include <cstring>
+
+#include "floats.h"
+#include "lanes.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+// A register of either number type: sums stay in it.
+template <class Real>
+constexpr int kWide = 4 * kFloats / static_cast<int>(sizeof(Real));
+#if defined(__GNUC__) || defined(__clang__)
+template <class Real>
+struct Register {
+    typedef Real Type __attribute__((vector_size(4 * kFloats)));
+};
+template <class Real>
+using Wide = typename Register<Real>::Type;
+#else
+template <class Real>
+struct Wide {
+    Real of[kWide<Real>];
+    Wide& operator+=(const Wide& other) {
+        for (int k = 0; k < kWide<Real>; ++k) of[k] += other.of[k];
+        return *this;
+    }
+};
+template <class Real>
+Wide<Real> operator*(Wide<Real> a, const Wide<Real>& b) {
+    for (int k = 0; k < kWide<Real>; ++k) a.of[k] *= b.of[k];
+    return a;
+}
+template <class Real>
+Wide<Real> operator*(Wide<Real> a, Real b) {
+    for (int k = 0; k < kWide<Real>; ++k) a.of[k] *= b;
+    return a;
+}
+#endif
+template <class Real>
+Wide<Real> load_wide(const Real* from) {
+    Wide<Real> value;
+    std::memcpy(&value, from, sizeof value);
+    return value;
+}
+
+float root(float value) { return sqrtf(value); }
+double root(double value) { return sqrt(value); }
+
+// Weights (candidates, kFitWeights, kFitBlock).
+template <class Real>
+void weigh(const FitBlock<Real>& block, Real radius, Real* FINGERFLOW_RESTRICT weights) {
+    const Real squared_radius = radius * radius, scale = 1 / squared_radius;
+    for (std::int64_t k = 0; k < block.candidates; ++k, weights += kFitWeights * kFitBlock) {
+        const Real point_x = block.x[k], point_y = block.y[k];
+        FINGERFLOW_INDEPENDENT
+        for (int q = 0; q < kFitBlock; ++q) {
+            const Real dx = point_x - block.query_x[q], dy = point_y - block.query_y[q];
+            const Real squared = dx * dx + dy * dy;
+            const Real inside = squared < squared_radius ? Real(1) : Real(0);
+            const Real closeness = squared < squared_radius ? 1 - squared * scale : Real(0);
+            const Real weight = closeness * closeness, weight_x = weight * dx, weight_y = weight * dy;
+            weights[q] = inside;
+            weights[kFitBlock + q] = weight;
+            weights[2 * kFitBlock + q] = weight_x;
+            weights[3 * kFitBlock + q] = weight_y;
+            weights[4 * kFitBlock + q] = weight_x * dx;
+            weights[5 * kFitBlock + q] = weight_x * dy;
+            weights[6 * kFitBlock + q] = weight_y * dy;
+        }
+    }
+}
+
+// The points of a block as one frame has them.
+template <class Real>
+struct Candidates {
+    const std::int64_t* point;
+    std::int64_t count, fields;
+    const Real *weights, *records;
+};
+
+template <class Real, int kSums>
+void write_sums(const Wide<Real> (&sums)[kSums], int first, Real* to) {
+    for (int s = 0; s < kSums; ++s) std::memcpy(to + s * kFitBlock + first, &sums[s], sizeof sums[s]);
+}
+
+// All weights times whether a point is usable, (kFitWeights, kFitBlock).
+template <class Real>
+void sum_usable(const Candidates<Real>& candidates, Real* to) {
+    for (int first = 0; first < kFitBlock; first += kWide<Real>) {
+        Wide<Real> sums[kFitWeights] = {};
+        const Real* weights = candidates.weights + first;
+        for (std::int64_t k = 0; k < candidates.count; ++k, weights += kFitWeights * kFitBlock) {
+            const Real usable = candidates.records[candidates.point[k] * candidates.fields];
+            FINGERFLOW_UNROLL
+            for (int s = 0; s < kFitWeights; ++s) sums[s] += load_wide(weights + s * kFitBlock) * usable;
+        }
+        write_sums<Real>(sums, first, to);
+    }
+}
+
+// w, w dx, w dy times some fields of the records, (kFields, 3, kFitBlock).
+template <int kFields, class Real>
+void sum_values(const Candidates<Real>& candidates, std::int64_t field, Real* to) {
+    for (int first = 0; first < kFitBlock; first += kWide<Real>) {
+        Wide<Real> sums[3 * kFields] = {};
+        const Real* weights = candidates.weights + kFitBlock + first;
+        for (std::int64_t k = 0; k < candidates.count; ++k, weights += kFitWeights * kFitBlock) {
+            const Real* values = candidates.records + candidates.point[k] * candidates.fields + field;
+            const Wide<Real> plain = load_wide(weights), x = load_wide(weights + kFitBlock);
+            const Wide<Real> y = load_wide(weights + 2 * kFitBlock);
+            FINGERFLOW_UNROLL
+            for (int f = 0; f < kFields; ++f) {
+                sums[3 * f] += plain * values[f];
+                sums[3 * f + 1] += x * values[f];
+                sums[3 * f + 2] += y * values[f];
+            }
+        }
+        write_sums<Real>(sums, first, to);
+    }
+}
+
+// w^2 times 1, dx, dy, dx dx, dx dy, dy dy times a field of the records, (6, kFitBlock).
+template <class Real>
+void sum_noise(const Candidates<Real>& candidates, std::int64_t field, Real* to) {
+    for (int first = 0; first < kFitBlock; first += kWide<Real>) {
+        Wide<Real> sums[6] = {};
+        const Real* weights = candidates.weights + kFitBlock + first;
+        for (std::int64_t k = 0; k < candidates.count; ++k, weights += kFitWeights * kFitBlock) {
+            const Real noise = candidates.records[candidates.point[k] * candidates.fields + field];
+            const Wide<Real> plain = load_wide(weights), x = load_wide(weights + kFitBlock);
+            const Wide<Real> y = load_wide(weights + 2 * kFitBlock);
+            const Wide<Real> noisy = plain * noise, noisy_x = x * noise, noisy_y = y * noise;
+            sums[0] += plain * noisy;
+            sums[1] += x * noisy;
+            sums[2] += y * noisy;
+            sums[3] += x * noisy_x;
+            sums[4] += x * noisy_y;
+            sums[5] += y * noisy_y;
+        }
+        write_sums<Real>(sums, first, to);
+    }
+}
+
+// What the usable points around each query of a block tell, whatever their values are.
+template <class Real>
+struct Geometry {
+    Real mass[kFitBlock], x[kFitBlock], y[kFitBlock];  // place of the weighted centroid, from the query
+    Real inverse_xx[kFitBlock], inverse_xy[kFitBlock], inverse_yy[kFitBlock];  // of the second moments about it
+    Real nothing[kFitBlock];  // 0, or NaN where the points determine no plane
+    std::int64_t points[kFitBlock];
+
+    // From sums (kFitWeights, kFitBlock).
+    Geometry(const Real* sums, const FitFrames<Real>& frames) {
+        const Real narrow = frames.least_spread * frames.least_spread, unknown = static_cast<Real>(NAN);
+        const auto enough = static_cast<Real>(frames.minimum_points);
+        FINGERFLOW_INDEPENDENT
+        for (int q = 0; q < kFitBlock; ++q) {
+            const Real *moments = sums + q, found = moments[0];
+            mass[q] = found >= enough ? moments[kFitBlock] : Real(1);
+            const Real share = 1 / mass[q], cx = moments[2 * kFitBlock] * share, cy = moments[3 * kFitBlock] * share;
+            const Real xx = moments[4 * kFitBlock] * share - cx * cx, xy = moments[5 * kFitBlock] * share - cx * cy;
+            const Real yy = moments[6 * kFitBlock] * share - cy * cy, half = (xx - yy) / 2;
+            const Real narrowest = (xx + yy) / 2 - root(half * half + xy * xy);
+            const Real known = found >= enough && narrowest >= narrow ? Real(1) : Real(0);
+            const Real scale = 1 / (known != 0 ? xx * yy - xy * xy : Real(1));
+            x[q] = cx;
+            y[q] = cy;
+            inverse_xx[q] = yy * scale;
+            inverse_xy[q] = -xy * scale;
+            inverse_yy[q] = xx * scale;
+            nothing[q] = known != 0 ? Real(0) : unknown;
+        }
+        for (int q = 0; q < kFitBlock; ++q) points[q] = static_cast<std::int64_t>(sums[q]);
+    }
+};
+
+// Value and gradient of a component from its sums (3, kFitBlock).
+template <class Real>
+void solve(const Geometry<Real>& at, const Real* sums, Real level, Real (&value)[kFitBlock],
+           Real (&along_x)[kFitBlock], Real (&along_y)[kFitBlock]) {
+    FINGERFLOW_INDEPENDENT
+    for (int q = 0; q < kFitBlock; ++q) {
+        const Real share = 1 / at.mass[q], mean = sums[q] * share;
+        const Real moment_x = sums[kFitBlock + q] * share - mean * at.x[q];
+        const Real moment_y = sums[2 * kFitBlock + q] * share - mean * at.y[q];
+        const Real slope_x = moment_x * at.inverse_xx[q] + moment_y * at.inverse_xy[q];
+        const Real slope_y = moment_x * at.inverse_xy[q] + moment_y * at.inverse_yy[q];
+        along_x[q] = slope_x + at.nothing[q];
+        along_y[q] = slope_y + at.nothing[q];
+        value[q] = mean - (slope_x * at.x[q] + slope_y * at.y[q]) + level + at.nothing[q];
+    }
+}
+
+// The sandwich, xx, xy and yy, of a variance from its sums (6, kFitBlock): moved to the centroid, between two inverses.
+template <class Real>
+void sandwich(const Geometry<Real>& at, const Real* sums, Real (&result)[3][kFitBlock]) {
+    FINGERFLOW_INDEPENDENT
+    for (int q = 0; q < kFitBlock; ++q) {
+        const Real share = 1 / (at.mass[q] * at.mass[q]), x = at.x[q], y = at.y[q];
+        const Real plain = sums[q] * share;
+        const Real along_x = sums[kFitBlock + q] * share, along_y = sums[2 * kFitBlock + q] * share;
+        const Real xx = sums[3 * kFitBlock + q] * share - 2 * x * along_x + x * x * plain;
+        const Real xy = sums[4 * kFitBlock + q] * share - x * along_y - y * along_x + x * y * plain;
+        const Real yy = sums[5 * kFitBlock + q] * share - 2 * y * along_y + y * y * plain;
+        const Real a = at.inverse_xx[q], b = at.inverse_xy[q], d = at.inverse_yy[q];
+        const Real left_xx = a * xx + b * xy, left_xy = a * xy + b * yy, left_yx = b * xx + d * xy;
+        const Real left_yy = b * xy + d * yy;
+        result[0][q] = left_xx * a + left_xy * b + at.nothing[q];
+        result[1][q] = left_xx * b + left_xy * d + at.nothing[q];
+        result[2][q] = left_yx * b + left_yy * d + at.nothing[q];
+    }
+}
+
+template <class Real>
+void write_covariance(const FitFrames<Real>& frames, const FitBlock<Real>& block, const Geometry<Real>& at,
+                      const Real* sums, std::int64_t first) {
+    const std::int64_t components = frames.components, size = 4 * components * components;
+    Real pairs[3][kFitBlock];
+    const auto write = [&](std::int64_t i, std::int64_t j) {
+        for (int q = 0; q < block.queries; ++q) {
+            Real* to = frames.covariance + (first + block.query[q]) * size + 4 * components * i + 2 * j;
+            to[0] = pairs[0][q];
+            to[1] = to[2 * components] = pairs[1][q];
+            to[2 * components + 1] = pairs[2][q];
+        }
+    };
+    if (frames.noises == 1) {  // one variance: components have it in common and are independent
+        for (int q = 0; q < block.queries; ++q)
+            for (std::int64_t k = 0; k < size; ++k)
+                frames.covariance[(first + block.query[q]) * size + k] = at.nothing[q];
+        sandwich(at, sums, pairs);
+        for (std::int64_t c = 0; c < components; ++c) write(c, c);
+        return;
+    }
+    for (std::int64_t v = 0; v < frames.noises; ++v) {
+        sandwich(at, sums + v * 6 * kFitBlock, pairs);
+        write(v / components, v % components);
+    }
+}
+
+template <class Real>
+void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real* memory) {
+    Real* const usable = memory;
+    Real* const values = usable + kFitWeights * kFitBlock;
+    Real* const noise = values + 3 * kFitBlock * frames.components;
+    Real* const weights = noise + 6 * kFitBlock * frames.noises;
+    weigh(block, frames.radius, weights);
+    const std::int64_t components = frames.components, fields = 1 + components + frames.noises;
+    Candidates<Real> candidates{block.point, block.candidates, fields, weights, frames.records};
+    sum_usable(candidates, usable);
+    Geometry<Real> at(usable, frames);
+    for (std::int64_t frame = 0; frame < frames.count; ++frame) {
+        candidates.records = frames.records + frame * frames.points * fields;
+        if (frame > 0 && !frames.same_usable[frame]) {
+            sum_usable(candidates, usable);
+            at = Geometry<Real>(usable, frames);
+        }
+        std::int64_t c = 0;
+        for (; c + 2 <= components; c += 2) sum_values<2>(candidates, 1 + c, values + 3 * kFitBlock * c);
+        if (c < components) sum_values<1>(candidates, 1 + c, values + 3 * kFitBlock * c);
+        for (std::int64_t v = 0; v < frames.noises; ++v)
+            sum_noise(candidates, 1 + components + v, noise + 6 * kFitBlock * v);
+
+        const std::int64_t first = frame * frames.queries;
+        for (c = 0; c < components; ++c) {
+            Real value[kFitBlock], along_x[kFitBlock], along_y[kFitBlock];
+            solve(at, values + 3 * kFitBlock * c, frames.levels[frame * components + c], value, along_x, along_y);
+            for (int q = 0; q < block.queries; ++q) {
+                const std::int64_t place = (first + block.query[q]) * components + c;
+                frames.value[place] = value[q];
+                frames.gradient[2 * place] = along_x[q];
+                frames.gradient[2 * place + 1] = along_y[q];
+            }
+        }
+        if (frames.covariance != nullptr) write_covariance(frames, block, at, noise, first);
+        for (int q = 0; q < block.queries; ++q) {
+            frames.point_count[first + block.query[q]] = at.points[q];
+            frames.offset[first + block.query[q]] = root(at.x[q] * at.x[q] + at.y[q] * at.y[q]) + at.nothing[q];
+        }
+    }
+}
+
+}  // namespace
+
+void fit_floats(const FitFrames<float>& frames, const FitBlock<float>& block, float* memory) {
+    fit_block(frames, block, memory);
+}
+void fit_doubles(const FitFrames<double>& frames, const FitBlock<double>& block, double* memory) {
+    fit_block(frames, block, memory);
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
