@@ -194,14 +194,41 @@ def report(
     typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
 
 
+@app.command(
+    add_help_option=False,  # the player answers --help itself
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def stream(context: typer.Context) -> None:
+    """Play an exported bundle on a camera, a recording or a synthetic stream: fingerflow stream BUNDLE --help."""
+    from fingerflow.player import main as play
+
+    raise typer.Exit(play(context.args, prog="fingerflow stream"))
+
+
 @app.command("export-table")
-def export_table(result: Path, table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")]) -> None:
+def export_table(
+    result: Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")],
+    table: Annotated[Path, typer.Argument(help="A .csv or .mat file; .csv for a stream.")],
+) -> None:
     """Write a result as CSV (one row a frame) or .mat (everything)."""
+    if result.is_dir():
+        _export_stream(result, table)
+        return
     from fingerflow import result as results
 
     if table.exists() and not _is_table(table):
         raise FingerflowError(f"{table} exists and was not written by export-table; give another name or remove it")
     results.export_table(results.load_result(result), table)
+    typer.echo(f"{table} was written")
+
+
+def _export_stream(folder: Path, table: Path) -> None:
+    from fingerflow.player import PlayerError, write_table
+
+    try:
+        write_table(folder, table)
+    except PlayerError as error:
+        raise FingerflowError(str(error)) from None
     typer.echo(f"{table} was written")
 
 

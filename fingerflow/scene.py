@@ -216,6 +216,15 @@ class FieldSettings(_Table):
     rate_window_s: Positive = 0.05
 
 
+class StreamSettings(_Table):
+    """[stream]: what the player of an exported bundle reads beside the rest; `process` does not use it."""
+
+    output: Path | None = None
+    region: ViewSettings | None = None
+    rekey_share: Annotated[Positive, Field(le=1.0)] | None = None
+    rekey_frames: Annotated[Whole, Field(ge=1)] | None = None
+
+
 class Scene(_Table):
     """A recording and everything needed to process it; ``path`` is the file that says so."""
 
@@ -228,6 +237,7 @@ class Scene(_Table):
     contact: ContactSettings = ContactSettings()
     tracking: TrackingSettings = TrackingSettings()
     fields: FieldSettings = FieldSettings()
+    stream: StreamSettings = StreamSettings()
 
     @model_validator(mode="after")
     def _calibration_fits_the_views(self) -> Self:

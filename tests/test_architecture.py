@@ -42,7 +42,7 @@ PACKAGES = {
     "views": set(),
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
-    "player": {"numpy", "onnxruntime"},
+    "player": {"numpy", "onnxruntime", "cv2"},  # cv2 only where it is installed, for videos
 }
 
 

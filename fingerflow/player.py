@@ -1,0 +1,1865 @@
+"""Runs an exported bundle on a live stream: numpy and onnxruntime, no torch; copied into the bundle as it is.
+
+    python player.py --source synthetic             # in the bundle's folder
+    fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
+
+Three threads pass frames on: capture, compute, sink; the main thread watches them and a fifth serves the live page.
+Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
+areas mm², axes mm, times s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import hashlib
+import importlib
+import importlib.util
+import json
+import logging
+import math
+import os
+import signal
+import struct
+import sys
+import threading
+import time
+import tomllib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+BUNDLE_FORMAT = 1
+RESULTS_FORMAT = 1
+Array = NDArray[Any]
+T = TypeVar("T")
+log = logging.getLogger("fingerflow.player")
+
+
+class PlayerError(Exception):
+    """What the user can put right: names the file or setting, the value found and the way out."""
+
+
+# --- scene ------------------------------------------------------------------------------------------------------------
+
+# The keys of a scene file, as `fingerflow process` has them; the player reads a part, one file serves both.
+SCENE_KEYS = {
+    "recording": ("first_frame", "frame_rate", "frames", "last_frame", "trigger_frame"),
+    "views": ("contact", "topography"),
+    "background": ("dark", "frames"),
+    "forces": ("file", "normal", "sample_rate", "tangential", "time", "trigger", "trigger_level"),
+    "calibration": ("file", "mm_per_px", "topography_to_contact"),
+    "contact": ("gross_radius_px", "median_px", "threshold"),
+    "tracking": (
+        *("direction", "forward_backward_limit_px", "gain_offset", "min_distance_px"),
+        *("points", "search_px", "template", "window_px"),
+    ),
+    "fields": ("depth_mm", "gauge_length_mm", "poisson_ratio", "rate_window_s", "strain", "young_modulus_mpa"),
+    "stream": ("output", "region", "rekey_frames", "rekey_share"),
+}
+
+
+class View(NamedTuple):
+    """A rectangle of pixels, half-open ranges."""
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
+
+    def crop(self, frame: Array) -> Array:
+        return frame[self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where the views lie in a frame, their scale, and what empty glass looks like.
+
+    ``region`` is the part of the topography view in which points are chosen, None for all of it.
+    """
+
+    contact: View
+    topography: View
+    mm_per_px: float
+    topography_to_contact: Array
+    threshold: float | None = None
+    background: Path | None = None
+    dark: Path | None = None
+    frames: Path | None = None
+    frame_rate: float | None = None
+    output: Path | None = None
+    region: View | None = None
+    rekey_share: float | None = None
+    rekey_frames: int | None = None
+
+
+def side_by_side(height: int, width: int) -> Scene:
+    """The scene of the synthetic source: topography on the left, contact on the right, one scale."""
+    return Scene(
+        contact=View((0, height), (width, 2 * width)),
+        topography=View((0, height), (0, width)),
+        mm_per_px=0.025,
+        topography_to_contact=np.array([[1.0, 0, 0], [0, 1, 0]]),
+        threshold=0.35,
+    )
+
+
+def load_scene(path: Path) -> Scene:
+    """Reads what a stream needs of a scene file; raises PlayerError with file, key, value and remedy."""
+    return _SceneFile(path).scene()
+
+
+class _SceneFile:
+    """One TOML file; every complaint names it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.values = self._read(path)
+        self._refuse_unknown(self.values, tuple(SCENE_KEYS), "")
+        for table, keys in SCENE_KEYS.items():
+            self._refuse_unknown(self.values.get(table, {}), keys, f"{table}.")
+
+    def scene(self) -> Scene:
+        unused = [table for table in ("tracking", "fields") if table in self.values]
+        if unused:
+            log.info("%s: [%s] is not used: the bundle's recipe says how", self.path, "], [".join(unused))
+        scale, transform = self._calibration()
+        threshold = self._get("contact.threshold")
+        return Scene(
+            contact=self._view("views.contact"),
+            topography=self._view("views.topography"),
+            mm_per_px=scale,
+            topography_to_contact=transform,
+            threshold=threshold if isinstance(threshold, float) else None,
+            background=self._file("background.frames"),
+            dark=self._file("background.dark"),
+            frames=self._file("recording.frames"),
+            frame_rate=self._number("recording.frame_rate", 0.0, 1e6),
+            output=self._file("stream.output"),
+            region=None if self._get("stream.region") is None else self._view("stream.region"),
+            rekey_share=self._number("stream.rekey_share", 0.0, 1.0),
+            rekey_frames=self._count("stream.rekey_frames"),
+        )
+
+    def _calibration(self) -> tuple[float, Array]:
+        """mm_per_px and the affine (2, 3) of the scene, or of the calibration file that it names."""
+        place, transform_key = self, "calibration.topography_to_contact"
+        scale_key = "calibration.mm_per_px"
+        if (path := self._file("calibration.file")) is not None:
+            place = _SceneFile.__new__(_SceneFile)
+            place.path, place.values = path, self._read(path)
+            scale_key, transform_key = "mm_per_px", "topography_to_contact.affine.matrix"
+        scale, rows = place._number(scale_key, 0.0, 1.0), place._get(transform_key)
+        if scale is None:
+            raise place._wrong(scale_key, None, "mm per px of the contact view is needed")
+        try:
+            matrix = np.array(rows, dtype=np.float64)
+        except (TypeError, ValueError):
+            matrix = np.empty(0)
+        if matrix.shape != (2, 3) or abs(np.linalg.det(matrix[:, :2])) < 1e-6:
+            raise place._wrong(transform_key, rows, "an invertible [[a, b, x], [c, d, y]] is needed")
+        return scale, matrix
+
+    def _read(self, path: Path) -> dict[str, Any]:
+        try:
+            return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise PlayerError(
+                f"{path}: cannot be read as TOML ({error}); scene.toml of a bundle is an example"
+            ) from None
+
+    def _refuse_unknown(self, table: Any, known: tuple[str, ...], prefix: str) -> None:
+        if not isinstance(table, dict):
+            raise self._wrong(prefix[:-1], table, "it must be a table")
+        for key in table:
+            if key not in known:
+                close = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {close[0]!r}? " if close else ""
+                raise PlayerError(f"{self.path}: {prefix}{key} is not a key; {hint}known here: {', '.join(known)}")
+
+    def _get(self, name: str) -> Any:
+        found: Any = self.values
+        for key in name.split("."):
+            found = found.get(key) if isinstance(found, dict) else None
+        return found
+
+    def _wrong(self, name: str, value: Any, needed: str) -> PlayerError:
+        return PlayerError(f"{self.path}: {name} {'is missing' if value is None else f'is {value!r}'}; {needed}")
+
+    def _number(self, name: str, above: float, most: float) -> float | None:
+        value = self._get(name)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not above < value <= most:
+            raise self._wrong(name, value, f"a number above {above:g} and up to {most:g} is needed")
+        return float(value)
+
+    def _count(self, name: str) -> int | None:
+        value = self._number(name, 0, 1e9)
+        if value is not None and value != int(value):
+            raise self._wrong(name, value, "a whole number is needed")
+        return None if value is None else int(value)
+
+    def _file(self, name: str) -> Path | None:
+        value = self._get(name)
+        if value is not None and not isinstance(value, str):
+            raise self._wrong(name, value, "a path, relative to the scene file, is needed")
+        return None if value is None else (self.path.parent / value).resolve()
+
+    def _view(self, name: str) -> View:
+        ranges = []
+        for key in ("rows", "columns"):
+            value = self._get(f"{name}.{key}")
+            whole = isinstance(value, list) and len(value) == 2 and all(type(end) is int for end in value)
+            if not whole or not 0 <= value[0] < value[1]:
+                raise self._wrong(f"{name}.{key}", value, "[first, end] px with 0 <= first < end is needed")
+            ranges.append((value[0], value[1]))
+        return View(*ranges)
+
+
+# --- bundle and execution provider ------------------------------------------------------------------------------------
+
+PROVIDERS = {
+    "tensorrt": "TensorrtExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "directml": "DmlExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "cpu": "CPUExecutionProvider",
+}
+_PLUGINS = {"openvino": "onnxruntime_ep_openvino"}  # providers that come as a package beside onnxruntime
+_ON_GPU = ("tensorrt", "cuda")  # those whose memory can be bound, so that states and held tensors stay there
+GRAPHS = ("frame", "detect", "key", "background")
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """An exported folder whose files are those that the export wrote."""
+
+    folder: Path
+    recipe: Mapping[str, Any]
+    version: str
+    hashes: Mapping[str, str]
+    files: Mapping[str, Path]
+
+    @property
+    def height(self) -> int:
+        return int(self.recipe["views"]["height"])
+
+    @property
+    def width(self) -> int:
+        return int(self.recipe["views"]["width"])
+
+    @property
+    def bit_depth(self) -> int:
+        return int(self.recipe["bit_depth"])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of a pixel."""
+        return np.dtype(np.uint8 if self.bit_depth == 8 else np.uint16)
+
+
+def load_bundle(folder: Path) -> Bundle:
+    """Reads bundle.json and checks every graph's file against its hash; raises PlayerError."""
+    path = folder / "bundle.json"
+    again = "export the bundle again, or copy its folder again"
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PlayerError(
+            f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
+        ) from None
+    except ValueError as error:
+        raise PlayerError(f"{path}: is no JSON ({error}); {again}") from None
+    if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
+        found = facts.get("format") if isinstance(facts, dict) else facts
+        raise PlayerError(
+            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player.py of the same bundle"
+        )
+    try:
+        graphs = facts["graphs"]
+        bundle = Bundle(
+            folder=folder,
+            recipe=facts["recipe"],
+            version=str(facts["fingerflow"]),
+            hashes={name: graphs[name]["sha256"] for name in GRAPHS},
+            files={name: folder / graphs[name]["file"] for name in GRAPHS},
+        )
+        _ = bundle.height, bundle.width, bundle.dtype, int(bundle.recipe["points"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise PlayerError(
+            f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
+        ) from None
+    for name, file in bundle.files.items():
+        try:
+            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        except OSError as error:
+            raise PlayerError(f"{file}: cannot be read ({error.strerror}); {again}") from None
+        if digest != bundle.hashes[name]:
+            raise PlayerError(
+                f"{file}: its SHA-256 is {digest[:16]}..., bundle.json has {bundle.hashes[name][:16]}...: the file is "
+                f"damaged or belongs to another bundle; {again}"
+            )
+    return bundle
+
+
+class Engine:
+    """Opens the graphs of a bundle with one execution provider, the first that works or the one that was asked for.
+
+    Args:
+        provider: a key of PROVIDERS, or None for the first in their order.
+        threads: inside an operator, 0 for one a core.
+        spin: threads of `frame` wait for work without sleeping. Latency falls and the cores are never idle.
+    """
+
+    def __init__(self, bundle: Bundle, provider: str | None = None, threads: int = 0, spin: bool = True) -> None:
+        self.bundle = bundle
+        self.threads = threads
+        self.spin = spin
+        installed = _installed_providers()
+        if provider is not None and provider not in installed:
+            raise PlayerError(f"provider {provider!r} is not installed here; there are: {', '.join(installed)}")
+        for self.provider in [provider] if provider else installed:
+            try:
+                self.frame = self.open("frame")
+                break
+            except _ProviderFailed as failure:
+                if provider or self.provider == "cpu":
+                    raise PlayerError(f"provider {self.provider!r}: {failure}; choose another") from None
+                log.warning("provider %s is installed but does not run here (%s)", self.provider, failure)
+        self.device = "cuda" if self.provider in _ON_GPU else "cpu"
+        log.info("execution provider: %s (onnxruntime %s)", PROVIDERS[self.provider], ort.__version__)
+
+    def open(self, name: str) -> ort.InferenceSession:
+        """A graph of the bundle; raises PlayerError where the file is not what the bundle says."""
+        path = self.bundle.files[name]
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = self.threads
+        options.log_severity_level = 3
+        # The graphs that run rarely must not spin beside `frame`.
+        spin = self.spin and name == "frame"
+        options.add_session_config_entry("session.intra_op.allow_spinning", str(int(spin)))
+        chosen: list[Any] = [PROVIDERS[self.provider], PROVIDERS["cpu"]]
+        if self.provider == "tensorrt":
+            engines = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(self.bundle.folder / "tensorrt")}
+            chosen[0] = (PROVIDERS["tensorrt"], engines)
+        devices = _plugin_devices(self.provider)
+        if devices:
+            options.add_provider_for_devices(devices[:1], {})
+        try:
+            session = ort.InferenceSession(path, options, providers=None if devices else list(dict.fromkeys(chosen)))
+        except Exception as error:
+            if self.provider != "cpu":
+                raise _ProviderFailed(_first_line(error)) from None
+            raise PlayerError(f"{path}: onnxruntime cannot load it ({_first_line(error)}); export it again") from None
+        if PROVIDERS[self.provider] not in session.get_providers():
+            raise _ProviderFailed("onnxruntime fell back to another one; its libraries are missing")
+        properties = session.get_modelmeta().custom_metadata_map
+        if properties.get("fingerflow.graph") != name:
+            found = properties.get("fingerflow.graph", "no fingerflow metadata")
+            raise PlayerError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
+        return session
+
+
+class _ProviderFailed(Exception):
+    """An execution provider cannot run a graph here."""
+
+
+def _installed_providers() -> list[str]:
+    """Keys of PROVIDERS, in their order."""
+    available = ort.get_available_providers()
+    if PROVIDERS["cuda"] in available:
+        ort.preload_dlls()  # CUDA's libraries where they were installed as Python packages
+    return [name for name, full in PROVIDERS.items() if full in available or _plugin_devices(name)]
+
+
+def _plugin_devices(provider: str) -> list[Any]:
+    """Devices of an execution provider that is installed as a plugin package."""
+    if provider not in _PLUGINS or importlib.util.find_spec(_PLUGINS[provider]) is None:
+        return []
+    full = PROVIDERS[provider]
+    if not any(device.ep_name == full for device in ort.get_ep_devices()):
+        ort.register_execution_provider_library(full, importlib.import_module(_PLUGINS[provider]).get_library_path())
+    return [device for device in ort.get_ep_devices() if device.ep_name == full]
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+# --- sources ----------------------------------------------------------------------------------------------------------
+
+
+class Source(Protocol):
+    """Gives frames (H, W) one after another, None at the end. Anything it raises but PlayerError is tried again."""
+
+    live: bool  # frames come whether or not there is room for them
+
+    def read(self) -> Array | None: ...
+
+    def close(self) -> None: ...
+
+
+OpenSource = Callable[[int], Source]  # from the number of the next frame
+
+
+class Recording:
+    """Frames that can be read by number."""
+
+    live = False
+
+    def __init__(self, frames: Array, first: int) -> None:
+        self._frames = frames
+        self._next = first
+
+    def read(self) -> Array | None:
+        if self._next >= len(self._frames):
+            return None
+        self._next += 1
+        return self._frames[self._next - 1]
+
+    def close(self) -> None:
+        """A map of a file goes with its last reader."""
+
+
+class Video:
+    """Frames of a video, made grey; only where OpenCV is installed."""
+
+    live = False
+
+    def __init__(self, path: Path, first: int) -> None:
+        try:
+            self._cv2 = importlib.import_module("cv2")
+        except ImportError:
+            raise PlayerError(
+                f"{path}: videos need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
+            ) from None
+        self._capture = self._cv2.VideoCapture(str(path))
+        if not self._capture.isOpened():
+            raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
+        for _ in range(first):
+            self._capture.grab()
+
+    def read(self) -> Array | None:
+        there, frame = self._capture.read()
+        if not there:
+            return None
+        grey: Array = self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+        return grey
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+class Camera:
+    """Any callable that gives the next frame; `close` is called where it has one."""
+
+    live = True
+
+    def __init__(self, grab: Callable[[], Array | None]) -> None:
+        self._grab = grab
+
+    def read(self) -> Array | None:
+        return self._grab()
+
+    def close(self) -> None:
+        getattr(self._grab, "close", lambda: None)()
+
+
+class Synthetic:
+    """Frames of a pressed fingertip drawn from formulas: no end, and no cost once a ring of them is drawn.
+
+    Ridges and pores move, turn and spread by up to 4 % (divergence 0.08) and back, while the contact grows and shrinks.
+    Of one period only half is kept, played forwards and backwards.
+    """
+
+    live = False
+    half_period = 60  # frames
+
+    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int) -> None:
+        self._next = 0
+        views = (scene.topography, scene.contact)
+        shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
+        self._ring = np.zeros((self.half_period, *shape), dtype)
+        gain = 2.0 ** (bit_depth - 8)
+        for number, frame in enumerate(self._ring):
+            progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
+            skin, _ = _draw_finger(scene.topography.shape, progress)
+            scene.topography.crop(frame)[...] = (90 + 70 * skin) * gain
+            _, lost = _draw_finger(scene.contact.shape, progress)
+            scene.contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
+        self.background = np.full(shape, 200 * gain, dtype)
+
+    def from_frame(self, number: int) -> Synthetic:
+        self._next = number
+        return self
+
+    def read(self) -> Array:
+        place = self._next % (2 * self.half_period - 2)
+        self._next += 1
+        return self._ring[min(place, 2 * self.half_period - 2 - place)]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
+    """Brightness of the skin, about -1 to 1, and share 0 to 1 of light lost to contact, both (H, W) float32."""
+    height, width = shape
+    turn, spread = 0.01 * progress, 1 + 0.04 * progress
+    y, x = np.meshgrid(
+        np.arange(height, dtype=np.float32) - height / 2,
+        np.arange(width, dtype=np.float32) - width / 2,
+        indexing="ij",
+        sparse=True,
+    )
+    moved_x, moved_y = x - 4 * progress, y + 2 * progress
+    # Where the skin that is seen at a pixel was at the start.
+    u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread
+    v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
+    ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))
+    pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
+    semi_x, semi_y = (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
+    inside = np.clip((1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y), 0, 1)
+    return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside
+
+
+def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
+    """Frames of a .npy file (N, H, W) or (H, W), of a raw file of ``shape`` and ``dtype``, or of a video."""
+    if not path.is_file():
+        raise PlayerError(f"{path}: is no file; give a .npy, raw or video file, or `synthetic`")
+    try:
+        if path.suffix == ".npy":
+            frames = np.load(path, mmap_mode="r")
+        elif shape is not None:
+            pixels = np.memmap(path, np.dtype(dtype), "r")
+            frames = pixels[: len(pixels) - len(pixels) % math.prod(shape)].reshape(-1, *shape)
+        elif path.suffix in (".raw", ".bin"):
+            raise PlayerError(f"{path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
+        else:
+            return Video(path, first)
+    except (ValueError, TypeError) as error:
+        raise PlayerError(f"{path}: cannot be read as frames ({error})") from None
+    frames = frames[None] if frames.ndim == 2 else frames
+    if frames.ndim != 3 or not len(frames):
+        raise PlayerError(f"{path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed")
+    return Recording(frames, first)
+
+
+def open_camera(name: str) -> Source:
+    """``module:factory`` called: it gives a callable that returns the next frame, or None at the end."""
+    module, _, factory = name.partition(":")
+    sys.path.insert(0, os.getcwd())
+    try:
+        make = getattr(importlib.import_module(module), factory)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise PlayerError(f"camera {name!r}: {error}; give MODULE:FACTORY of a module in this folder") from None
+    finally:
+        sys.path.pop(0)
+    grab = make()
+    if not callable(grab):
+        raise PlayerError(f"camera {name!r}: its factory gave {type(grab).__name__}; it must return a callable")
+    return Camera(grab)
+
+
+def mean_frame(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
+    """The mean of all frames of a file, of their type."""
+    source = open_recording(path, shape, dtype)
+    try:
+        frame = first = source.read()
+        total, count = np.zeros(() if first is None else first.shape), 0
+        while frame is not None:
+            total, count = total + frame, count + 1
+            frame = source.read()
+    finally:
+        source.close()
+    if first is None:
+        raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
+    return np.rint(total / count).astype(first.dtype)
+
+
+# --- hand-over between threads ----------------------------------------------------------------------------------------
+
+
+class Channel(Generic[T]):
+    """A bounded queue between threads that can be closed: what is in it is still given, then None."""
+
+    def __init__(self, size: int, items: Iterable[T] = ()) -> None:
+        self._items = deque(items)
+        self._size = size
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def put(self, item: T) -> bool:
+        """Waits for room; False, and the item is not taken, where the channel is closed."""
+        with self._changed:
+            while len(self._items) >= self._size and not self._closed:
+                self._changed.wait()
+            if not self._closed:
+                self._items.append(item)
+                self._changed.notify_all()
+            return not self._closed
+
+    def put_newest(self, item: T) -> T | None:
+        """Never waits: where there is no room, the oldest item leaves and is returned."""
+        with self._changed:
+            left = self._items.popleft() if len(self._items) >= self._size else None
+            self._items.append(item)
+            self._changed.notify_all()
+            return left
+
+    def get(self, wait: bool = True) -> T | None:
+        with self._changed:
+            while wait and not self._items and not self._closed:
+                self._changed.wait()
+            item = self._items.popleft() if self._items else None
+            self._changed.notify_all()
+            return item
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+class Slot:
+    """Room for one frame: both views (1, 1, H, W), and the tensors that the graph reads them from without a copy."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        shape = (1, 1, bundle.height, bundle.width)
+        self.number = 0
+        self.arrival = 0.0
+        self.views = {name: np.zeros(shape, bundle.dtype) for name in ("contact_view", "topography_view")}
+        self.values = {name: ort.OrtValue.ortvalue_from_numpy(view) for name, view in self.views.items()}
+
+    def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
+        """Copies the views out of a frame; raises PlayerError where its size or depth is another one."""
+        needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
+        if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
+            raise PlayerError(
+                f"{source}: a frame is {frame.shape}, the views of the scene need (H, W) of at least {tuple(needed)}; "
+                "correct [views] of the scene or the size that the camera is set to"
+            )
+        if frame.dtype != bundle.dtype:
+            raise PlayerError(
+                f"{source}: a frame is {frame.dtype}, the bundle takes {bundle.dtype} (bit_depth {bundle.bit_depth}); "
+                "set the camera to that depth or export a bundle with the camera's"
+            )
+        for name, view in _views(scene).items():
+            np.copyto(self.views[name][0, 0], view.crop(frame))
+            if 8 < bundle.bit_depth < 16 and self.views[name].max() >> bundle.bit_depth:
+                raise PlayerError(
+                    f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
+                    "bundle; export one with the camera's bit_depth"
+                )
+
+
+def _views(scene: Scene) -> dict[str, View]:
+    return {"contact_view": scene.contact, "topography_view": scene.topography}
+
+
+# --- the graphs, frame by frame ---------------------------------------------------------------------------------------
+
+_NUMPY = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+    "tensor(uint16)": np.uint16,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+    "tensor(bool)": np.bool_,
+}
+
+
+class _Tensor(NamedTuple):
+    """Name, shape and type of an input or output; a batch that is free is 1."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @classmethod
+    def of(cls, argument: Any, path: Path) -> _Tensor:
+        shape = [1 if place == 0 and not isinstance(size, int) else size for place, size in enumerate(argument.shape)]
+        if not all(isinstance(size, int) for size in shape) or argument.type not in _NUMPY:
+            raise PlayerError(
+                f"{path}: {argument.name} is {argument.type} {argument.shape}; the player needs fixed sizes: export "
+                "the bundle with them"
+            )
+        return cls(argument.name, tuple(shape), np.dtype(_NUMPY[argument.type]))
+
+
+class Stepper:
+    """State of a stream and the step from one frame to the next.
+
+    Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``), tensors that the
+    graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
+
+    Attributes:
+        outputs, states: of `frame`, by name; which of them are the next frame's inputs.
+        found, keyed: points found at the last restart, and given to the last key frame.
+    """
+
+    def __init__(self, engine: Engine, scene: Scene, background: Array, dark: Array) -> None:
+        self._bundle, self._engine = engine.bundle, engine
+        self._sessions = {name: engine.frame if name == "frame" else engine.open(name) for name in GRAPHS}
+        inputs = {name: self._tensors(name, "get_inputs") for name in GRAPHS}
+        outputs = {name: self._tensors(name, "get_outputs") for name in GRAPHS}
+        self.outputs = outputs["frame"]
+        self.found = self.keyed = 0
+        self._detect_inputs, self._key_inputs = inputs["detect"], inputs["key"]
+        self._mask = _region_mask(scene, inputs["detect"]["mask"].shape) if "mask" in inputs["detect"] else None
+
+        held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
+        self._held = {name: self._room(tensor) for name, tensor in held.items()}
+        states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
+        self.states = {f"next_{name}" for name in states}
+        self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in range(2)]
+        self._results = [
+            {name: np.zeros(t.shape, t.dtype) for name, t in self.outputs.items() if name not in self.states}
+            for _ in range(2)
+        ]
+        constants = self._constants(inputs["frame"], scene, {*states, *held})
+        # Two bindings: what one writes as next state the other reads as state.
+        self._bindings = [self._binding(side, constants) for side in range(2)]
+        self._side = 0
+        self._run("background", {"background": background[None, None], "dark": dark[None, None]})
+
+    def warm_up(self) -> None:
+        """Runs every graph once on an empty frame: a first run is slow."""
+        slot = Slot(self._bundle)
+        self.restart(slot)
+        self.step(slot)
+
+    def restart(self, slot: Slot) -> int:
+        """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""
+        given = {"view": slot.views["topography_view"]} | ({} if self._mask is None else {"mask": self._mask})
+        points = self._run("detect", given)["points"]
+        self.found = int(np.isfinite(points).all(-1).sum())
+        for value in self._states[self._side].values():
+            state = value.numpy()
+            value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
+        self.key(slot, points)
+        return self.found
+
+    def key(self, slot: Slot, points: Array) -> int:
+        """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
+        self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
+        if (state := self._states[self._side].get("prediction")) is not None:
+            state.update_inplace(np.ascontiguousarray(points, self._key_inputs["points"].dtype))
+        self.keyed = int(np.isfinite(points).all(-1).sum())
+        return self.keyed
+
+    def step(self, slot: Slot) -> dict[str, Array]:
+        """Outputs by name, (1, ...); valid until the step after the next one."""
+        binding = self._bindings[self._side]
+        for name, value in slot.values.items():
+            binding.bind_ortvalue_input(name, value)
+        self._engine.frame.run_with_iobinding(binding)
+        self._side = 1 - self._side
+        return self._results[1 - self._side]
+
+    def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
+        arguments = getattr(self._sessions[graph], side)()
+        return {argument.name: _Tensor.of(argument, self._bundle.files[graph]) for argument in arguments}
+
+    def _room(self, tensor: _Tensor) -> Any:
+        return ort.OrtValue.ortvalue_from_shape_and_type(tensor.shape, tensor.dtype, self._engine.device)
+
+    def _constants(self, inputs: Mapping[str, _Tensor], scene: Scene, known: set[str]) -> dict[str, Any]:
+        """Inputs that the scene gives; raises PlayerError for an input that nothing gives."""
+        path = self._bundle.files["frame"]
+        given = {"topography_to_contact": scene.topography_to_contact}
+        if scene.threshold is not None:
+            given["threshold"] = np.array([scene.threshold])
+        elif "threshold" in inputs and "threshold" not in known:
+            raise PlayerError(
+                f"{path}: takes its threshold from the scene; add [contact] threshold = with the share of light lost "
+                "that counts as contact, such as 0.25"
+            )
+        constants = {}
+        for name, tensor in inputs.items():
+            if name in given and name not in known:
+                value = np.ascontiguousarray(given[name], tensor.dtype).reshape(tensor.shape)
+                constants[name] = ort.OrtValue.ortvalue_from_numpy(value, self._engine.device)
+            elif name in ("contact_view", "topography_view"):
+                expected = (1, 1, self._bundle.height, self._bundle.width), self._bundle.dtype
+                if (tensor.shape, tensor.dtype) != expected:
+                    raise PlayerError(
+                        f"{path}: {name} is {tensor.dtype} {tensor.shape}, bundle.json says {expected[1]} "
+                        f"{expected[0]}: a foreign model file; export the bundle again"
+                    )
+            elif name not in known:
+                raise PlayerError(
+                    f"{path}: needs an input {name!r} that this player does not know; use the player.py of its bundle"
+                )
+        return constants
+
+    def _binding(self, side: int, constants: Mapping[str, Any]) -> Any:
+        binding = self._engine.frame.io_binding()
+        inputs = {argument.name for argument in self._engine.frame.get_inputs()}
+        for name, value in (self._held | self._states[side] | dict(constants)).items():
+            if name in inputs:  # `background` may give more than this recipe's `frame` takes
+                binding.bind_ortvalue_input(name, value)
+        for name, value in self._states[1 - side].items():
+            binding.bind_ortvalue_output(f"next_{name}", value)
+        for name, array in self._results[side].items():
+            binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
+        return binding
+
+    def _run(self, graph: str, given: Mapping[str, Array]) -> dict[str, Array]:
+        """One of the graphs that run rarely; what it gives is held where `frame` takes it."""
+        session, path = self._sessions[graph], self._bundle.files[graph]
+        inputs = self._tensors(graph, "get_inputs")
+        if set(inputs) - set(given):
+            raise PlayerError(f"{path}: needs inputs {sorted(inputs)}, this player gives {sorted(given)}")
+        binding = session.io_binding()
+        values = {n: np.ascontiguousarray(given[n], t.dtype).reshape(t.shape) for n, t in inputs.items()}
+        for name, value in values.items():
+            binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(value))
+        names = [argument.name for argument in session.get_outputs()]
+        for name in names:
+            if name in self._held:
+                binding.bind_ortvalue_output(name, self._held[name])
+            else:
+                binding.bind_output(name)
+        session.run_with_iobinding(binding)
+        found = dict(zip(names, binding.get_outputs(), strict=True))
+        return {name: value.numpy() for name, value in found.items() if name not in self._held}
+
+
+def _region_mask(scene: Scene, shape: tuple[int, ...]) -> Array:
+    mask = np.zeros(shape, np.bool_)
+    region = scene.region or View((0, shape[-2]), (0, shape[-1]))
+    region.crop(mask[0, 0])[...] = True
+    return mask
+
+
+# --- results ----------------------------------------------------------------------------------------------------------
+
+_IN_MM = {  # outputs in px that are stored in mm: name, power of mm_per_px
+    "real_area_px": ("real_area_mm2", 2),
+    "gross_area_px": ("gross_area_mm2", 2),
+    "semi_axes": ("semi_axes_mm", 1),
+}
+_OWN_FIELDS = [  # name, type, unit of what the player adds to a record
+    ("frame", "<i8", "number of the frame as it came in, from 0; gaps are dropped frames"),
+    ("time", "<f8", "s since the first frame"),
+    ("latency", "<f4", "s from the frame's arrival to its result"),
+    ("key_frame", "<i8", "number of the frame with which this one was compared"),
+    ("restart", "<i4", "how often points had been chosen anew; points of different restarts are different points"),
+]
+_MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
+_STORED = {np.dtype(np.bool_): "|u1", np.dtype(np.float16): "<f4"}
+
+
+class StreamResults(NamedTuple):
+    """What `read_results` gives: one record a processed frame, the header, and what happened beside the frames."""
+
+    records: Array
+    header: dict[str, Any]
+    events: list[dict[str, Any]]
+
+
+def read_results(folder: str | Path) -> StreamResults:
+    """Reads a results folder, also one that is being written or whose writer was killed: the whole records of it.
+
+    ``records`` is a structured array mapped from the file: ``records["real_area_mm2"]`` (F,), ``records["points"]``
+    (F, N, 2). Raises PlayerError where it is no results folder.
+    """
+    folder = Path(folder)
+    try:
+        header = json.loads((folder / "header.json").read_text(encoding="utf-8"))
+        if header["format"] != RESULTS_FORMAT:
+            raise PlayerError(f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}")
+        dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
+        count = (folder / "records.bin").stat().st_size // dtype.itemsize
+        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PlayerError(f"{folder}: is no results folder of a stream ({error})") from None
+    records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
+    return StreamResults(records, header, [json.loads(line) for line in lines if line.endswith("\n")])
+
+
+def write_table(folder: str | Path, table: str | Path) -> None:
+    """Writes the scalars of a results folder as CSV, one row a frame; raises PlayerError where the file exists."""
+    records = read_results(folder).records
+    names = [name for name in records.dtype.names or () if records.dtype[name].shape in ((), (2,))]
+    columns: dict[str, Array] = {}
+    for name in names:
+        pair = records.dtype[name].shape == (2,)
+        columns |= {f"{name}_{i + 1}": records[name][:, i] for i in range(2)} if pair else {name: records[name]}
+    try:
+        with open(table, "x", encoding="utf-8") as file:
+            file.write(",".join(columns) + "\n")
+            for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+                file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+    except OSError as error:
+        raise PlayerError(
+            f"{table}: cannot be written ({error.strerror}); name a new file where there is room"
+        ) from None
+
+
+class Sink:
+    """Appends records to a new folder; a kill loses at most what came since the last second.
+
+    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when.
+    """
+
+    def __init__(self, folder: Path, header: Mapping[str, Any]) -> None:
+        self.folder, self._header = folder, header
+        self._synced = 0.0
+        self._lock = threading.Lock()
+
+    def open(self) -> None:
+        """Makes the folder; raises PlayerError where it is there already or cannot be made."""
+        with self._said():
+            self.folder.mkdir(parents=True)
+            with open(self.folder / "header.json", "x", encoding="utf-8") as file:
+                file.write(json.dumps(self._header, indent=1) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            self._events = open(self.folder / "events.jsonl", "x", encoding="utf-8")  # noqa: SIM115
+            self._records = open(self.folder / "records.bin", "xb")  # noqa: SIM115
+
+    def write(self, record: Array) -> None:
+        """A record as bytes; once a second all of them go to the disk."""
+        with self._said():
+            self._records.write(record.data)
+            if time.perf_counter() - self._synced >= 1:
+                self.sync()
+
+    def sync(self) -> None:
+        self._synced = time.perf_counter()
+        self._records.flush()
+        os.fsync(self._records.fileno())
+
+    def event(self, event: str, frame: int, **facts: Any) -> None:
+        """One line; may come from any thread."""
+        with self._said(), self._lock:
+            line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
+            self._events.write(json.dumps(line) + "\n")
+            self._events.flush()
+
+    def close(self) -> None:
+        with self._said():
+            try:
+                self.sync()
+            finally:
+                for file in (self._records, self._events):
+                    # After a full disk the rest cannot be written at the second try either.
+                    with contextlib.suppress(OSError):
+                        file.close()
+
+    @contextlib.contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError:
+            raise PlayerError(
+                f"{self.folder}: exists already and results are never overwritten; give --output another name"
+            ) from None
+        except OSError as error:
+            raise PlayerError(
+                f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
+                "give --output another place"
+            ) from None
+
+
+class RecordLayout:
+    """Which outputs of `frame` a record holds, in which units, and how they get there."""
+
+    def __init__(
+        self, outputs: Mapping[str, _Tensor], states: set[str], mm_per_px: float, units: Mapping[str, str]
+    ) -> None:
+        own: list[tuple[str, str, tuple[int, ...]]] = [(name, kind, ()) for name, kind, _ in _OWN_FIELDS]
+        self._copied: list[tuple[str, str, float | None]] = []
+        said = {name: unit for name, _, unit in _OWN_FIELDS}
+        for name, tensor in outputs.items():
+            if name in states or len(tensor.shape) > 3:  # images are for the live page
+                continue
+            stored, power = _IN_MM.get(name, (name, 0))
+            self._copied.append((name, stored, mm_per_px**power if power else None))
+            own.append((stored, _STORED.get(tensor.dtype, tensor.dtype.newbyteorder("<").str), tensor.shape[1:]))
+            said[stored] = {0: units.get(name, ""), 1: "mm", 2: "mm2"}[power]
+        self.dtype = np.dtype(own)
+        self.fields = [
+            {"name": name, "dtype": kind, "shape": shape, "unit": said[name], "matlab": _MATLAB[kind[1:]]}
+            for name, kind, shape in own
+        ]
+
+    def fill(self, record: Array, outputs: Mapping[str, Array]) -> None:
+        for name, stored, factor in self._copied:
+            value = outputs[name][0]
+            record[stored] = value if factor is None else value * factor
+
+
+# --- latency ----------------------------------------------------------------------------------------------------------
+
+
+class Latencies:
+    """A histogram of times in bins 1 % wide from 10 µs up to 20 s, so that memory does not grow with the stream."""
+
+    _first, _ratio = 1e-5, 1.01
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(1460, np.int64)
+        self.count = 0
+        self.worst = 0.0
+
+    def add(self, seconds: float) -> None:
+        place = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
+        self._counts[min(int(place), len(self._counts) - 1)] += 1
+        self.count += 1
+        self.worst = max(self.worst, seconds)
+
+    def quantile(self, share: float) -> float:
+        """Seconds, the upper end of a bin; NaN without a time."""
+        if not self.count:
+            return math.nan
+        place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        return min(self._first * self._ratio ** (place + 1), self.worst)
+
+    def summary(self) -> dict[str, float | None]:
+        """ms."""
+        facts = {"median": self.quantile(0.5), "p99": self.quantile(0.99), "worst": self.worst}
+        return {name: round(1e3 * value, 3) if self.count else None for name, value in facts.items()}
+
+
+# --- the player -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a stream runs.
+
+    Attributes:
+        every: process every frame, the source waits for room; else the newest frame, those it overtakes are dropped.
+        queue: frames that wait at most; 1 in the policy `latest`.
+        rate: Hz at which a recording is played, None as fast as it goes.
+        frames: end after so many, None at the source's end.
+        give_up: s without a frame after which the stream ends with an error.
+        page: host and port of the live page, None for none; port 0 takes a free one.
+    """
+
+    every: bool = True
+    queue: int = 32
+    rate: float | None = None
+    frames: int | None = None
+    give_up: float = 30.0
+    page: tuple[str, int] | None = None
+
+
+_STALL_WARNING = 2.0  # s
+_HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
+_RESTART_INTERVAL = 1.0  # s; choosing points takes far longer than a step
+_REKEY_SHARE = 0.8
+_TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
+_RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
+
+
+class Player:
+    """One stream from source to results; `run` returns when it has ended.
+
+    Raises PlayerError for everything that the user can put right; the results are whole then too.
+    """
+
+    def __init__(
+        self,
+        stepper: Stepper,
+        provider: str,
+        bundle: Bundle,
+        scene: Scene,
+        source: Source,
+        open_source: OpenSource,
+        sink: Sink,
+        layout: RecordLayout,
+        settings: Settings,
+        source_name: str = "source",
+    ) -> None:
+        self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
+        self.provider = provider
+        self._stepper, self._sink, self._layout = stepper, sink, layout
+        self._source, self._open_source = source, open_source
+        # One slot is being filled, one computed, one drawn on the page; the others wait. Their number is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 3)]
+        self._free = Channel(len(slots), slots)
+        self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
+        self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
+        self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
+        self.frames_in = self.processed = self.dropped = self.overruns = 0
+        self.reconnects = self.stalls = self.restarts = self.keys = 0
+        self.latencies, self._recent = Latencies(), Latencies()
+        self.tracked = 0
+        self.rate, self.recent = math.nan, self.latencies.summary()
+        self.page_url = ""
+        self.live = LiveData(bundle)
+        self.restart_wanted = threading.Event()
+        self._stop = threading.Event()
+        self._finished = threading.Event()
+        self._failure: BaseException | None = None
+        self._waiting_since: float | None = None  # for the source
+        self._last_trouble = ""
+
+    def run(self) -> dict[str, Any]:
+        """Plays the stream and returns its summary."""
+        threads = [
+            threading.Thread(target=self._guard, args=(step, after), name=step.__name__.strip("_"), daemon=True)
+            for step, after in (
+                (self._capture, (self._frames.close,)),
+                (self._compute, (self._free.close, self._frames.close, self._records.close)),
+                (self._store, (self._records.close, self._finished.set)),
+            )
+        ]
+        page = serve_page(self, self.settings.page) if self.settings.page else None
+        self._sink.open()
+        self._started = time.perf_counter()
+        for thread in threads:
+            thread.start()
+        try:
+            self._watch()
+            threads[0].join(_HANGING)
+            self._frames.close()
+            for thread in threads[1:]:
+                thread.join()
+        finally:
+            self._seconds = time.perf_counter() - self._started
+            if page:
+                page.shutdown()
+            try:
+                self._sink.close()
+            except PlayerError as error:
+                self._failure = self._failure or error
+        if self._failure is not None:
+            raise self._failure
+        return self.summary()
+
+    def stop(self) -> None:
+        """Ends the stream cleanly; frames that came in are still processed."""
+        self._stop.set()
+
+    def points(self) -> dict[str, int]:
+        """Points that the last frame tracked, of those chosen at the last restart."""
+        return {"tracked": self.tracked, "found": self._stepper.found}
+
+    def summary(self) -> dict[str, Any]:
+        seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
+        return {
+            "frames_in": self.frames_in,
+            "processed": self.processed,
+            "dropped": self.dropped,
+            "overruns": self.overruns,
+            "reconnects": self.reconnects,
+            "stalls": self.stalls,
+            "restarts": self.restarts,
+            "key_frames": self.keys,
+            "seconds": round(seconds, 3),
+            "rate_hz": round(self.processed / seconds, 2),
+            "latency_ms": self.latencies.summary(),
+            "results": str(self._sink.folder),
+        }
+
+    def _guard(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
+        """Runs a thread; its failure ends the others, and each ends those that wait for it."""
+        try:
+            step()
+        except BaseException as error:
+            if self._failure is None:
+                self._failure = error
+            self._stop.set()
+        finally:
+            for close in after:
+                close()
+
+    # Main thread: the log, and whether the source still gives frames.
+
+    def _watch(self) -> None:
+        said, processed, stalled = time.perf_counter(), 0, False
+        while not self._finished.wait(0.05) and not self._stop.is_set():
+            now = time.perf_counter()
+            since = self._waiting_since
+            silent = now - since if since is not None else 0.0
+            if silent > _STALL_WARNING and not stalled:
+                self.stalls += 1
+                log.warning("%s: no frame for %.0f s", self.source_name, silent)
+                self._sink.event("stall", self.frames_in)
+            stalled = silent > _STALL_WARNING
+            if silent > self.settings.give_up:
+                trouble = f" (last error: {self._last_trouble})" if self._last_trouble else ""
+                self._failure = self._failure or PlayerError(
+                    f"{self.source_name}: no frame for {silent:.0f} s{trouble}; check the camera and its cable, or "
+                    "give more time with --give-up"
+                )
+                self._stop.set()
+            if now - said >= 1:
+                recent, self._recent = self._recent, Latencies()
+                self.recent = recent.summary()
+                self.rate = (self.processed - processed) / (now - said)
+                said, processed = now, self.processed
+                log.info("%s", self._line(self.recent))
+
+    def _line(self, latency: Mapping[str, float | None]) -> str:
+        times = ", ".join(f"{name} {value}" for name, value in latency.items())
+        return (
+            f"{self.rate:.1f} frames/s; in {self.frames_in}, processed {self.processed}, dropped {self.dropped}, "
+            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._stepper.found}"
+        )
+
+    # Capture: source -> frames.
+
+    def _capture(self) -> None:
+        source: Source | None = self._source
+        attempt, start = 0, math.nan
+        try:
+            while not self._stop.is_set() and self.frames_in != self.settings.frames:
+                self._waiting_since = self._waiting_since or time.perf_counter()
+                try:
+                    source = source or self._open_source(self.frames_in)
+                    frame = source.read()
+                except PlayerError:
+                    raise
+                except Exception as error:
+                    self._lost(source, error, attempt)
+                    source, attempt = None, attempt + 1
+                    continue
+                self._waiting_since, attempt = None, 0
+                if frame is None:
+                    break
+                arrival = time.perf_counter()
+                if self.settings.rate is not None and not source.live:
+                    start = arrival if math.isnan(start) else start
+                    # A camera of that rate gives the frame at this time: being late after it counts as latency.
+                    arrival = start + self.frames_in / self.settings.rate
+                    if (wait := arrival - time.perf_counter()) > 0:
+                        time.sleep(wait) if wait < 0.1 else self._stop.wait(wait)
+                self._take(frame, arrival, source.live or self.settings.rate is not None)
+        finally:
+            self._waiting_since = None
+            if source is not None:
+                _close_quietly(source)
+
+    def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
+        """After an error of the source: it is closed and opened again, later and later."""
+        self._last_trouble = f"{type(error).__name__}: {_first_line(error)}"
+        self.reconnects += 1
+        delay = min(0.1 * 2**attempt, 5.0)
+        log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
+        self._sink.event("reconnect", self.frames_in, error=self._last_trouble)
+        if source is not None:
+            _close_quietly(source)
+        self._stop.wait(delay)
+
+    def _take(self, frame: Array, arrival: float, cannot_wait: bool) -> None:
+        slot = self._free.get(wait=False)
+        if slot is None:
+            self.overruns += cannot_wait
+            slot = self._free.get()
+        if slot is None:  # the stream has failed
+            return
+        slot.number, slot.arrival = self.frames_in, arrival
+        slot.fill(frame, self.scene, self.bundle, self.source_name)
+        self.frames_in += 1
+        if self.settings.every:
+            self._frames.put(slot)
+        elif (overtaken := self._frames.put_newest(slot)) is not None:
+            self.dropped += 1
+            self._free.put(overtaken)
+
+    # Compute: frames -> records.
+
+    def _compute(self) -> None:
+        first, restarted, key_frame = math.nan, -math.inf, 0
+        share = self.scene.rekey_share or self.bundle.recipe.get("rekey_share") or _REKEY_SHARE
+        rekey_frames = self.scene.rekey_frames or self.bundle.recipe.get("rekey_frames") or math.inf
+        place = 0
+        while (slot := self._frames.get()) is not None:
+            if not self.restarts:
+                first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
+                self._restart(slot, "start")
+            outputs = self._stepper.step(slot)
+            record = self._room[place]
+            self._layout.fill(record, outputs)
+            self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
+            latency = time.perf_counter() - slot.arrival
+            record["frame"], record["time"], record["latency"] = slot.number, slot.arrival - first, latency
+            record["key_frame"], record["restart"] = key_frame, self.restarts
+            self.latencies.add(latency)
+            self._recent.add(latency)
+            self.processed += 1
+
+            due = slot.arrival - restarted >= _RESTART_INTERVAL
+            lost = due and self.tracked < max(self._stepper.found / 2, 1)
+            if lost or self.restart_wanted.is_set():
+                cause = "lost" if lost else "page"
+                self.restart_wanted.clear()
+                restarted, key_frame = slot.arrival, slot.number
+                self._restart(slot, cause)
+            elif 0 < self.tracked < share * self._stepper.keyed or slot.number - key_frame >= rekey_frames:
+                key_frame = slot.number
+                self._sink.event("key_frame", slot.number, points=self._stepper.key(slot, outputs["points"]))
+                self.keys += 1
+
+            drawn = LiveViews(slot, outputs.get("touching")) if self.live.is_due() else None
+            if drawn is None:
+                self._free.put(slot)
+            if not self._records.put((place, drawn)):
+                return
+            place = (place + 1) % len(self._room)
+
+    def _restart(self, slot: Slot, cause: str) -> None:
+        self._sink.event("restart", slot.number, cause=cause, points=self._stepper.restart(slot))
+        self.restarts += 1
+        log.info("frame %d: %d points chosen (%s)", slot.number, self._stepper.found, cause)
+
+    # Sink: records -> disk and page.
+
+    def _store(self) -> None:
+        as_bytes = self._room.view(np.uint8).reshape(len(self._room), -1)
+        traced = -math.inf
+        while (item := self._records.get()) is not None:
+            place, views = item
+            record = self._room[place]
+            if views is not None:
+                self.live.show(record, views)
+                self._free.put(views.slot)
+            if record["time"] - traced >= _TRACE_INTERVAL:
+                traced = float(record["time"])
+                self.live.trace(record)
+            self._sink.write(as_bytes[place])
+
+
+def _close_quietly(source: Source) -> None:
+    """A source that fails to close is gone all the same."""
+    try:
+        source.close()
+    except Exception as error:
+        log.warning("closing the source: %s", _first_line(error))
+
+
+# --- live page --------------------------------------------------------------------------------------------------------
+
+_PAGE_INTERVAL = 1 / 15  # s between pictures, made only while somebody looks
+_PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
+
+
+class LiveViews(NamedTuple):
+    """What a picture is drawn from: a frame, and the (1, 1, H, W) mask of touching pixels where the recipe has it."""
+
+    slot: Slot
+    touching: Array | None
+
+
+class LiveData:
+    """The latest picture and the traces, written by the sink and read by the page."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
+        self._shift = bundle.bit_depth - 8
+        self._asked = self._drawn = -math.inf
+        self._arrays: dict[str, Array] = {}
+        self._scalars: dict[str, float] = {}
+        self._traces: deque[tuple[float, float, float, float]] = deque(maxlen=_TRACE_LENGTH)
+
+    def is_due(self) -> bool:
+        """Whether somebody looks, and the last picture is old enough."""
+        now = time.perf_counter()
+        if now - self._asked > 2 or now - self._drawn < _PAGE_INTERVAL:
+            return False
+        self._drawn = now
+        return True
+
+    def show(self, record: Array, views: LiveViews) -> None:
+        """Keeps a small picture of a frame and its result."""
+        arrays = {
+            name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
+            for name, view in views.slot.views.items()
+        }
+        if views.touching is not None:
+            arrays["touching"] = views.touching[0, 0, :: self._every, :: self._every].astype(np.uint8)
+        names = record.dtype.names or ()
+        arrays |= {
+            n: record[n].astype(np.float32) for n in ("points", "divergence", "center", "semi_axes_mm") if n in names
+        }
+        self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
+        self._arrays = arrays
+
+    def trace(self, record: Array) -> None:
+        names = record.dtype.names or ()
+        wanted = ("time", "real_area_mm2", "gross_area_mm2", "median_divergence")
+        self._traces.append(tuple(float(record[n]) if n in names else math.nan for n in wanted))  # type: ignore[arg-type]
+
+    def packed(self, facts: Mapping[str, Any]) -> bytes:
+        """Length of a JSON text (little-endian uint32), the text, and the arrays it lists, each padded to 4 bytes."""
+        self._asked = time.perf_counter()
+        arrays = self._arrays | {"traces": np.array(list(self._traces), np.float32).reshape(-1, 4)}
+        listed = [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()]
+        scalars = {name: value if math.isfinite(value) else None for name, value in self._scalars.items()}
+        text = json.dumps({**facts, "every": self._every, "scalars": scalars, "arrays": listed}).encode()
+        blocks = [struct.pack("<I", len(text)), text, b"\0" * (-len(text) % 4)]
+        for array in arrays.values():
+            blocks += [array.tobytes(), b"\0" * (-array.nbytes % 4)]
+        return b"".join(blocks)
+
+
+def serve_page(player: Player, address: tuple[str, int]) -> ThreadingHTTPServer:
+    """Starts the live page in a thread of its own; raises PlayerError where the address is taken."""
+    facts = {
+        "bundle": player.bundle.folder.resolve().name,
+        "provider": PROVIDERS[player.provider],
+        "mm_per_px": player.scene.mm_per_px,
+        "source": player.source_name,
+    }
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            if self.path == "/":
+                self._answer(200, "text/html; charset=utf-8", PAGE.encode())
+            elif self.path == "/live":
+                rate = None if math.isnan(player.rate) else player.rate
+                now = {"rate": rate, "recent_ms": player.recent, **player.points(), **player.summary()}
+                self._answer(200, "application/octet-stream", player.live.packed({**facts, **now}))
+            else:
+                self._answer(404, "text/plain", b"not here")
+
+        def do_POST(self) -> None:
+            # A page of another site cannot send this header: the stream is restarted by its own page only.
+            if self.path == "/restart" and self.headers.get("X-Fingerflow"):
+                player.restart_wanted.set()
+                self._answer(204, "text/plain", b"")
+            else:
+                self._answer(403, "text/plain", b"refused")
+
+        def _answer(self, status: int, kind: str, body: bytes) -> None:
+            self.send_response(status)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Fifteen requests a second are no news."""
+
+    try:
+        server = ThreadingHTTPServer(address, Handler)
+    except OSError as error:
+        raise PlayerError(
+            f"live page: {address[0]}:{address[1]} cannot be served ({error.strerror}); give --page another port or off"
+        ) from None
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
+    player.page_url = f"http://{server.server_address[0]!s}:{server.server_address[1]}/"
+    log.info("live page: %s", player.page_url)
+    return server
+
+
+PAGE = r"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>fingerflow</title>
+<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
+<style>
+:root { --ink: #1c2733; --soft: #647384; --line: #dde3ea; --real: #1668b0; --gross: #8fb8dc; --red: #c0392b; }
+* { box-sizing: border-box; }
+body { margin: 0; font: 14px/1.4 system-ui, "Segoe UI", sans-serif; color: var(--ink); background: #f5f7f9; }
+header { display: flex; gap: 14px; align-items: center; padding: 10px 20px; background: #fff; }
+header { border-bottom: 1px solid var(--line); }
+h1 { font-size: 17px; margin: 0; } h2 { display: flex; font-size: 13px; font-weight: 600; margin: 0 0 6px; }
+#about { color: var(--soft); flex: 1; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
+#state { padding: 2px 10px; border-radius: 10px; background: #e3f2e6; color: #1d6b34; }
+#state { white-space: nowrap; font-weight: 600; }
+#state.gone { background: #fbe6e3; color: var(--red); }
+button { font: inherit; padding: 5px 14px; border: 1px solid #b9c4cf; border-radius: 6px; background: #fff; }
+button:hover { background: #eef3f8; cursor: pointer; }
+main { max-width: 1340px; margin: 0 auto; padding: 14px 20px; display: grid; gap: 14px; }
+main { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+section { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 10px 12px; }
+section.wide { grid-column: 1 / -1; }
+canvas { display: block; width: 100%; border-radius: 3px; }
+.trace { height: 130px; }
+.legend { margin-left: auto; font-weight: 400; color: var(--soft); }
+.legend i { display: inline-block; width: 10px; height: 10px; border-radius: 2px; margin: 0 4px 0 10px; }
+.legend .bar { width: 90px; background: linear-gradient(90deg, #2166ac, #eee, #b2182b); }
+dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(170px, 1fr)); gap: 4px 16px; margin: 0; }
+dt { color: var(--soft); font-size: 12px; } dd { margin: 0; font-size: 18px; font-variant-numeric: tabular-nums; }
+dd small { font-size: 12px; color: var(--soft); } dd.bad { color: var(--red); }
+@media (max-width: 760px) { main { grid-template-columns: 1fr; } }
+</style></head><body>
+<header><h1>fingerflow</h1><span id="about"></span><span id="state">connecting</span>
+<button id="restart" title="Choose points anew in the current frame">Restart points</button></header>
+<main>
+<section class="wide"><dl id="numbers"></dl></section>
+<section><h2>Contact <span class="legend">
+<i style="background:#ffa726"></i>touching<i style="background:#00acc1"></i>ellipse</span></h2>
+<canvas id="contact"></canvas></section>
+<section><h2>Topography <span class="legend">
+<i style="background:#ffd54f"></i>not in contact yet<i style="background:none"></i>divergence
+&minus;<span id="low"></span><i class="bar"></i><span id="high"></span></span></h2>
+<canvas id="topography"></canvas></section>
+<section><h2>Contact area, mm&sup2; <span class="legend">
+<i style="background:var(--gross)"></i>gross<i style="background:var(--real)"></i>real</span></h2>
+<canvas id="areas" class="trace"></canvas></section>
+<section><h2>Median divergence, %</h2><canvas id="divergence" class="trace"></canvas></section>
+</main>
+<script>
+"use strict";
+const $ = id => document.getElementById(id);
+const TYPES = { uint8: Uint8Array, float32: Float32Array };
+let range = 0.02;
+
+function unpack(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const live = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  let place = 4 + length + (-length & 3);
+  live.data = {};
+  for (const { name, type, shape } of live.arrays) {
+    const values = new TYPES[type](buffer, place, shape.reduce((a, b) => a * b, 1));
+    live.data[name] = { values, shape };
+    place += values.byteLength + (-values.byteLength & 3);
+  }
+  return live;
+}
+
+function picture(canvas, view, mask) {
+  const [height, width] = view.shape;
+  const scale = 2;
+  canvas.width = width * scale; canvas.height = height * scale;
+  const image = new ImageData(width, height), out = image.data;
+  for (let i = 0; i < view.values.length; i++) {
+    const grey = view.values[i], touch = mask && mask.values[i];
+    out[4 * i] = touch ? (grey + 255) / 2 : grey;
+    out[4 * i + 1] = touch ? (grey + 167) / 2 : grey;
+    out[4 * i + 2] = touch ? (grey + 38) / 2 : grey;
+    out[4 * i + 3] = 255;
+  }
+  const small = new OffscreenCanvas(width, height);
+  small.getContext("2d").putImageData(image, 0, 0);
+  const context = canvas.getContext("2d");
+  context.drawImage(small, 0, 0, width * scale, height * scale);
+  return context;
+}
+
+function colour(value) {  // blue, light grey, red over -1 to 1
+  const t = Math.max(-1, Math.min(1, value)), end = t < 0 ? [33, 102, 172] : [178, 24, 43], a = Math.abs(t);
+  return `rgb(${end.map(c => Math.round(238 + (c - 238) * a)).join()})`;
+}
+
+function drawTopography(live) {
+  const { topography_view, points, divergence } = live.data;
+  const context = picture($("topography"), topography_view), k = 2 / live.every;
+  const known = Array.from(divergence ? divergence.values : []).filter(Number.isFinite).map(Math.abs);
+  known.sort((a, b) => a - b);
+  if (known.length) range += 0.1 * (Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) - range);
+  $("low").textContent = $("high").textContent = (100 * range).toFixed(1) + " %";
+  if (!points) return;
+  for (let i = 0; i < points.shape[0]; i++) {
+    const x = points.values[2 * i], y = points.values[2 * i + 1], d = divergence ? divergence.values[i] : NaN;
+    if (!Number.isFinite(x)) continue;
+    context.beginPath();
+    context.arc((x + 0.5) * k, (y + 0.5) * k, 3, 0, 7);
+    context.fillStyle = Number.isFinite(d) ? colour(d / range) : "#ffd54f";
+    context.fill();
+    context.lineWidth = 0.8; context.strokeStyle = "#0009"; context.stroke();
+  }
+}
+
+function drawContact(live) {
+  const { contact_view, touching, center, semi_axes_mm } = live.data;
+  const context = picture($("contact"), contact_view, touching), k = 2 / live.every;
+  const angle = live.scalars.angle;
+  if (!center || !semi_axes_mm || angle == null || !Number.isFinite(center.values[0])) return;
+  const [a, b] = Array.from(semi_axes_mm.values, v => v / live.mm_per_px * k);
+  if (!(a > 0 && b > 0)) return;
+  context.beginPath();
+  context.ellipse((center.values[0] + 0.5) * k, (center.values[1] + 0.5) * k, a, b, angle, 0, 7);
+  context.lineWidth = 3; context.strokeStyle = "#00acc1"; context.stroke();
+}
+
+function trace(canvas, rows, columns, scale) {
+  const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+  canvas.width = width * ratio; canvas.height = height * ratio;
+  const context = canvas.getContext("2d");
+  context.scale(ratio, ratio);
+  context.font = "11px system-ui, sans-serif";
+  const count = rows.shape[0], at = (i, c) => rows.values[4 * i + c] * scale;
+  let low = 0, high = 0;
+  for (const [c] of columns) for (let i = 0; i < count; i++) if (Number.isFinite(at(i, c))) {
+    low = Math.min(low, at(i, c)); high = Math.max(high, at(i, c));
+  }
+  const span = high - low || 1, step = 10 ** Math.floor(Math.log10(span));
+  const tick = step * (span / step > 5 ? 2 : span / step > 2 ? 1 : 0.5);
+  const end = count ? rows.values[4 * (count - 1)] : 0, left = 40;
+  const X = t => left + (width - left - 6) * (1 + (t - end) / 30);
+  low = Math.floor(low / tick + 1e-6) * tick; high = Math.max(Math.ceil(high / tick - 1e-6) * tick, low + tick);
+  const Y = v => 8 + (height - 30) * (1 - (v - low) / (high - low));
+  context.textAlign = "right";
+  for (let v = low; v <= high + tick / 2; v += tick) {
+    context.strokeStyle = Math.abs(v) < tick / 2 ? "#aab4bf" : "#e8ecf0";
+    context.beginPath(); context.moveTo(left, Y(v)); context.lineTo(width - 6, Y(v)); context.stroke();
+    context.fillStyle = "#647384"; context.fillText(+v.toPrecision(4), left - 6, Y(v) + 4);
+  }
+  context.textAlign = "center";
+  for (let s = 30; s >= 0; s -= 10) {
+    context.fillText(s ? `\u2212${s} s` : "now", Math.min(X(end - s), width - 16), height - 6);
+  }
+  context.lineWidth = 1.8; context.lineJoin = "round";
+  for (const [c, style] of columns) {
+    context.beginPath(); context.strokeStyle = style;
+    let open = false;
+    for (let i = 0; i < count; i++) {
+      const t = rows.values[4 * i], v = at(i, c);
+      if (!Number.isFinite(v) || t < end - 30) { open = false; continue; }
+      if (open) context.lineTo(X(t), Y(v)); else context.moveTo(X(t), Y(v));
+      open = true;
+    }
+    context.stroke();
+  }
+}
+
+const text = (value, digits) => value == null || !Number.isFinite(value) ? "\u2013" : value.toFixed(digits);
+
+function numbers(live) {
+  const s = live.scalars, ms = live.recent_ms;
+  const cells = [
+    ["Rate", text(live.rate, 1), "frames/s"],
+    ["Latency, median", text(ms.median, 2), "ms"],
+    ["Latency, 99 %", text(ms.p99, 2), "ms"],
+    ["Worst so far", text(live.latency_ms.worst, 1), "ms"],
+    ["Frames", live.processed, `of ${live.frames_in}`],
+    ["Dropped", live.dropped, "", live.dropped > 0],
+    ["Overruns", live.overruns, "", live.overruns > 0],
+    ["Reconnects", live.reconnects, "", live.reconnects > 0],
+    ["Points", live.tracked, `of ${live.found}`],
+    ["Real area", text(s.real_area_mm2, 1), "mm\u00b2"],
+    ["Gross area", text(s.gross_area_mm2, 1), "mm\u00b2"],
+    ["Median divergence", text(s.median_divergence == null ? null : 100 * s.median_divergence, 2), "%"],
+  ];
+  $("numbers").innerHTML = cells.map(([name, value, unit, bad]) =>
+    `<div><dt>${name}</dt><dd${bad ? ' class="bad"' : ""}>${value} <small>${unit}</small></dd></div>`).join("");
+}
+
+async function refresh() {
+  try {
+    const answer = await fetch("live");
+    if (!answer.ok) throw new Error(answer.status);
+    const live = unpack(await answer.arrayBuffer());
+    $("about").textContent = `${live.bundle} \u00b7 ${live.provider} \u00b7 ${live.source}`;
+    $("state").textContent = "running"; $("state").className = "";
+    numbers(live);
+    if (live.data.topography_view) { drawTopography(live); drawContact(live); }
+    trace($("areas"), live.data.traces, [[2, "#8fb8dc"], [1, "#1668b0"]], 1);
+    trace($("divergence"), live.data.traces, [[3, "#1668b0"]], 100);
+  } catch (error) {
+    console.info(error);
+    $("state").textContent = "no stream"; $("state").className = "gone";
+  }
+  setTimeout(refresh, 66);
+}
+$("restart").onclick = () => fetch("restart", { method: "POST", headers: { "X-Fingerflow": "1" } });
+refresh();
+</script></body></html>
+"""
+
+
+# --- command line -----------------------------------------------------------------------------------------------------
+
+
+def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
+    """0 at the source's end, 2 something the user can put right, 130 or 143 stopped by Ctrl-C or SIGTERM."""
+    options = _parser(prog).parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
+    # Python lets a thread compute for 5 ms before another gets its turn: as long as a frame may take in all.
+    sys.setswitchinterval(5e-4)
+    try:
+        return _stream(options)
+    except PlayerError as error:
+        print(f"fingerflow: {error}", file=sys.stderr)
+        return 2
+
+
+def _stream(options: argparse.Namespace) -> int:
+    bundle = load_bundle(options.bundle)
+    scene, name, open_source, background, dark = _inputs(options, bundle)
+    engine = Engine(bundle, options.provider, options.threads, options.spin)
+    stepper = Stepper(engine, scene, background, dark)
+    stepper.warm_up()
+    properties = engine.frame.get_modelmeta().custom_metadata_map
+    layout = RecordLayout(
+        stepper.outputs, stepper.states, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}"))
+    )
+    folder = options.output or scene.output or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
+    live = options.camera is not None
+    every = options.policy == "every" if options.policy else not live
+    settings = Settings(
+        every=every,
+        queue=options.queue if every else 1,
+        rate=options.rate or (None if live else scene.frame_rate),
+        frames=options.frames,
+        give_up=options.give_up,
+        page=options.page,
+    )
+    header = {
+        "format": RESULTS_FORMAT,
+        "started": datetime.now(UTC).isoformat(),
+        "fingerflow": bundle.version,
+        "recipe": bundle.recipe,
+        "graph_sha256": bundle.hashes,
+        "provider": PROVIDERS[engine.provider],
+        "source": name,
+        "policy": "every" if every else "latest",
+        "mm_per_px": scene.mm_per_px,
+        "topography_to_contact": scene.topography_to_contact.tolist(),
+        "coordinates": properties.get("fingerflow.coordinates", ""),
+        "record_bytes": layout.dtype.itemsize,
+        "fields": layout.fields,
+    }
+    log.info("results: %s, %.1f kB a frame", folder, layout.dtype.itemsize / 1e3)
+    sink = Sink(folder, header)
+    try:
+        source = open_source(0)
+    except PlayerError:
+        raise
+    except Exception as error:
+        raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {_first_line(error)})") from error
+    player = Player(stepper, engine.provider, bundle, scene, source, open_source, sink, layout, settings, name)
+    with _stopped_by_signals(player) as received:
+        summary = player.run()
+    text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)
+    print(text)
+    if options.json is not None:
+        try:
+            options.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise PlayerError(
+                f"{options.json}: cannot be written ({error.strerror}); results are in {folder}"
+            ) from None
+    return 128 + received[0] if received else 0
+
+
+def _inputs(options: argparse.Namespace, bundle: Bundle) -> tuple[Scene, str, OpenSource, Array, Array]:
+    """Scene, name of the source, how to open it, and the contact views of empty glass and of darkness."""
+    if options.camera and options.source:
+        raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
+    shape = None if options.shape is None else (options.shape[0], options.shape[1])
+    synthetic = options.source == "synthetic"
+    path = options.scene
+    if path is None and not synthetic:
+        path = options.bundle / "scene.toml"
+    scene = side_by_side(bundle.height, bundle.width) if path is None else load_scene(path)
+    check_scene(scene, bundle)
+    empty = np.zeros((bundle.height, bundle.width), bundle.dtype)
+    if synthetic:
+        drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth)
+        return scene, "synthetic", lambda first: drawn.from_frame(first), scene.contact.crop(drawn.background), empty
+    pictures = []
+    for file in (scene.background, scene.dark):
+        picture = empty if file is None else mean_frame(file, shape, options.dtype)
+        if file is not None and picture.shape != empty.shape:
+            slot = Slot(bundle)
+            slot.fill(picture, scene, bundle, str(file))
+            picture = slot.views["contact_view"][0, 0]
+        pictures.append(picture)
+    if scene.background is None:
+        raise PlayerError(
+            f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
+        )
+    if options.camera:
+        return scene, options.camera, lambda _: open_camera(options.camera), pictures[0], pictures[1]
+    file = Path(options.source) if options.source else scene.frames
+    if file is None:
+        raise PlayerError("no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY")
+    return scene, str(file), lambda first: open_recording(file, shape, options.dtype, first), pictures[0], pictures[1]
+
+
+def check_scene(scene: Scene, bundle: Bundle) -> None:
+    """Raises PlayerError where the views are not of the bundle's size, or the region leaves the view."""
+    size = (bundle.height, bundle.width)
+    for name, view in (("contact", scene.contact), ("topography", scene.topography)):
+        if view.shape != size:
+            raise PlayerError(
+                f"views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
+                f"{size[0]} x {size[1]}; correct rows and columns, or export one with views of that size"
+            )
+    if scene.region and (scene.region.rows[1] > size[0] or scene.region.columns[1] > size[1]):
+        raise PlayerError(f"stream.region of the scene ends beyond the topography view of {size[0]} x {size[1]} px")
+
+
+@contextlib.contextmanager
+def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
+    """The first Ctrl-C or SIGTERM ends the stream cleanly; a second one is Python's own. Gives what was received."""
+    received: list[int] = []
+    before: dict[int, Any] = {}
+
+    def stop(number: int, _: Any) -> None:
+        received.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        player.stop()
+
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _parser(prog: str | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog, description="Contact area, points and divergence of a live stream.")
+    here = Path(__file__).resolve().parent
+    add = parser.add_argument
+    add("bundle", nargs="?", type=Path, default=here, help="folder of the exported bundle; default: this file's")
+    add("--source", help="a .npy, raw or video file, or `synthetic`; default: recording.frames of the scene")
+    add(
+        "--camera",
+        metavar="MODULE:FACTORY",
+        help="factory() gives a callable that returns the next frame, None at the end",
+    )
+    add("--scene", type=Path, help="scene file; default: scene.toml of the bundle, the synthetic source needs none")
+    add("--shape", type=int, nargs=2, metavar=("HEIGHT", "WIDTH"), help="of the frames of a raw file")
+    add("--dtype", default="uint8", help="of the frames of a raw file, such as '<u2'; default uint8")
+    add("--rate", type=_positive, help="play a recording at so many frames a second, as a camera would give them")
+    add("--frames", type=int, help="end after so many frames")
+    add("--policy", choices=("every", "latest"), help="every frame (default for files), or the newest (for cameras)")
+    add("--queue", type=int, default=Settings.queue, help="frames that wait at most under the policy `every`")
+    add("--provider", choices=PROVIDERS, help="execution provider; default: the first that works, in this order")
+    add("--threads", type=int, default=0, help="threads inside an operator; default one a core")
+    add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
+    add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
+    add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")
+    add("--page", type=_address, default=("127.0.0.1", 8765), metavar="[HOST:]PORT", help="of the live page, or `off`")
+    add("--give-up", type=_positive, default=Settings.give_up, metavar="S", help="end after so long without a frame")
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _address(text: str) -> tuple[str, int] | None:
+    if text == "off":
+        return None
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no [HOST:]PORT and not `off`")
+    return host or "127.0.0.1", int(port)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""A stream of the tiny bundle, run as the command line runs it."""
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import pytest
+from tiny_bundle import write_bundle, write_scene
+
+from fingerflow import player
+
+
+class Ended(NamedTuple):
+    """Exit code, summary (empty after an error), what was said and logged, and the results if there are any."""
+
+    code: int
+    summary: dict[str, Any]
+    said: str
+    results: player.StreamResults
+
+
+class Stream:
+    """Runs `player.main` in a folder of its own."""
+
+    def __init__(
+        self,
+        folder: Path,
+        capsys: pytest.CaptureFixture[str],
+        caplog: pytest.LogCaptureFixture,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        self.folder = folder
+        self.bundle = write_bundle(folder / "bundle")
+        self.scene = write_scene(self.bundle / "scene.toml")
+        self._capsys, self._caplog, self._monkeypatch = capsys, caplog, monkeypatch
+        caplog.set_level(logging.INFO)
+
+    def camera(self, make: Callable[[], Any]) -> tuple[str, str]:
+        """The arguments that make a factory of the test the camera."""
+        module = ModuleType("camera_of_the_test")
+        module.make = make  # type: ignore[attr-defined]
+        self._monkeypatch.setitem(sys.modules, module.__name__, module)
+        return "--camera", f"{module.__name__}:make"
+
+    def frames(self, frames: Iterable[Any]) -> tuple[str, str]:
+        """A camera that gives these frames; an exception among them is raised."""
+        left = iter(frames)
+
+        def grab() -> Any:
+            found = next(left, None)
+            if isinstance(found, Exception):
+                raise found
+            return found
+
+        return self.camera(lambda: grab)
+
+    def run(self, *arguments: str) -> Ended:
+        output = self.folder / "results"
+        given = [str(self.bundle), "--output", str(output), "--threads", "1", "--no-spin", *arguments]
+        code = player.main(given if "--page" in arguments else [*given, "--page", "off"])
+        said = self._capsys.readouterr()
+        results = player.read_results(output) if output.exists() else None
+        return Ended(code, json.loads(said.out) if said.out else {}, said.err + self._caplog.text, results)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def stream(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Stream:
+    return Stream(tmp_path, capsys, caplog, monkeypatch)

@@ -1,0 +1,184 @@
+"""Bad input is named: scene, bundle, frames, options; nothing is left behind where nothing ran."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle, write_scene
+
+from fingerflow import player, scene
+
+
+def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
+    assert set(player.SCENE_KEYS) == set(scene._keys_of(()))
+    for table, keys in player.SCENE_KEYS.items():
+        assert sorted(keys) == scene._keys_of((table,)), table
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[views.contact]", "[views.contct]", "views.contct is not a key; did you mean 'contact'?"),
+        ("[contact]", "[contakt]", "contakt is not a key; did you mean 'contact'?"),
+        ("threshold", "treshold", "contact.treshold is not a key; did you mean 'threshold'?"),
+        ("rows = [0, 24]", "rows = [0.0, 24]", "rows is [0.0, 24]"),
+        ("rows = [0, 24]", "rows = [24, 0]", "rows is [24, 0]"),
+        ("rows = [0, 24]", "rows = [0, 23]", "is 23 x 32 px, the bundle was exported for 24 x 32"),
+        ("mm_per_px = 0.5", "mm_per_px = -1", "calibration.mm_per_px is -1"),
+        ("mm_per_px = 0.5", "", "calibration.mm_per_px is missing"),
+        ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0], [0.0, 1.0]]", "an invertible [[a, b, x], [c, d, y]]"),
+        ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]", "an invertible"),
+        ("threshold = 0.5", "", "add [contact] threshold"),
+        ("threshold = 0.5", 'threshold = "per_frame"', "add [contact] threshold"),
+        ('frames = "empty.npy"', "", "background.frames is missing"),
+        ('frames = "empty.npy"', 'frames = "nothing.npy"', "nothing.npy: is no file"),
+        ('frames = "empty.npy"', "frames = 3", "background.frames is 3; a path"),
+        ("[contact]", "[stream]\nrekey_share = 2.0\n[contact]", "stream.rekey_share is 2.0"),
+        ("[contact]", "[stream]\nrekey_frames = 2.5\n[contact]", "stream.rekey_frames is 2.5"),
+        ("[contact]", "[stream]\nregion = {rows = [0, 99], columns = [0, 9]}\n[contact]", "ends beyond"),
+        ("[contact]", "[contact", "cannot be read as TOML"),
+        ("mm_per_px = 0.5", 'file = "nothing.toml"', "nothing.toml: cannot be read"),
+    ],
+)
+def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -> None:
+    text = stream.scene.read_text()
+    assert old in text
+    stream.scene.write_text(text.replace(old, new, 1))
+    ended = stream.run(*stream.frames([frame()]))
+    assert ended.code == 2
+    assert said in ended.said
+    assert ended.results is None
+
+
+def test_a_calibration_file_is_read(stream: Stream) -> None:
+    (stream.bundle / "rig.toml").write_text(
+        "mm_per_px = 0.25\n[topography_to_contact.affine]\nmatrix = [[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]]\n"
+    )
+    text = stream.scene.read_text().split("mm_per_px")
+    rest = text[1].split("\n", 2)[2]
+    stream.scene.write_text(f'{text[0]}file = "rig.toml"\n{rest}')
+    records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
+    assert records["real_area_mm2"][0] == 1.0
+    np.testing.assert_array_equal(records["center"][0], (WIDTH / 2 + 2, HEIGHT / 2 + 3))
+
+
+def _rewritten(folder: Path, **changes: Any) -> None:
+    facts = json.loads((folder / "bundle.json").read_text())
+    (folder / "bundle.json").write_text(json.dumps(facts | changes))
+
+
+def test_wrong_bundles_are_named(stream: Stream) -> None:
+    file = stream.bundle / "frame.onnx"
+    whole = file.read_bytes()
+
+    def said() -> str:
+        ended = stream.run("--source", "synthetic")
+        assert ended.code == 2
+        assert ended.results is None
+        return ended.said
+
+    file.write_bytes(whole[:-7])
+    assert "frame.onnx: its SHA-256 is" in said()
+    facts = json.loads((stream.bundle / "bundle.json").read_text())
+    facts["graphs"]["frame"]["sha256"] = hashlib.sha256(whole[:-7]).hexdigest()
+    _rewritten(stream.bundle, graphs=facts["graphs"])
+    assert "frame.onnx: onnxruntime cannot load it" in said()
+
+    foreign = (stream.bundle / "key.onnx").read_bytes()
+    file.write_bytes(foreign)
+    facts["graphs"]["frame"]["sha256"] = hashlib.sha256(foreign).hexdigest()
+    _rewritten(stream.bundle, graphs=facts["graphs"])
+    assert "holds 'key' where the graph 'frame' is expected" in said()
+
+    file.unlink()
+    assert "frame.onnx: cannot be read" in said()
+    _rewritten(stream.bundle, graphs={})
+    assert "has no proper entry 'frame'" in said()
+    _rewritten(stream.bundle, format=2)
+    assert "its format is 2, this player reads 1" in said()
+    (stream.bundle / "bundle.json").write_text("{")
+    assert "is no JSON" in said()
+    (stream.bundle / "bundle.json").unlink()
+    assert "name the folder that `fingerflow export` wrote" in said()
+
+
+def test_graphs_of_another_recipe_are_named(stream: Stream) -> None:
+    recipe = {"views": {"height": HEIGHT + 1, "width": WIDTH}, "bit_depth": 8, "points": 10}
+    _rewritten(stream.bundle, recipe=recipe)
+    ended = stream.run("--source", "synthetic")
+    assert "a foreign model file" in ended.said
+    assert ended.code == 2
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (frame()[:-1], "a frame is (23, 64), the views of the scene need (H, W) of at least (24, 64)"),
+        (frame()[..., None], "a frame is (24, 64, 1)"),
+        (frame().astype(np.uint16), "a frame is uint16, the bundle takes uint8 (bit_depth 8)"),
+        (frame().astype(np.float32), "a frame is float32"),
+    ],
+)
+def test_wrong_frames_are_named_and_lose_nothing(stream: Stream, wrong: Any, said: str) -> None:
+    ended = stream.run(*stream.frames([frame(), frame(), wrong, frame()]), "--policy", "every")
+    assert ended.code == 2
+    assert said in ended.said
+    assert len(ended.results.records) == 2
+
+
+def test_more_bits_than_the_bundle_are_named(stream: Stream, tmp_path: Path) -> None:
+    stream.bundle = write_bundle(tmp_path / "deep", bit_depth=10)
+    scene_file = write_scene(stream.bundle / "scene.toml")
+    np.save(stream.bundle / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 800, np.uint16))
+    bright = np.full((HEIGHT, 2 * WIDTH), 1024, np.uint16)
+    ended = stream.run(*stream.frames([bright]), "--scene", str(scene_file))
+    assert "a frame holds 1024, more than the 10 bits" in ended.said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--source", "nothing.npy"), "nothing.npy: is no file"),
+        ((), "no source: give --source"),
+        (("--source", "synthetic", "--camera", "a:b"), "exclude each other"),
+        (("--camera", "no_such_module:make"), "no_such_module"),
+        (("--camera", "json:no_such_factory"), "no_such_factory"),
+        (("--camera", "json"), "give MODULE:FACTORY"),
+        (("--camera", "time:time"), "gave float; it must return a callable"),
+        (("--source", "synthetic", "--provider", "tensorrt"), "'tensorrt' is not installed here; there are: "),
+        (("--source", "synthetic", "--frames", "1", "--page", "999.1.1.1:80"), "cannot be served"),
+    ],
+)
+def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], said: str) -> None:
+    ended = stream.run(*arguments)
+    assert ended.code == 2
+    assert said in ended.said
+    assert ended.results is None
+
+
+def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:
+    for name, content, said in (
+        ("frames.npy", b"no array", "cannot be read as frames"),
+        ("frames.raw", b"12345", "needs --shape HEIGHT WIDTH"),
+        ("frames.avi", b"no video", "OpenCV"),
+    ):
+        (stream.folder / name).write_bytes(content)
+        assert said in stream.run("--source", str(stream.folder / name)).said
+    np.save(stream.folder / "flat.npy", np.zeros(5, np.uint8))
+    assert "its array is (5,)" in stream.run("--source", str(stream.folder / "flat.npy")).said
+
+
+def test_no_results_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(player.PlayerError, match="is no results folder"):
+        player.read_results(tmp_path)
+
+
+def test_wrong_usage_ends_with_2(stream: Stream) -> None:
+    for wrong in (("--rate", "0"), ("--rate", "nan"), ("--page", "x:y"), ("--policy", "some")):
+        with pytest.raises(SystemExit) as stop:
+            stream.run(*wrong)
+        assert stop.value.code == 2

@@ -1,0 +1,261 @@
+"""What a stream does with its frames: policies, key frames, restarts, errors of the source, results."""
+
+import json
+import os
+import signal
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_bundle
+
+from fingerflow import player
+
+
+def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
+    frames = np.stack([frame(contact_px=10 * number) for number in range(40)])
+    np.save(stream.folder / "frames.npy", frames)
+    ended = stream.run("--source", str(stream.folder / "frames.npy"), "--json", str(stream.folder / "summary.json"))
+    assert ended.code == 0
+    assert (ended.summary["frames_in"], ended.summary["processed"], ended.summary["dropped"]) == (40, 40, 0)
+    assert json.loads((stream.folder / "summary.json").read_text()) == ended.summary
+    records, header, events = ended.results
+    np.testing.assert_array_equal(records["frame"], np.arange(40))
+    np.testing.assert_array_equal(records["real_area_mm2"], np.arange(40) * 10 * 0.5**2)  # mm_per_px is 0.5
+    np.testing.assert_array_equal(records["divergence"], np.arange(40)[:, None].repeat(POINTS, 1))  # the state goes on
+    np.testing.assert_array_equal(records["center"], np.broadcast_to((WIDTH / 2, HEIGHT / 2), (40, 2)))
+    np.testing.assert_array_equal(records["points"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
+    np.testing.assert_array_equal(records["status"], 1)
+    assert (records["latency"] > 0).all()
+    assert "touching" not in (records.dtype.names or ())
+    units = {field["name"]: field["unit"] for field in header["fields"]}
+    assert (units["real_area_mm2"], units["error"]) == ("mm2", "px")
+    assert [event["event"] for event in events] == ["restart"]
+
+
+def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
+    cv2 = pytest.importorskip("cv2")
+    frames = [frame(contact_px=100 * number) for number in range(4)]
+    np.stack(frames).tofile(stream.folder / "frames.raw")
+    size = (2 * WIDTH, HEIGHT)
+    video = cv2.VideoWriter(str(stream.folder / "frames.avi"), cv2.VideoWriter_fourcc(*"FFV1"), 30, size, False)
+    if not video.isOpened():
+        pytest.skip("this OpenCV cannot write a lossless video")
+    for picture in frames:
+        video.write(picture)
+    video.release()
+    raw = stream.run("--source", str(stream.folder / "frames.raw"), "--shape", str(HEIGHT), str(2 * WIDTH))
+    areas = np.array(raw.results.records["real_area_mm2"])
+    (stream.folder / "results").rename(stream.folder / "raw")
+    played = stream.run("--source", str(stream.folder / "frames.avi"))
+    np.testing.assert_array_equal(areas, np.arange(4) * 25)
+    np.testing.assert_array_equal(played.results.records["real_area_mm2"], areas)
+
+
+class Slow:
+    """A graph that takes its time."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+        step = player.Stepper.step
+
+        def slow(stepper: player.Stepper, slot: player.Slot) -> Any:
+            time.sleep(seconds)
+            return step(stepper, slot)
+
+        monkeypatch.setattr(player.Stepper, "step", slow)
+
+
+def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A paced source that is twice as fast as the graph: it waits, and that is counted."""
+    Slow(monkeypatch, 0.004)
+    ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--queue", "4")
+    np.testing.assert_array_equal(ended.results.records["frame"], np.arange(120))
+    assert ended.summary["dropped"] == 0
+    assert ended.summary["overruns"] > 0
+    # Waiting counts as latency: it is measured from when a camera would have given the frame.
+    assert ended.results.records["latency"][-1] > 0.1
+
+
+def test_the_policy_latest_takes_the_newest_frame(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    Slow(monkeypatch, 0.004)
+    ended = stream.run("--source", "synthetic", "--rate", "500", "--frames", "120", "--policy", "latest")
+    summary, numbers = ended.summary, ended.results.records["frame"]
+    assert summary["frames_in"] == 120
+    assert summary["dropped"] > 0
+    assert summary["processed"] + summary["dropped"] == 120
+    assert len(numbers) == summary["processed"]
+    assert (np.diff(numbers) > 0).all()
+    assert numbers[-1] == 119
+    assert summary["overruns"] == 0
+
+
+def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
+    found = [10, 10, 9, 8, 7, 7, 6, 4, 10, 10]
+    ended = stream.run(*stream.frames(frame(found=number) for number in found), "--policy", "every")
+    records = ended.results.records
+    # 7 of 10 is under the share of 0.8: key frame at 4. 6 of 7 is not. 4 is under half of 10: chosen anew.
+    np.testing.assert_array_equal(records["key_frame"], [0, 0, 0, 0, 0, 4, 4, 4, 7, 7])
+    np.testing.assert_array_equal(records["restart"], [1, 1, 1, 1, 1, 1, 1, 1, 2, 2])
+    # `error` is the pixel of the key frame: what `key` gave is held until it runs again.
+    np.testing.assert_array_equal(records["error"][:, 0], [10, 10, 10, 10, 10, 7, 7, 7, 4, 4])
+    assert np.isnan(records["started"][5, 7:]).all()  # points lost before the key frame are not in it
+    np.testing.assert_array_equal(records["divergence"][:, 0], [0, 1, 2, 3, 4, 5, 6, 7, 0, 1])  # NaN after a restart
+    events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
+    assert events == [("restart", 0, 10), ("key_frame", 4, 7), ("restart", 7, 10)]
+
+
+def test_a_scene_may_key_by_number_and_limit_the_region(stream: Stream) -> None:
+    text = stream.scene.read_text()
+    stream.scene.write_text(f"{text}[stream]\nrekey_frames = 3\nregion = {{rows = [0, 5], columns = [2, 9]}}\n")
+    ended = stream.run(*stream.frames(frame() for _ in range(8)), "--policy", "every")
+    np.testing.assert_array_equal(ended.results.records["key_frame"], [0, 0, 0, 0, 3, 3, 3, 6])
+    dark = frame()
+    dark[:5, 2:9] = 0
+    (stream.folder / "results").rename(stream.folder / "first")
+    ended = stream.run(*stream.frames([dark] * 3), "--policy", "every")
+    assert [event["points"] for event in ended.results.events] == [0]  # nothing to see in the region
+
+
+def test_a_source_that_fails_is_opened_again(stream: Stream) -> None:
+    frames = [frame(), frame(), OSError("cable"), OSError("cable"), frame(), frame()]
+    ended = stream.run(*stream.frames(frames), "--policy", "every")
+    assert ended.code == 0
+    assert (ended.summary["processed"], ended.summary["reconnects"]) == (4, 2)
+    assert "OSError: cable" in ended.said
+    assert sorted(event["event"] for event in ended.results.events) == ["reconnect", "reconnect", "restart"]
+
+
+def test_a_source_that_stays_away_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(player, "_STALL_WARNING", 0.1)
+    calls = 0
+
+    def make() -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > 1:
+            raise OSError("no camera")
+        return iter([frame(), frame()]).__next__  # StopIteration after two: a broken adapter
+
+    ended = stream.run(*stream.camera(make), "--policy", "every", "--give-up", "0.5")
+    assert ended.code == 2
+    assert "no frame for" in ended.said
+    assert "OSError: no camera" in ended.said
+    assert len(ended.results.records) == 2
+
+
+def test_a_camera_that_hangs_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(player, "_STALL_WARNING", 0.1)
+    monkeypatch.setattr(player, "_HANGING", 0.1)
+    released = threading.Event()
+    pictures = iter([frame(), frame()])
+
+    def grab() -> Any:
+        return next(pictures, None) if pictures.__length_hint__() else released.wait(60) or None
+
+    ended = stream.run(*stream.camera(lambda: grab), "--policy", "every", "--give-up", "0.4")
+    released.set()
+    assert ended.code == 2
+    assert "no frame for" in ended.said
+    assert len(ended.results.records) == 2
+    assert "stall" in [event["event"] for event in ended.results.events]
+
+
+def test_a_signal_ends_the_stream_with_whole_results(stream: Stream) -> None:
+    count = 0
+
+    def grab() -> Any:
+        nonlocal count
+        count += 1
+        if count == 20:
+            os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.001)
+        return frame()
+
+    ended = stream.run(*stream.camera(lambda: grab), "--policy", "every")
+    assert ended.code == 143
+    assert ended.summary["processed"] == ended.summary["frames_in"] == len(ended.results.records) >= 20
+
+
+def test_a_full_disk_ends_the_stream(stream: Stream) -> None:
+    """/dev/full takes no byte: what was written before stays."""
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full here")
+    opened = player.Sink.open
+
+    def open_full(sink: player.Sink) -> None:
+        opened(sink)
+        sink._records.close()
+        sink._records = open("/dev/full", "wb", buffering=1000)  # noqa: SIM115
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(player.Sink, "open", open_full)
+        ended = stream.run("--source", "synthetic", "--frames", "1000")
+    assert ended.code == 2
+    assert "No space left on device" in ended.said
+    assert len(ended.results.records) == 0
+
+
+def test_the_last_record_may_be_cut(stream: Stream) -> None:
+    ended = stream.run("--source", "synthetic", "--frames", "5")
+    path = stream.folder / "results" / "records.bin"
+    path.write_bytes(path.read_bytes()[:-1])
+    (stream.folder / "results" / "events.jsonl").write_text('{"event": "restart"}\n{"eve')
+    cut = player.read_results(stream.folder / "results")
+    np.testing.assert_array_equal(cut.records["frame"], np.arange(4))
+    assert cut.events == [{"event": "restart"}]
+    del cut, ended  # Windows keeps mapped files
+    path.write_bytes(b"")
+    assert len(player.read_results(stream.folder / "results").records) == 0
+
+
+def test_a_table_of_the_scalars(stream: Stream) -> None:
+    stream.run("--source", "synthetic", "--frames", "5")
+    table = stream.folder / "table.csv"
+    player.write_table(stream.folder / "results", table)
+    lines = table.read_text().splitlines()
+    assert lines[0] == "frame,time,latency,key_frame,restart,real_area_mm2,center_1,center_2"
+    assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
+    with pytest.raises(player.PlayerError, match="exists"):
+        player.write_table(stream.folder / "results", table)
+
+
+def test_results_are_never_overwritten(stream: Stream) -> None:
+    stream.run("--source", "synthetic", "--frames", "5")
+    again = stream.run("--source", "synthetic", "--frames", "2")
+    assert again.code == 2
+    assert "exists already" in again.said
+    assert len(again.results.records) == 5
+
+
+def test_frames_of_twelve_bits(stream: Stream, tmp_path: Path) -> None:
+    stream.bundle = write_bundle(tmp_path / "deep", bit_depth=12)
+    assert stream.run("--source", "synthetic", "--frames", "5").code == 0
+
+
+def test_the_synthetic_finger_moves_smoothly_and_grows() -> None:
+    scene = player.side_by_side(64, 80)
+    source = player.Synthetic(scene, np.dtype(np.uint8), 8)
+    frames = [np.array(source.read(), dtype=float) for _ in range(2 * source.half_period)]
+    dark = [(scene.contact.crop(picture) < 130).sum() for picture in frames]
+    assert dark[0] == dark[2 * source.half_period - 2] > 0
+    assert dark[source.half_period - 1] > 2 * dark[0]
+    assert max(np.abs(after - before).mean() for before, after in pairwise(frames)) < 12
+    assert scene.topography.crop(frames[0]).std() > 10
+
+
+def test_latencies_are_kept_in_bins() -> None:
+    latencies = player.Latencies()
+    assert latencies.summary()["median"] is None
+    times = np.linspace(0.001, 0.011, 1001)
+    for seconds in times:
+        latencies.add(seconds)
+    assert latencies.quantile(0.5) == pytest.approx(0.006, rel=0.011)
+    assert latencies.quantile(0.99) == pytest.approx(0.0109, rel=0.011)
+    latencies.add(100.0)
+    assert latencies.summary()["worst"] == 1e5

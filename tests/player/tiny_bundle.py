@@ -1,0 +1,209 @@
+"""A bundle of graphs small enough to know by heart, with the inputs and outputs that the export writes.
+
+Pixel (0, 0) of the topography view says how many of the points are found: what is lost is told by the test. The other
+outputs are simple: `error` is the number that pixel had in the key frame, `divergence` counts frames since the restart
+(a state), areas are the pixels that lose more than the scene's threshold of light.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+HEIGHT, WIDTH, POINTS = 24, 32, 10
+_OF_TYPE = {
+    "float": TensorProto.FLOAT,
+    "bool": TensorProto.BOOL,
+    "uint8": TensorProto.UINT8,
+    "uint16": TensorProto.UINT16,
+}
+
+
+def write_bundle(folder: Path, bit_depth: int = 8, **changes: Any) -> Path:
+    """Writes the bundle; ``changes`` replace entries of bundle.json."""
+    folder.mkdir(parents=True)
+    pixel = "uint8" if bit_depth == 8 else "uint16"
+    graphs = {}
+    for name, model in _models(pixel).items():
+        model.metadata_props.add(key="fingerflow.graph", value=name)
+        model.metadata_props.add(key="fingerflow.units", value=json.dumps({"error": "px", "divergence": "1"}))
+        onnx.checker.check_model(model)
+        data = model.SerializeToString()
+        (folder / f"{name}.onnx").write_bytes(data)
+        graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
+    recipe = {"views": {"height": HEIGHT, "width": WIDTH}, "bit_depth": bit_depth, "points": POINTS}
+    facts = {"format": 1, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
+    (folder / "bundle.json").write_text(json.dumps(facts | changes))
+    return folder
+
+
+def write_scene(path: Path, extra: str = "", background: str = "empty.npy") -> Path:
+    """A scene whose frames hold the topography view on the left and the contact view on the right."""
+    np.save(path.parent / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 200, np.uint8))
+    path.write_text(
+        f"""[views.contact]
+rows = [0, {HEIGHT}]
+columns = [{WIDTH}, {2 * WIDTH}]
+[views.topography]
+rows = [0, {HEIGHT}]
+columns = [0, {WIDTH}]
+[background]
+frames = "{background}"
+[calibration]
+mm_per_px = 0.5
+topography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+[contact]
+threshold = 0.5
+{extra}
+"""
+    )
+    return path
+
+
+def frame(found: int = POINTS, contact_px: int = 0) -> np.ndarray[Any, Any]:
+    """A frame in which so many points are found and so many pixels touch."""
+    picture = np.full((HEIGHT, 2 * WIDTH), 200, np.uint8)
+    picture[:, :WIDTH] = 90
+    picture[0, 0] = found
+    picture[:, WIDTH:].reshape(-1)[:0] = 0
+    contact = np.full(HEIGHT * WIDTH, 200, np.uint8)
+    contact[:contact_px] = 20
+    picture[:, WIDTH:] = contact.reshape(HEIGHT, WIDTH)
+    return picture
+
+
+def _models(pixel: str) -> dict[str, onnx.ModelProto]:
+    view = (1, 1, HEIGHT, WIDTH)
+    names = np.arange(POINTS, dtype=np.float32)[None]
+    places = np.stack([3 + 2 * names[0], 5 + names[0]], -1)[None].astype(np.float32)
+    corner = [
+        helper.make_node("Cast", ["topography_view"], ["topography"], to=TensorProto.FLOAT),
+        helper.make_node("Slice", ["topography", "zero4", "one4", "axes"], ["pixel4"]),
+        helper.make_node("Reshape", ["pixel4", "flat"], ["pixel"]),
+    ]
+    corner_constants = {
+        "zero4": np.zeros(2, np.int64),
+        "one4": np.ones(2, np.int64),
+        "axes": np.array([2, 3]),
+        "flat": np.array([1, 1]),
+    }
+    return {
+        "background": _model(
+            [
+                helper.make_node("Cast", ["background"], ["light"], to=TensorProto.FLOAT),
+                helper.make_node("Cast", ["dark"], ["darkness"], to=TensorProto.FLOAT),
+                helper.make_node("Sub", ["light", "darkness"], ["difference"]),
+                helper.make_node("Reciprocal", ["difference"], ["gain"]),
+            ],
+            {"background": (pixel, view), "dark": (pixel, view)},
+            {"gain": ("float", view)},
+            {},
+        ),
+        "detect": _model(
+            [
+                helper.make_node("Cast", ["view"], ["seen"], to=TensorProto.FLOAT),
+                helper.make_node("Cast", ["mask"], ["inside"], to=TensorProto.FLOAT),
+                helper.make_node("Mul", ["seen", "inside"], ["masked"]),
+                helper.make_node("ReduceMax", ["masked", "image"], ["brightest"], keepdims=0),
+                helper.make_node("Greater", ["brightest", "zero"], ["any"]),
+                helper.make_node("Where", ["any", "places", "nan"], ["points"]),
+                helper.make_node("Identity", ["names"], ["strength"]),
+            ],
+            {"view": (pixel, view), "mask": ("bool", view)},
+            {"points": ("float", (1, POINTS, 2)), "strength": ("float", (1, POINTS))},
+            {
+                "places": places,
+                "names": names,
+                "image": np.array([1, 2, 3]),
+                "zero": np.zeros(1, np.float32),
+                "nan": np.full((1, 1, 1), np.nan, np.float32),
+            },
+        ),
+        "key": _model(
+            [
+                *corner,
+                helper.make_node("Identity", ["pixel"], ["template_pixel"]),
+                helper.make_node("Identity", ["points"], ["template_points"]),
+            ],
+            {"topography_view": (pixel, view), "points": ("float", (1, POINTS, 2))},
+            {"template_pixel": ("float", (1, 1)), "template_points": ("float", (1, POINTS, 2))},
+            corner_constants,
+        ),
+        "frame": _model(
+            [
+                *corner,
+                helper.make_node("Less", ["names", "pixel"], ["seen"]),
+                helper.make_node("Unsqueeze", ["seen", "last"], ["seen2"]),
+                helper.make_node("Where", ["seen2", "prediction", "nan3"], ["found"]),
+                helper.make_node("Add", ["found", "zeros"], ["points"]),
+                helper.make_node("Identity", ["prediction"], ["next_prediction"]),
+                helper.make_node("IsNaN", ["reference"], ["unknown"]),
+                helper.make_node("Where", ["unknown", "zeros", "reference"], ["known"]),
+                helper.make_node("Add", ["known", "one"], ["next_reference"]),
+                helper.make_node("ReduceMax", ["known", "last"], ["divergence"], keepdims=0),
+                helper.make_node("Add", ["noughts", "template_pixel"], ["error"]),
+                helper.make_node("ReduceMax", ["template_points", "last"], ["started"], keepdims=0),
+                helper.make_node("Cast", ["contact_view"], ["contact"], to=TensorProto.FLOAT),
+                helper.make_node("Mul", ["contact", "gain"], ["share"]),
+                helper.make_node("Sub", ["one", "share"], ["lost"]),
+                helper.make_node("Greater", ["lost", "threshold"], ["touching"]),
+                helper.make_node("Cast", ["touching"], ["touches"], to=TensorProto.FLOAT),
+                helper.make_node("ReduceSum", ["touches", "image"], ["real_area_px"], keepdims=0),
+                helper.make_node("Gemm", ["middle", "topography_to_contact"], ["center"], transB=1),
+                helper.make_node("Cast", ["seen"], ["status"], to=TensorProto.UINT8),
+            ],
+            {
+                "contact_view": (pixel, view),
+                "topography_view": (pixel, view),
+                "prediction": ("float", (1, POINTS, 2)),
+                "reference": ("float", (1, POINTS, 2)),
+                "topography_to_contact": ("float", (2, 3)),
+                "threshold": ("float", (1,)),
+                "gain": ("float", view),
+                "template_pixel": ("float", (1, 1)),
+                "template_points": ("float", (1, POINTS, 2)),
+            },
+            {
+                "real_area_px": ("float", (1,)),
+                "center": ("float", (1, 2)),
+                "points": ("float", (1, POINTS, 2)),
+                "error": ("float", (1, POINTS)),
+                "started": ("float", (1, POINTS)),
+                "status": ("uint8", (1, POINTS)),
+                "divergence": ("float", (1, POINTS)),
+                "touching": ("bool", view),
+                "next_prediction": ("float", (1, POINTS, 2)),
+                "next_reference": ("float", (1, POINTS, 2)),
+            },
+            {
+                **corner_constants,
+                "names": names,
+                "last": np.array([2]),
+                "image": np.array([1, 2, 3]),
+                "nan3": np.full((1, 1, 1), np.nan, np.float32),
+                "zeros": np.zeros((1, POINTS, 2), np.float32),
+                "noughts": np.zeros((1, POINTS), np.float32),
+                "one": np.ones(1, np.float32),
+                "middle": np.array([[WIDTH / 2, HEIGHT / 2, 1]], np.float32),
+            },
+        ),
+    }
+
+
+def _model(
+    nodes: list[onnx.NodeProto],
+    inputs: dict[str, tuple[str, tuple[int, ...]]],
+    outputs: dict[str, tuple[str, tuple[int, ...]]],
+    constants: dict[str, np.ndarray[Any, Any]],
+) -> onnx.ModelProto:
+    infos = [
+        [helper.make_tensor_value_info(name, _OF_TYPE[kind], shape) for name, (kind, shape) in side.items()]
+        for side in (inputs, outputs)
+    ]
+    tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "tiny", infos[0], infos[1], tensors)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
