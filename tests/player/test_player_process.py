@@ -109,11 +109,3 @@ def test_the_command_line_of_the_package_is_the_same_player(stream: Stream) -> N
         )
         assert ended.returncode == 0, ended.stderr
     assert len((stream.folder / "table.csv").read_text().splitlines()) == 21
-    again = subprocess.run(
-        [sys.executable, "-c", code, "stream", str(stream.bundle), *options],
-        cwd=stream.folder,
-        capture_output=True,
-        text=True,
-    )
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
