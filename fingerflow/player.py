@@ -1123,9 +1123,9 @@ class Player:
                 (self._store, (self._records.close, self._finished.set)),
             )
         ]
+        self._started = time.perf_counter()
         page = serve_page(self, self.settings.page) if self.settings.page else None
         self._sink.open()
-        self._started = time.perf_counter()
         for thread in threads:
             thread.start()
         try:
