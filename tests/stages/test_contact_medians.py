@@ -89,3 +89,31 @@ def test_half_of_a_contact_is_not_taken_for_all_of_it() -> None:
     field = np.where(nodes[:, 0] < 8.0, 1.0, np.nan)[None]
     still = np.zeros((2, len(nodes)))
     assert np.isnan(medians_over_contact(contact((3.0, 3.0)), 0, made, still, field)).all()  # type: ignore[arg-type]
+
+
+def test_positions_are_led_back_to_where_the_displacement_brings_them_from() -> None:
+    """To 1e-9 mm, with unknown nodes around them."""
+    made, nodes = grid()
+    away = nodes - (8.0, 6.0)
+    displacement = np.stack(
+        (15 + 0.02 * away[:, 0] ** 2 - 0.1 * away[:, 1], 0.3 * np.sin(away[:, 0]) - 0.2 * away[:, 1])
+    )
+    displacement[:, (away**2).sum(1) > 16] = np.nan
+    angle, radius = np.linspace(0, 40, 1000), np.sqrt(np.linspace(0, 9, 1000))
+    reference = np.stack((8 + radius * np.cos(angle), 6 + radius * np.sin(angle)))
+    found, settled = made.led_back(reference + made.interpolate(displacement, reference), displacement)
+    assert settled.all()
+    np.testing.assert_allclose(found, reference, rtol=0, atol=1e-9)
+
+
+def test_bilinear_interpolation() -> None:
+    made, nodes = grid()
+    field = np.stack((nodes[:, 0] * nodes[:, 1], nodes.sum(1)))
+    field[:, 0] = np.nan
+    low, high = nodes[0], nodes[-1]
+    inside = np.array([[5.03, 7.9, high[0], low[0] + 0.3], [2.0, 3.333, high[1], low[1] + 0.1]])
+    np.testing.assert_allclose(made.interpolate(field, inside), [inside.prod(0), inside.sum(0)], atol=1e-12)
+    nowhere = np.array(
+        [[low[0] + 0.1, low[0] - 0.01, high[0] + 0.01, 5.0, np.nan], [low[1] + 0.1, 2.0, 2.0, 99.0, 3.0]]
+    )
+    assert np.isnan(made.interpolate(field, np.array(nowhere))).all()
