@@ -14,7 +14,7 @@ Every choice was the one with the least error against the truth among those trie
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -62,7 +62,7 @@ class Measured(NamedTuple):
     seconds: Mapping[str, float]
 
 
-class _Outline(NamedTuple):
+class Outline(NamedTuple):
     """The gross contact: pixels of its convex hull, 0 or 1, centre (2,) px, and half axes along their directions."""
 
     mask: Image
@@ -74,7 +74,8 @@ class _Outline(NamedTuple):
 def run(contact: Image, topography: Image, rig: Rig) -> Measured:
     """Both views (F, H, W) of a recording whose last frame has the most contact."""
     start = time.perf_counter()
-    real_area, outlines = _contact(contact, rig)
+    finder = ContactFinder(contact[-1], rig)
+    areas, outlines = zip(*map(finder.find, contact), strict=True)
     found = time.perf_counter()
     position, covered = _follow(topography, outlines, rig)
     followed = time.perf_counter()
@@ -83,25 +84,10 @@ def run(contact: Image, topography: Image, rig: Rig) -> Measured:
     gross_area = np.array([cv2.countNonZero(outline.mask) for outline in outlines])
     semi_axes = np.stack([outline.semi_axes for outline in outlines])
     scale = rig.mm_per_px
-    return Measured(real_area * scale**2, gross_area * scale**2, semi_axes * scale, position, *fields, seconds)
+    return Measured(np.array(areas) * scale**2, gross_area * scale**2, semi_axes * scale, position, *fields, seconds)
 
 
-def _contact(frames: Image, rig: Rig) -> tuple[Floats, list[_Outline]]:
-    """Real contact (F,) px and the gross contact of every frame."""
-    light = rig.empty - rig.dark
-    unlit = light <= _LIT * np.quantile(light, 0.99)
-    last = _quotient(frames[-1], rig, light, unlit)
-    coarse = _otsu(last, ~unlit)
-    fine = _otsu(last, _gross(last, coarse).mask > 0)
-    areas, outlines = [], []
-    for frame in frames:
-        quotient = _quotient(frame, rig, light, unlit)
-        areas.append(np.count_nonzero(quotient < fine))
-        outlines.append(_gross(quotient, coarse))
-    return np.array(areas, dtype=np.float64), outlines
-
-
-def _follow(frames: Image, outlines: list[_Outline], rig: Rig) -> tuple[Floats, NDArray[np.bool_]]:
+def _follow(frames: Image, outlines: Sequence[Outline], rig: Rig) -> tuple[Floats, NDArray[np.bool_]]:
     """Positions (F, N, 2) px and which points (F, N) the contact covers."""
     tracker = _Tracker(frames[0], outlines[-1].mask, rig)
     positions, covered = [], []
@@ -111,11 +97,27 @@ def _follow(frames: Image, outlines: list[_Outline], rig: Rig) -> tuple[Floats, 
     return np.stack(positions), np.stack(covered)
 
 
-def _quotient(frame: Image, rig: Rig, light: NDArray[np.float32], unlit: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Light over that of the empty glass, median-filtered."""
-    quotient = cv2.divide(cv2.subtract(frame, rig.dark, dtype=cv2.CV_32F), light)
-    quotient[unlit] = 1
-    return np.asarray(cv2.medianBlur(quotient, 3), dtype=np.float32)
+class ContactFinder:
+    """Contact by thresholds from the frame (H, W) with the most of it."""
+
+    def __init__(self, most: Image, rig: Rig) -> None:
+        self._dark = rig.dark
+        self._light = rig.empty - rig.dark
+        self._unlit = self._light <= _LIT * np.quantile(self._light, 0.99)
+        quotient = self._quotient(most)
+        self._coarse = _otsu(quotient, ~self._unlit)
+        self._fine = _otsu(quotient, _gross(quotient, self._coarse).mask > 0)
+
+    def find(self, frame: Image) -> tuple[int, Outline]:
+        """Real contact in px and the gross contact."""
+        quotient = self._quotient(frame)
+        return int(np.count_nonzero(quotient < self._fine)), _gross(quotient, self._coarse)
+
+    def _quotient(self, frame: Image) -> NDArray[np.float32]:
+        """Light over that of the empty glass, median-filtered."""
+        quotient = cv2.divide(cv2.subtract(frame, self._dark, dtype=cv2.CV_32F), self._light)
+        quotient[self._unlit] = 1
+        return np.asarray(cv2.medianBlur(quotient, 3), dtype=np.float32)
 
 
 def _otsu(quotient: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
@@ -127,7 +129,7 @@ def _otsu(quotient: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
     return (level + 0.5) / _LEVELS
 
 
-def _gross(quotient: NDArray[np.float32], threshold: float) -> _Outline:
+def _gross(quotient: NDArray[np.float32], threshold: float) -> Outline:
     radius = 8
     touching = (quotient < threshold).view(np.uint8)
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
@@ -138,11 +140,11 @@ def _gross(quotient: NDArray[np.float32], threshold: float) -> _Outline:
         cv2.fillPoly(mask, [cv2.convexHull(max(contours, key=cv2.contourArea))], 1)
     moments = cv2.moments(mask, binaryImage=True)
     if moments["m00"] < 16:  # a speck
-        return _Outline(np.zeros_like(mask), np.full(2, np.nan), np.full(2, np.nan), np.eye(2))
+        return Outline(np.zeros_like(mask), np.full(2, np.nan), np.full(2, np.nan), np.eye(2))
     covariance = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]) / moments["m00"]
     variances, directions = np.linalg.eigh(covariance)
     center = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-    return _Outline(mask, center, 2 * np.sqrt(variances[::-1]), directions[:, ::-1])
+    return Outline(mask, center, 2 * np.sqrt(variances[::-1]), directions[:, ::-1])
 
 
 class _Tracker:
@@ -178,7 +180,7 @@ def _sample(mask: Image, points: NDArray[np.floating], rig: Rig) -> Image:
 
 
 def _fields(
-    position: Floats, covered: NDArray[np.bool_], outlines: list[_Outline], rig: Rig
+    position: Floats, covered: NDArray[np.bool_], outlines: Sequence[Outline], rig: Rig
 ) -> tuple[Floats, Floats, Floats]:
     """Divergence (F, N) of the displacement since the contact reached each point, its median (F,), that of strain."""
     matrix = np.asarray(rig.topography_to_contact)
@@ -226,7 +228,7 @@ def _gradients(points: Floats, values: Floats, weights: Floats) -> Floats:
     return np.asarray(slopes / determinant)
 
 
-def _grid_inside(outline: _Outline, mm_per_px: float) -> Floats:
+def _grid_inside(outline: Outline, mm_per_px: float) -> Floats:
     """Positions (P, 2) mm on a square grid in the ellipse of the gross contact."""
     steps = np.ceil(outline.semi_axes[0] * mm_per_px / _GRID_MM) + 4
     offsets = np.arange(-steps, steps + 1) / steps

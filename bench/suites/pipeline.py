@@ -61,8 +61,7 @@ def run(quick: bool) -> list[Row]:
     press = QUICK_PRESS if quick else PRESS
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "press"
-        with contextlib.redirect_stderr(io.StringIO()):  # a progress bar
-            write_recording(recording, press)
+        write_quietly(recording, press)
         measured: dict[str, Measured] = {}
 
         def keep(name: str, pipeline: Callable[[Path, Press], Measured]) -> Callable[[], None]:
@@ -84,6 +83,12 @@ def run(quick: bool) -> list[Row]:
         }
         for name in PIPELINES
     ]
+
+
+def write_quietly(folder: Path, press: Press) -> None:
+    """Writes the recording without a progress bar between the tables."""
+    with contextlib.redirect_stderr(io.StringIO()):
+        write_recording(folder, press)
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

@@ -5,22 +5,36 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+import torch
 
+from bench import timing
 from bench.rows import Row, Skipped, number
-from bench.suites import dic, drift, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking
+from bench.suites import (
+    dense,
+    dic,
+    drift,
+    gpu,
+    growth,
+    image_ops,
+    interpolant,
+    large_motion,
+    memory,
+    pipeline,
+    speed_against_error,
+    tracking,
+)
 
 
 @pytest.fixture(autouse=True)
 def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Times are not judged, so one run each is enough."""
-    from bench import timing
 
     def once(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
         assert peer in candidates
         assert rounds >= 2
         return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}
 
-    for suite in (dic, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking):
+    for suite in (dense, dic, gpu, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking):
         monkeypatch.setattr(suite, "time_in_turns", once)
 
 
@@ -140,3 +154,70 @@ def test_pipeline() -> None:
         assert number(row, "contact_ms") > 0
     assert number(ours, "position_px") < number(theirs, "position_px")
     assert number(ours, "gross_area_pct") < number(theirs, "gross_area_pct")
+
+
+def test_dense() -> None:
+    """Read from its own pixel every dense flow finds the point; uniform motion flatters some beyond the bound."""
+    rows = dense.run(quick=True)
+    assert {(row["motion"], row["way"]) for row in rows} >= {("5 px", "opencv DIS, medium"), ("wave", "fingerflow")}
+    for row in rows:
+        assert row["wrong"] == 0, row
+        assert 0.4 < number(row, "over_bound") < 3, row
+    assert 0.8 < number(one(rows, motion="5 px", way="fingerflow"), "over_bound") < 1.2
+
+
+def test_growth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a clock that shows twice as much every time, the exponents are known."""
+
+    def by_size(candidates: dict[str, Callable[[], object]], peer: str, rounds: int) -> dict[str, timing.Timing]:
+        assert peer in candidates
+        for call in candidates.values():
+            call()
+        clock.append(2 * clock[-1])
+        return {name: timing.Timing(clock[-1], clock[-1], clock[-1], 1.0) for name in candidates}
+
+    clock = [1.0]
+    threads = torch.get_num_threads()
+    monkeypatch.setattr(growth, "time_in_turns", by_size)
+    rows = growth.run(quick=True)
+    assert torch.get_num_threads() == threads
+    assert {row["grows"] for row in rows} == {"points", "window", "image", "threads", "frames"}
+    assert {row["way"] for row in rows} == {"opencv", "fingerflow"}
+    assert one(rows, grows="points", value="100", way="opencv")["exponent"] is None
+    assert one(rows, grows="points", value="400", way="opencv")["exponent"] == pytest.approx(0.5)  # twice for 4 times
+    assert one(rows, grows="frames", value="8", way="opencv")["exponent"] == pytest.approx(0)  # a frame's share
+
+
+def test_memory() -> None:
+    """The numbers of a process: torch alone has 100 MB. Growth over 40 frames is too little to be judged."""
+    short, long = memory.run(quick=True)
+    for row in (short, long):
+        assert 100 < number(row, "peak_mb") < number(row, "resident_mb") < 2000
+        assert 0 < number(row, "result_bytes") < number(row, "frame_bytes") / 4
+    assert short["growth_bytes"] is None
+    assert long["growth_bytes"] is not None
+
+
+def test_memory_where_it_cannot_be_read_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(memory, "STATUS", tmp_path / "status")
+    with pytest.raises(Skipped, match="only Linux"):
+        memory.run(quick=True)
+
+
+def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the processor instead: the same results. Where there is no CUDA it says so."""
+    rows = gpu.rows_on(torch.device("cpu"), (128, 160), 60, (1, 3), {"eager": gpu.WAYS["eager"]}, rounds=2)
+    assert {(row["work"], row["recordings"]) for row in rows} == {
+        (work, batch) for work in ("contact", "tracking", "fields") for batch in (1, 3)
+    }
+    assert all(row["deviation"] == 0 for row in rows)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(Skipped, match="CUDA"):
+        gpu.run(quick=True)
+
+
+def test_gpu_deviation_of_known_results() -> None:
+    nan = float("nan")
+    assert gpu._deviation(torch.tensor([1.0, nan]), torch.tensor([1.5, nan])) == 0.5
+    assert gpu._deviation(torch.tensor([1.0, 2.0]), torch.tensor([1.0, nan])) == float("inf")
+    assert gpu._deviation(torch.tensor([nan]), torch.tensor([nan])) == 0

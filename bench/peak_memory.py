@@ -1,0 +1,70 @@
+"""Peak memory of `fingerflow.process`, in a process of its own: `python -m bench.peak_memory SCENE...` prints JSON."""
+
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from fingerflow import load_scene, process
+
+STATUS = Path("/proc/self/status")  # Linux only
+
+
+class Watch:
+    """The largest memory that was seen, looking every few ms: bytes that are the process's own, and all resident ones.
+
+    Pages of a mapped file are resident too, until the system has another use for them; they are not its own.
+    """
+
+    def __init__(self) -> None:
+        self.own = self.resident = 0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while True:
+            lines = (line.split(":") for line in STATUS.read_text(encoding="ascii").splitlines())
+            sizes = {name: 1024 * int(rest.split()[0]) for name, rest in lines if name in ("RssAnon", "VmRSS")}
+            self.own = max(self.own, sizes["RssAnon"])
+            self.resident = max(self.resident, sizes["VmRSS"])
+            if self._done.wait(0.005):
+                return
+
+
+def main(scenes: list[str]) -> None:
+    """Every scene with all its outputs, after the first has been through once to load and cache what is kept."""
+    loaded = [load_scene(Path(path)) for path in scenes]
+    process(loaded[0], device="cpu")
+    found = []
+    for scene in loaded:
+        start = time.perf_counter()
+        with Watch() as watch:
+            result = process(scene, device="cpu")
+        found.append(
+            {
+                "seconds": time.perf_counter() - start,
+                "own_bytes": watch.own,
+                "resident_bytes": watch.resident,
+                "result_bytes": result.nbytes,
+                "points": result.sizes["point"],
+            }
+        )
+        del result
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,133 @@
+"""The graphs on a graphics processor: eager and compiled, one frame or the frames of several recordings at once.
+
+`contact` is `ContactGraph` on frames of a press in full contact, `tracking` is `TrackGraph` on 700 points of skin moved
+by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points; views of 512 x 640 px (a quarter of the side
+and 100 points with --quick). Frames stay on the device: a camera's cable and the disk are not in it. `compiled` is
+`torch.compile` with fixed shapes, compiled before it is timed. ms is a frame's share of a call, and time_to_peer is
+over the same frames on this machine's processor, by the same graphs and with the compiled kernels where they were
+built. `deviation` is the largest from the processor's result: of an area as a share, of a position in px, of a
+divergence (no unit); NaN in one and not in the other counts as infinite.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from bench.rows import Row, Skipped
+from bench.skin import clean_picture, photograph
+from bench.timing import time_in_turns
+from fingerflow.graphs import ContactGraph, FieldsGraph, TrackGraph
+from fingerflow.synthetic import Press
+
+PEER = "processor"
+SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
+
+WAYS: Mapping[str, Callable[[nn.Module], Callable[..., object]]] = {
+    "eager": lambda graph: graph,
+    "compiled": lambda graph: torch.compile(graph, dynamic=False),
+}
+
+
+class Work(NamedTuple):
+    """A graph, what it is given for a batch of frames, and which of its results is compared."""
+
+    graph: nn.Module
+    inputs: tuple[Tensor, ...]
+    result: Callable[..., Tensor]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a work, way and number of recordings."""
+    if not torch.cuda.is_available():
+        built = "was built without CUDA" if torch.version.cuda is None else "finds no CUDA device here"
+        raise Skipped(f"torch {torch.__version__} {built}")
+    shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
+    return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
+
+
+@torch.inference_mode()
+def rows_on(
+    device: torch.device,
+    shape: tuple[int, int],
+    points: int,
+    batches: Sequence[int],
+    ways: Mapping[str, Callable[[nn.Module], Callable[..., object]]],
+    rounds: int,
+) -> list[Row]:
+    """The rows of any device."""
+    rows: list[Row] = []
+    for batch in batches:
+        for name, work in _works(shape, points, batch).items():
+            calls: dict[str, Callable[[], object]] = {PEER: _call(work.graph, work.inputs)}
+            on_device = tuple(tensor.to(device) for tensor in work.inputs)
+            calls |= {way: _call(prepare(work.graph), on_device) for way, prepare in ways.items()}
+            times = time_in_turns(calls, PEER, rounds)
+            expected = work.result(calls[PEER]())
+            for way, call in calls.items():
+                rows.append(
+                    {
+                        "work": name,
+                        "recordings": batch,
+                        "way": way,
+                        **times[way].of_each(batch).cells(),
+                        "deviation": _deviation(work.result(call()).cpu(), expected),
+                    }
+                )
+    return rows
+
+
+def _call(graph: Callable[..., object], inputs: tuple[Tensor, ...]) -> Callable[[], object]:
+    def call() -> object:
+        result = graph(*inputs)
+        if inputs[0].is_cuda:
+            torch.cuda.synchronize(inputs[0].device)
+        return result
+
+    return call
+
+
+def _deviation(found: Tensor, expected: Tensor) -> float:
+    known = expected.isfinite()
+    if not torch.equal(found.isfinite(), known):
+        return float("inf")
+    return (found - expected)[known].abs().max().item() if known.any() else 0.0
+
+
+def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
+    generator = torch.Generator().manual_seed(0)
+    previous, current = (
+        torch.cat([photograph(clean_picture(shape, shift), 2, seed + 1000 * number) for number in range(batch)])
+        for seed, shift in enumerate(((0.0, 0.0), (0.3, 0.2)))
+    )
+    room = torch.tensor((shape[1] - 37, shape[0] - 37), dtype=torch.float32)
+    places = 18 + room * torch.rand(batch, points, 2, generator=generator)
+    displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
+    variance = torch.full(places.shape[:2], 4e-4)
+    return {
+        "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
+        "tracking": Work(TrackGraph(), (previous, current, places), lambda tracks: tracks.points),
+        "fields": Work(FieldsGraph(50.0), (places, displacement, variance), lambda fields: fields.divergence),
+    }
+
+
+def _contact_frames(shape: tuple[int, int], batch: int) -> tuple[Tensor, ...]:
+    """Frames, empty glass, darkness and thresholds, as `ContactGraph` takes them."""
+    rows, columns = shape
+    large = min(rows / 512, columns / 640)
+    press = Press(
+        n_frames=batch + 1,
+        frame_rate=1.0,
+        frames_before_trigger=0,
+        frame_shape=(rows, 2 * columns),
+        finger=(7.6 * large, 6.4 * large),
+        semi_axes=(5.5 * large, 4.5 * large),
+    )
+    view = press.views["contact"]
+    frames = torch.stack([torch.from_numpy(view.crop(press.render(frame))) for frame in range(1, batch + 1)])[:, None]
+    empty, dark = (
+        torch.from_numpy(view.crop(picture)).float()[None, None] for picture in (press.empty(), press.dark())
+    )
+    threshold = ContactGraph().threshold(frames[:1], empty, dark).expand(batch).clone()
+    return frames, empty, dark, threshold

@@ -1,0 +1,85 @@
+"""Peak memory of `fingerflow.process` with all outputs, on longer and longer recordings: does it hold the frames?
+
+A press at 1,000 fps in two views of 160 x 200 px that comes to rest after 22 frames; eight pictures of it at rest, each
+with its own noise, follow over and over. One fresh process takes all recordings, the shortest first and once more
+before that, so that what is loaded and cached once is not counted as growth. peak_mb is the most memory of the
+process's own (anonymous pages, looked at every 5 ms), torch and the other libraries included; resident_mb counts pages
+of the mapped recording too, which the system takes back when it needs them. A recording held in memory would grow by
+frame_bytes a frame. What remains grows by growth_bytes, counted from the row before: numbers of points and triangles,
+of which the result keeps result_bytes a frame.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.peak_memory import STATUS
+from bench.rows import Cell, Row, Skipped
+from bench.suites.pipeline import write_quietly
+from fingerflow.synthetic import Press
+
+_RISE, _STILL = 24, 8  # frames
+
+
+class LongPress(Press):
+    """A press that is not rendered anew for every frame at rest."""
+
+    def render(self, frame: int) -> NDArray[np.integer]:
+        return _picture(frame if frame < _RISE else _RISE + frame % _STILL)
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a number of frames."""
+    if not STATUS.exists():
+        raise Skipped(f"memory is read from {STATUS}, which only Linux has")
+    counts = (10, 40) if quick else (200, 800, 3200)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for count in counts:
+            write_quietly(folder / str(count), _press(count))
+        scenes = [str(folder / str(count) / "scene.toml") for count in counts]
+        child = subprocess.run(
+            [sys.executable, "-m", "bench.peak_memory", *scenes], check=True, stdout=subprocess.PIPE, text=True
+        )
+        frame_bytes = _picture(0).nbytes
+    rows: list[Row] = []
+    before: tuple[int, int] | None = None
+    for count, found in zip(counts, json.loads(child.stdout), strict=True):
+        row: dict[str, Cell] = {
+            "frames": count,
+            "points": found["points"],
+            "recording_mb": count * frame_bytes / 1e6,
+            "peak_mb": found["own_bytes"] / 1e6,
+            "resident_mb": found["resident_bytes"] / 1e6,
+            "frame_bytes": frame_bytes,
+            "growth_bytes": None if before is None else (found["own_bytes"] - before[1]) // (count - before[0]),
+            "result_bytes": found["result_bytes"] // count,
+            "ms": 1e3 * found["seconds"] / count,
+        }
+        rows.append(row)
+        before = count, found["own_bytes"]
+    return rows
+
+
+def _press(count: int) -> LongPress:
+    return LongPress(
+        n_frames=count,
+        frame_rate=1000.0,
+        frames_before_trigger=1,
+        contact_time=0.001,
+        rise_time=0.02,
+        frame_shape=(160, 400),
+        finger=(2.6, 2.2),
+        semi_axes=(1.9, 1.6),
+    )
+
+
+@lru_cache
+def _picture(frame: int) -> NDArray[np.integer]:
+    return Press.render(_press(_RISE + _STILL), frame)
