@@ -14,6 +14,7 @@ from setuptools.command.build_ext import build_ext
 KERNELS = Path("kernels")
 PLAIN = [
     "components",
+    "contact_above",
     "contact_classes",
     "dense_region",
     "ellipse",

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.contact_classes import ContactClasses, contact_classes
+from fingerflow.ops.contact_above import contact_above
+from fingerflow.ops.contact_classes import contact_classes
 from fingerflow.ops.dense_region import dense_region
 from fingerflow.ops.ellipse import Ellipse, fit_ellipse, mask_moments
-from fingerflow.ops.illumination import dequantize, light_lost
+from fingerflow.ops.illumination import dequantize
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.median import median_above
 from fingerflow.ops.otsu import histogram
 from fingerflow.ops.quantile import median_of_counts
 from fingerflow.ops.strain import curl, divergence, green_lagrange
@@ -58,11 +58,8 @@ class ContactGraph(nn.Module):
     ) -> Contact:
         """(B, 1, H, W) frames, (1, 1, H, W) reference and dark; ``threshold`` (B,), or None for each frame's own."""
         if threshold is None:
-            classes = contact_classes(frames, reference, dark, median_px=self.median_px)
-            threshold, signal, valid = self._threshold(classes), classes.signal, classes.valid
-        else:
-            signal, _, valid = light_lost(frames, reference, dark)
-        real = median_above(signal, threshold, self.median_px) & valid
+            threshold = self.threshold(frames, reference, dark)
+        real = contact_above(frames, reference, dark, threshold=threshold, median_px=self.median_px)
         gross = dense_region(real, self.gross_radius_px)
         ellipse = fit_ellipse(gross)
         return Contact(real, gross, mask_moments(real)[:, 0].double(), ellipse.area_px, ellipse, threshold)
@@ -75,9 +72,7 @@ class ContactGraph(nn.Module):
         and the area up by 2 %. Half-way between the medians of the two classes inside the gross region is where the
         blurred edge of a ridge has its true place.
         """
-        return self._threshold(contact_classes(frames, reference, dark, median_px=self.median_px))
-
-    def _threshold(self, contact: ContactClasses) -> Tensor:
+        contact = contact_classes(frames, reference, dark, median_px=self.median_px)
         low, high = dequantize(contact.classes.means).unbind(1)
         # Contact takes at least a twentieth of the light; two halves of noise lie closer together. Frames that are
         # brighter than the background (another exposure or bit depth) have classes, but no contact.

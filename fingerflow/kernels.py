@@ -52,9 +52,8 @@ class FittedPlanes(NamedTuple):
 
 
 class ContactPictures(NamedTuple):
-    """(B, 1, H, W) float32, bool, uint8 and bool."""
+    """(B, 1, H, W) bool, uint8 and bool."""
 
-    signal: Tensor
     valid: Tensor
     smooth: Tensor
     touching: Tensor
@@ -103,8 +102,7 @@ def median_above(frames: Tensor, thresholds: Tensor, size: int) -> Tensor:
         TypeError, ValueError: another dtype or shape, or a size that is even or outside 1 to 15.
     """
     _check_frames(frames, MEDIAN_ABOVE_DTYPES)
-    if not 1 <= size <= LARGEST_MEDIAN_ABOVE or size % 2 == 0:
-        raise ValueError(f"the compiled count has odd sizes from 1 to {LARGEST_MEDIAN_ABOVE}: {size} was asked for")
+    _check_size_above(size)
     _check_like("thresholds", thresholds, torch.float64, (len(frames),))
     frames, thresholds = _rows_in_one_piece(frames), thresholds.contiguous()
     above = torch.empty(frames.shape, dtype=torch.bool)
@@ -129,22 +127,10 @@ def light_lost(
     Raises:
         TypeError, ValueError: images of another dtype than FRAME_KINDS, or not (B, 1, H, W) and (1 or B, 1, H, W).
     """
-    frames, reference, dark = _images(frames, reference, dark)
     signal = torch.empty(frames.shape)
     levels, valid = (torch.empty(frames.shape, dtype=dtype) for dtype in (torch.uint8, torch.bool))
-    _call(
-        "fingerflow_light_lost",
-        frames.data_ptr(),
-        *_extent(frames),
-        FRAME_KINDS[frames.dtype],
-        *_image(reference),
-        *_image(dark),
-        minimum,
-        low,
-        levels_per_unit,
-        *(result.data_ptr() for result in (signal, levels, valid)),
-        torch.get_num_threads(),
-    )
+    pointers = (result.data_ptr() for result in (signal, levels, valid))
+    _call_on_images("fingerflow_light_lost", frames, reference, dark, minimum, low, levels_per_unit, *pointers)
     return signal, levels, valid
 
 
@@ -165,35 +151,39 @@ def contact_classes(
         TypeError, ValueError: see there.
     """
     _check_size(size, 1)
-    frames, reference, dark = _images(frames, reference, dark)
     table = None if size in (1, *COMPILED_SIZES) else _table(size)
-    batch = frames.shape[0]
-    signal = torch.empty(frames.shape)
     smooth = torch.empty(frames.shape, dtype=torch.uint8)
     valid, touching = (torch.empty(frames.shape, dtype=torch.bool) for _ in range(2))
-    classes = torch.empty(8 * batch, dtype=torch.float64)
-    images = (ctypes.c_int64 * 18)(
-        frames.data_ptr(),
-        batch,
-        frames.stride(0),
-        frames.stride(2),
-        FRAME_KINDS[frames.dtype],
-        *(number or 0 for number in (*_image(reference), *_image(dark))),
-        batch,
-        *frames.shape[2:],
-    )
-    _call(
+    classes = torch.empty(8 * len(frames), dtype=torch.float64)
+    _call_on_images(
         "fingerflow_contact_classes",
-        ctypes.addressof(images),
+        frames,
+        reference,
+        dark,
         minimum,
         low,
         levels_per_unit,
         size,
         None if table is None else ctypes.addressof(table),
-        *(result.data_ptr() for result in (signal, valid, smooth, touching, classes)),
-        torch.get_num_threads(),
+        *(result.data_ptr() for result in (valid, smooth, touching, classes)),
     )
-    return ContactPictures(signal, valid, smooth, touching), _classes(classes)
+    return ContactPictures(valid, smooth, touching), _classes(classes)
+
+
+def contact_above(
+    frames: Tensor, reference: Tensor, dark: Tensor | None, minimum: float, thresholds: Tensor, size: int
+) -> Tensor:
+    """What touches (B, 1, H, W) bool by thresholds (B,) float64, as `ops.contact_above` has it.
+
+    Raises:
+        TypeError, ValueError: images as for `light_lost`, `size` as for `median_above`.
+    """
+    _check_size_above(size)
+    _check_like("thresholds", thresholds, torch.float64, (len(frames),))
+    thresholds, touching = thresholds.contiguous(), torch.empty(frames.shape, dtype=torch.bool)
+    pointers = thresholds.data_ptr(), size, touching.data_ptr()
+    _call_on_images("fingerflow_contact_above", frames, reference, dark, minimum, *pointers)
+    return touching
 
 
 def histogram(frames: Tensor, mask: Tensor | None, bin_of_level: Tensor | None, bins: int) -> Tensor:
@@ -508,14 +498,9 @@ def _library() -> ctypes.CDLL | None:
     double: Any = ctypes.c_double
     library.fingerflow_median_above.argtypes = [pointer, pointer, *extent, number, pointer, number, number]
     beside = [count] * 3
-    library.fingerflow_light_lost.argtypes = [
-        *[pointer, *extent, number],
-        *[pointer, *beside, number] * 2,
-        *[real] * 3,
-        *[pointer] * 3,
-        number,
-    ]
-    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 6, number]
+    library.fingerflow_light_lost.argtypes = [pointer, *[real] * 3, *[pointer] * 3, number]
+    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 5, number]
+    library.fingerflow_contact_above.argtypes = [pointer, real, pointer, number, pointer, number]
     library.fingerflow_histogram.argtypes = [
         *[pointer, *extent, number],
         *[pointer, *beside],
@@ -607,21 +592,29 @@ def _check_size(size: int, least: int) -> None:
         raise ValueError(f"the compiled median has odd sizes from {least} to {LARGEST_MEDIAN}: {size} was asked for")
 
 
-def _images(frames: Tensor, reference: Tensor, dark: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
+def _call_on_images(
+    name: str, frames: Tensor, reference: Tensor, dark: Tensor | None, *arguments: int | float | None
+) -> None:
     """Frames and what lies beside them, checked, pixels of a row neighbours in memory."""
-    for image in (frames, reference) if dark is None else (frames, reference, dark):
+    given = [frames, reference] if dark is None else [frames, reference, dark]
+    for image in given:
         _check_frames(image, tuple(FRAME_KINDS))
         if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
             raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
-    dark = None if dark is None else _rows_in_one_piece(dark)
-    return _rows_in_one_piece(frames), _rows_in_one_piece(reference), dark
+    given = [_rows_in_one_piece(image) for image in given]
+    numbers = [
+        number
+        for image in given
+        for number in (image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype])
+    ]
+    numbers += [0] * (15 - len(numbers))
+    record = (ctypes.c_int64 * 18)(*numbers, len(frames), *frames.shape[2:])
+    _call(name, ctypes.addressof(record), *arguments, torch.get_num_threads())
 
 
-def _image(image: Tensor | None) -> tuple[int | None, int, int, int, int]:
-    """Data, number of images, strides of an image and of a row in pixels, number type."""
-    if image is None:
-        return None, 0, 0, 0, 0
-    return image.data_ptr(), image.shape[0], image.stride(0), image.stride(2), FRAME_KINDS[image.dtype]
+def _check_size_above(size: int) -> None:
+    if not 1 <= size <= LARGEST_MEDIAN_ABOVE or size % 2 == 0:
+        raise ValueError(f"the compiled count has odd sizes from 1 to {LARGEST_MEDIAN_ABOVE}: {size} was asked for")
 
 
 def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:

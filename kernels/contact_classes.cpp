@@ -8,16 +8,12 @@
 #include "parallel.h"
 
 int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low, float levels_per_unit, int size,
-                               const std::uint16_t* table, float* signal, unsigned char* valid, unsigned char* smooth,
+                               const std::uint16_t* table, unsigned char* valid, unsigned char* smooth,
                                unsigned char* touching, double* classes, int threads) try {
-    const fingerflow_image &frames = images->frames, &reference = images->reference, &dark = images->dark;
     const std::int64_t batch = images->batch, height = images->height, width = images->width;
     const std::int64_t pixels = height * width;
     unsigned char* const levels = touching;  // until it is known what touches
-    int failed = fingerflow_light_lost(
-        frames.data, batch, height, width, frames.image_stride, frames.row_stride, static_cast<int>(frames.kind), reference.data,
-        reference.count, reference.image_stride, reference.row_stride, static_cast<int>(reference.kind), dark.data, dark.count,
-        dark.image_stride, dark.row_stride, static_cast<int>(dark.kind), minimum, low, levels_per_unit, signal, levels, valid, threads);
+    int failed = fingerflow_light_lost(images, minimum, low, levels_per_unit, nullptr, levels, valid, threads);
     if (failed != 0) return failed;
     if (size == 1) std::copy(levels, levels + batch * pixels, smooth);
     else failed = fingerflow_median(levels, smooth, batch, height, width, pixels, width, 1, size, table, threads);
@@ -39,8 +35,8 @@ int fingerflow_contact_classes(const fingerflow_images* images, float minimum, f
         const std::int64_t begin = frame * pixels + top * width, count = (std::min(height, top + rows) - top) * width;
         const unsigned char* const from = smooth + begin;
         unsigned char* const to = touching + begin;
-        // Above NaN lies nothing.
-        const int limit = std::isnan(classes[frame]) ? kBins : static_cast<int>(classes[frame]);
+        // Above NaN lies nothing, as above the highest level.
+        const auto limit = static_cast<unsigned char>(std::isnan(classes[frame]) ? kBins - 1 : classes[frame]);
         for (std::int64_t k = 0; k < count; ++k) to[k] = from[k] > limit;
     });
     return 0;

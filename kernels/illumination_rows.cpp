@@ -11,6 +11,7 @@ namespace FINGERFLOW_ISA {
 namespace {
 
 constexpr float kInfinity = HUGE_VALF, kUnknown = NAN;
+constexpr std::int64_t kSides = 32;  // values side by side, for vectors
 
 template <class Pixel>
 void convert(const Pixel* FINGERFLOW_RESTRICT from, std::int64_t width, float* FINGERFLOW_RESTRICT to) {
@@ -56,6 +57,19 @@ std::int64_t count_up_to(const float* values, std::int64_t count, float limit) {
     return reached;
 }
 
+// The least value above a limit; infinities fill up the last of the sides.
+float least_above(const float* values, std::int64_t count, float limit) {
+    float least[kSides];
+    for (float& side : least) side = kInfinity;
+    for (std::int64_t k = 0; k < count; k += kSides)
+        for (std::int64_t side = 0; side < kSides; ++side) {
+            const float value = values[k + side] > limit ? values[k + side] : kInfinity;
+            least[side] = value < least[side] ? value : least[side];
+        }
+    for (const float side : least) least[0] = side < least[0] ? side : least[0];
+    return least[0];
+}
+
 }  // namespace
 
 float least_light(const Illumination& given, std::int64_t frame, std::int64_t step, float* lines, float* values) {
@@ -66,8 +80,7 @@ float least_light(const Illumination& given, std::int64_t frame, std::int64_t st
         light_of(given, frame, y, lines, lines + width);
         for (std::int64_t x = 0; x < width; x += step) values[count++] = lines[x];
     }
-    // What is not finite counts as infinite: above every limit. Side by side, for vectors.
-    constexpr std::int64_t kSides = 32;
+    // What is not finite counts as infinite: above every limit.
     float lows[kSides], highs[kSides];
     std::int32_t finite[kSides] = {};
     for (std::int64_t side = 0; side < kSides; ++side) lows[side] = kInfinity, highs[side] = -kInfinity;
@@ -92,10 +105,17 @@ float least_light(const Illumination& given, std::int64_t frame, std::int64_t st
     if (present == 0) return NAN;
     const double exact = ceil(static_cast<double>(present) * 0.99);
     const auto wanted = static_cast<std::int64_t>(exact < 1 ? 1 : exact);
+    // The value sought lies above `low` and not above `high`. When it is the next one above `low`, no more is counted.
     double low = lowest, high = highest;
+    float found = kInfinity;
     for (int halving = 0; halving < 24; ++halving) {
+        if (halving % 4 == 0 && halving > 4 && found == kInfinity) {
+            const float next = least_above(values, count, static_cast<float>(low));
+            if (count_up_to(values, count, next) >= wanted) found = next;
+        }
         const double middle = low + (high - low) / 2;
-        if (count_up_to(values, count, static_cast<float>(middle)) >= wanted) high = middle;
+        const auto limit = static_cast<float>(middle);
+        if (found < kInfinity ? found <= limit : count_up_to(values, count, limit) >= wanted) high = middle;
         else low = middle;
     }
     if (count_up_to(values, count, lowest) >= wanted) high = lowest;
@@ -117,10 +137,9 @@ void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t
         line_of(given.frames, frame, y, passed);
         if (given.dark.data != nullptr)
             for (std::int64_t x = 0; x < width; ++x) passed[x] -= dark[x];
-        const std::int64_t at = (frame * given.frames.height + y) * width;
-        unsigned char* FINGERFLOW_RESTRICT levels = lost.levels + at;
+        const std::int64_t at = (y - top) * width;
         unsigned char* FINGERFLOW_RESTRICT valid = lost.valid + at;
-        float* FINGERFLOW_RESTRICT signal = lost.signal + at;
+        float* FINGERFLOW_RESTRICT signal = lost.signal == nullptr ? lines + 5 * width : lost.signal + at;
         // Two loops, each over numbers of one size: vectors of bytes are packed at the end.
         FINGERFLOW_INDEPENDENT
         for (std::int64_t x = 0; x < width; ++x) {
@@ -135,8 +154,10 @@ void light_lost_rows(const Illumination& given, std::int64_t frame, std::int64_t
             // Adding 3 * 2^22 rounds to an integer, halves to even, for any compiler and processor.
             rounded[x] = static_cast<std::int32_t>((level + 12582912.0f) - 12582912.0f);
         }
-        for (std::int64_t x = 0; x < width; ++x) levels[x] = static_cast<unsigned char>(rounded[x]);
         for (std::int64_t x = 0; x < width; ++x) valid[x] = static_cast<unsigned char>(known_here[x]);
+        if (lost.levels == nullptr) continue;
+        unsigned char* FINGERFLOW_RESTRICT levels = lost.levels + at;
+        for (std::int64_t x = 0; x < width; ++x) levels[x] = static_cast<unsigned char>(rounded[x]);
     }
 }
 

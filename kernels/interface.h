@@ -44,15 +44,6 @@ FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means
                                                std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                std::int64_t row_stride, int kind, int threads);
 
-// The contact signal of frames, in one byte too, and where it is known, as fingerflow/ops/illumination.py has it.
-// Reference and dark (or null) are one image or one a frame; results are contiguous.
-FINGERFLOW_EXPORT int fingerflow_light_lost(
-    const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-    std::int64_t row_stride, int kind, const void* reference, std::int64_t references, std::int64_t reference_stride,
-    std::int64_t reference_row_stride, int reference_kind, const void* dark, std::int64_t darks,
-    std::int64_t dark_stride, std::int64_t dark_row_stride, int dark_kind, float minimum, float low,
-    float levels_per_unit, float* signal, unsigned char* levels, unsigned char* valid, int threads);
-
 // Frames, their reference and dark (data null for none): one image or one a frame each.
 struct fingerflow_image {
     const void* data;
@@ -63,14 +54,23 @@ struct fingerflow_images {
     std::int64_t batch, height, width;
 };
 
-// From frames to what touches: light lost, its levels smoothed by a median of `size` (1 for none; `table` as for
+// The contact signal of frames (or null), in one byte too, and where it is known, as fingerflow/ops/illumination.py has
+// it; results are contiguous.
+FINGERFLOW_EXPORT int fingerflow_light_lost(const fingerflow_images* images, float minimum, float low, float levels_per_unit,
+                                            float* signal, unsigned char* levels, unsigned char* valid, int threads);
+
+// From frames to what touches: levels of light lost, smoothed by a median of `size` (1 for none; `table` as for
 // fingerflow_median), Otsu's threshold of the valid ones, what lies above it. `classes` holds batch x (threshold), (2
 // fractions), (2 means), (2 variances), (separability), one after the other.
 FINGERFLOW_EXPORT int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low,
                                                  float levels_per_unit, int size, const std::uint16_t* table,
-                                                 float* signal, unsigned char* valid,
-                                                 unsigned char* smooth, unsigned char* touching, double* classes,
-                                                 int threads);
+                                                 unsigned char* valid, unsigned char* smooth, unsigned char* touching,
+                                                 double* classes, int threads);
+
+// Where more than half of a window of up to 15 x 15 of the contact signal lies above the threshold of its frame, and the
+// signal is known.
+FINGERFLOW_EXPORT int fingerflow_contact_above(const fingerflow_images* images, float minimum, const double* thresholds,
+                                               int size, unsigned char* touching, int threads);
 
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.

@@ -44,23 +44,39 @@ void count_line(const Place* places, std::int64_t width, std::uint32_t* const* s
     for (; x < width; ++x) ++sides[0][places[x]];
 }
 
-// A line of bytes is read eight at a time: as many loads less.
-void count_line(const std::uint8_t* row, std::int64_t width, std::uint32_t* const* sides) {
+// Bytes are read eight at a time: as many loads less.
+void count_eight(const std::uint8_t* pixels, std::uint32_t* const* sides) {
+    std::uint64_t eight;
+    std::memcpy(&eight, pixels, sizeof eight);
     std::uint32_t *const first = sides[0], *const second = sides[1], *const third = sides[2], *const fourth = sides[3];
+    ++first[eight & 255];
+    ++second[eight >> 8 & 255];
+    ++third[eight >> 16 & 255];
+    ++fourth[eight >> 24 & 255];
+    ++first[eight >> 32 & 255];
+    ++second[eight >> 40 & 255];
+    ++third[eight >> 48 & 255];
+    ++fourth[eight >> 56];
+}
+
+// Counts of the pixels of a line that the mask wants, or of all where it is null.
+void count_line(const std::uint8_t* row, const unsigned char* mask, std::int64_t width, std::int64_t none,
+                std::uint32_t* const* sides) {
     std::int64_t x = 0;
-    for (; x + 8 <= width; x += 8) {
-        std::uint64_t eight;
-        std::memcpy(&eight, row + x, sizeof eight);
-        ++first[eight & 255];
-        ++second[eight >> 8 & 255];
-        ++third[eight >> 16 & 255];
-        ++fourth[eight >> 24 & 255];
-        ++first[eight >> 32 & 255];
-        ++second[eight >> 40 & 255];
-        ++third[eight >> 48 & 255];
-        ++fourth[eight >> 56];
+    const auto count_some = [&](std::int64_t end) {
+        for (; x < end; ++x) ++sides[x % kSides][mask == nullptr || mask[x] != 0 ? row[x] : none];
+    };
+    while (x + 8 <= width) {
+        std::uint64_t wanted = 0x0101010101010101;
+        if (mask != nullptr) std::memcpy(&wanted, mask + x, sizeof wanted);
+        if (wanted != 0 && wanted != 0x0101010101010101) {
+            count_some(x + 8);
+        } else {
+            if (wanted != 0) count_eight(row + x, sides);
+            x += 8;
+        }
     }
-    for (; x < width; ++x) ++first[row[x]];
+    count_some(width);
 }
 
 // Adds up some rows in `sums` (kSides times count + 1), zero before.
@@ -73,13 +89,13 @@ void count_rows(const Pixel* frame, const unsigned char* mask, const Counted& gi
     for (std::int64_t y = 0; y < rows; ++y) {
         const Pixel* const row = frame + y * given.frames.row_stride;
         const unsigned char* const wanted = mask == nullptr ? nullptr : mask + y * given.mask.row_stride;
-        const bool all = wanted == nullptr || std::memchr(wanted, 0, static_cast<std::size_t>(width)) == nullptr;
-        if (all && given.bins == nullptr) {
-            count_line(row, width, sides);
-        } else {
-            bins_of(row, all ? nullptr : wanted, given, places);
-            count_line(places, width, sides);
-        }
+        if constexpr (sizeof(Pixel) == 1)
+            if (given.bins == nullptr) {
+                count_line(row, wanted, width, given.count, sides);
+                continue;
+            }
+        bins_of(row, wanted, given, places);
+        count_line(places, width, sides);
     }
 }
 

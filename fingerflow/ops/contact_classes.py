@@ -15,15 +15,13 @@ class ContactClasses(NamedTuple):
     """What frames (B, 1, H, W) show of contact.
 
     Attributes:
-        signal: (B, 1, H, W) float32, the share of light lost.
-        valid: (B, 1, H, W) bool, where it is known.
-        smooth: (B, 1, H, W) uint8, the signal in levels (`quantize`), median-filtered.
+        valid: (B, 1, H, W) bool, where the share of light lost is known.
+        smooth: (B, 1, H, W) uint8, the same in levels (`quantize`), median-filtered.
         touching: (B, 1, H, W) bool, `smooth` above the threshold; nowhere where that is NaN.
         threshold: (B,) float64, Otsu's level of the valid pixels of `smooth`.
         classes: the `ClassSeparation` at it.
     """
 
-    signal: Tensor
     valid: Tensor
     smooth: Tensor
     touching: Tensor
@@ -57,8 +55,8 @@ def contact_classes(
             frames, reference, dark, minimum_illumination, low, scale, median_px
         )
         return ContactClasses(*pictures, threshold=numbers.threshold, classes=ClassSeparation(*numbers[1:]))
-    signal, levels, valid = light_lost(frames, reference, dark, minimum_illumination=minimum_illumination)
+    _, levels, valid = light_lost(frames, reference, dark, minimum_illumination=minimum_illumination)
     smooth = median_filter(levels, median_px)
     threshold, classes = otsu_classes(smooth, valid)
     touching = smooth > threshold.to(torch.float32).reshape(-1, 1, 1, 1)
-    return ContactClasses(signal, valid, smooth, touching, threshold, classes)
+    return ContactClasses(valid, smooth, touching, threshold, classes)

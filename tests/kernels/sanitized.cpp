@@ -74,10 +74,12 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                                    {sixteen.data(), batch, frame, width, 1},
                                    batch, height, width};
     std::vector<std::uint8_t> touching(eight.size());
+    expect(fingerflow_light_lost(&images, 0.05f, -0.25f, 204.0f, signal.data(), bytes.data(), other.data(), threads) == 0, "light lost");
     for (int size : {1, 9}) {
-        const int failed = fingerflow_contact_classes(&images, 0.05f, -0.25f, 204.0f, size, nullptr, signal.data(),
-                                                      bytes.data(), other.data(), touching.data(), classes.data(), threads);
+        const int failed = fingerflow_contact_classes(&images, 0.05f, -0.25f, 204.0f, size, nullptr, bytes.data(),
+                                                      other.data(), touching.data(), classes.data(), threads);
         expect(failed == 0, "contact classes");
+        expect(fingerflow_contact_above(&images, 0.05f, thresholds.data(), size, touching.data(), threads) == 0, "contact above");
     }
     if (height >= 3 && width >= 3) {
         std::vector<float> coefficients(real.size());
