@@ -43,11 +43,12 @@ void join(std::vector<Run>& runs, std::size_t one, std::size_t other) {
 }
 
 // Runs of pixels that are set, or are not, in reading order; they touch those of the next row up to `reach` px aside.
-std::vector<Run> joined_runs(const unsigned char* mask, std::int64_t height, std::int64_t width, bool set, std::int64_t reach) {
+std::vector<Run> joined_runs(const unsigned char* mask, std::int64_t height, std::int64_t width, std::int64_t row_stride,
+                             bool set, std::int64_t reach) {
     std::vector<Run> runs;
     std::size_t upper = 0;  // the first run of the row above that may touch the next one
     for (std::int64_t y = 0; y < height; ++y) {
-        const unsigned char* const row = mask + y * width;
+        const unsigned char* const row = mask + y * row_stride;
         const std::size_t begin = runs.size();
         for (std::int64_t x = next(row, 0, width, set); x < width; x = next(row, x, width, set)) {
             const std::int64_t end = next(row, x, width, !set);
@@ -62,6 +63,8 @@ std::vector<Run> joined_runs(const unsigned char* mask, std::int64_t height, std
     return runs;
 }
 
+void paint(unsigned char* row, const Run& run, unsigned char value) { std::fill(row + run.first, row + run.last + 1, value); }
+
 // A copy of each mask, changed by `change`.
 template <class Change>
 int changed(const unsigned char* masks, unsigned char* results, std::int64_t batch, std::int64_t height,
@@ -70,7 +73,7 @@ int changed(const unsigned char* masks, unsigned char* results, std::int64_t bat
         unsigned char* const result = results + frame * height * width;
         for (std::int64_t y = 0; y < height; ++y)
             std::copy_n(masks + frame * frame_stride + y * row_stride, width, result + y * width);
-        change(result, height, width);
+        change(result, height, width, width);
     });
     return 0;
 } catch (const std::exception&) {
@@ -79,8 +82,8 @@ int changed(const unsigned char* masks, unsigned char* results, std::int64_t bat
 
 }  // namespace
 
-void fill_holes(unsigned char* mask, std::int64_t height, std::int64_t width) {
-    std::vector<Run> runs = joined_runs(mask, height, width, false, 0);
+void fill_holes(unsigned char* mask, std::int64_t height, std::int64_t width, std::int64_t row_stride) {
+    std::vector<Run> runs = joined_runs(mask, height, width, row_stride, false, 0);
     std::vector<bool> outside(runs.size());
     for (std::size_t k = 0; k < runs.size(); ++k) {
         const Run& run = runs[k];
@@ -88,18 +91,18 @@ void fill_holes(unsigned char* mask, std::int64_t height, std::int64_t width) {
     }
     for (std::size_t k = 0; k < runs.size(); ++k)
         if (!outside[root_of(runs, k)])
-            std::fill(mask + runs[k].row * width + runs[k].first, mask + runs[k].row * width + runs[k].last + 1, 1);
+            paint(mask + runs[k].row * row_stride, runs[k], 1);
 }
 
-void keep_largest(unsigned char* mask, std::int64_t height, std::int64_t width) {
-    std::vector<Run> runs = joined_runs(mask, height, width, true, 1);
+void keep_largest(unsigned char* mask, std::int64_t height, std::int64_t width, std::int64_t row_stride) {
+    std::vector<Run> runs = joined_runs(mask, height, width, row_stride, true, 1);
     if (runs.empty()) return;
     std::vector<std::int64_t> area(runs.size());
     for (std::size_t k = 0; k < runs.size(); ++k) area[root_of(runs, k)] += runs[k].last - runs[k].first + 1;
     const auto largest = static_cast<std::size_t>(std::max_element(area.begin(), area.end()) - area.begin());
     for (std::size_t k = 0; k < runs.size(); ++k)
         if (root_of(runs, k) != largest)
-            std::fill(mask + runs[k].row * width + runs[k].first, mask + runs[k].row * width + runs[k].last + 1, 0);
+            paint(mask + runs[k].row * row_stride, runs[k], 0);
 }
 
 }  // namespace fingerflow

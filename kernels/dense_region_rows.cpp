@@ -68,6 +68,42 @@ struct Memory {
     }
 };
 
+// Whether a row covers anything, its pixels added to what other rows cover.
+bool add_row(const unsigned char* FINGERFLOW_RESTRICT row, std::int64_t width, unsigned char* FINGERFLOW_RESTRICT columns) {
+    unsigned char any = 0;
+    for (std::int64_t x = 0; x < width; ++x) {
+        any = static_cast<unsigned char>(any | row[x]);
+        columns[x] = static_cast<unsigned char>(columns[x] | row[x]);
+    }
+    return any != 0;
+}
+
+bool add_row(Sum limit, const Sum* FINGERFLOW_RESTRICT row, std::int64_t width, unsigned char* FINGERFLOW_RESTRICT columns) {
+    unsigned char any = 0;
+    for (std::int64_t x = 0; x < width; ++x) {
+        const auto denser = static_cast<unsigned char>(row[x] > limit);
+        any = static_cast<unsigned char>(any | denser);
+        columns[x] = static_cast<unsigned char>(columns[x] | denser);
+    }
+    return any != 0;
+}
+
+// add(y) tells whether row y covers anything.
+template <class Add>
+Box box_of(std::int64_t height, std::int64_t width, unsigned char* columns, const Add& add) {
+    memset(columns, 0, static_cast<std::size_t>(width));
+    Box box{height, 0, 0, width};
+    for (std::int64_t y = 0; y < height; ++y) {
+        if (!add(y)) continue;
+        box.top = y < box.top ? y : box.top;
+        box.bottom = y + 1;
+    }
+    if (box.bottom == 0) return {0, 0, 0, 0};
+    while (columns[box.left] == 0) ++box.left;
+    while (columns[box.right - 1] == 0) --box.right;
+    return box;
+}
+
 void widen(const unsigned char* FINGERFLOW_RESTRICT row, std::int64_t width, Narrow* FINGERFLOW_RESTRICT line) {
     for (std::int64_t x = 0; x < width; ++x) line[x] = row[x] != 0;
 }
@@ -147,6 +183,17 @@ void smooth(const Plane& plane, std::int64_t top, std::int64_t bottom, const Mem
 
 }  // namespace
 
+Box covered_box(const unsigned char* mask, std::int64_t height, std::int64_t width, std::int64_t row_stride,
+                unsigned char* columns) {
+    return box_of(height, width, columns, [&](std::int64_t y) { return add_row(mask + y * row_stride, width, columns); });
+}
+
+Box denser_box(const Plane& plane, const std::int32_t* density, std::int32_t limit, unsigned char* columns) {
+    return box_of(plane.height, plane.width, columns, [&](std::int64_t y) {
+        return add_row(limit, density + y * plane.pitch, plane.width, columns);
+    });
+}
+
 std::int64_t smoothing_bytes(const Plane& plane) { return Memory(plane, nullptr).bytes; }
 
 void density_rows(const Plane& plane, const unsigned char* mask, std::int64_t row_stride, std::int64_t top,
@@ -155,7 +202,7 @@ void density_rows(const Plane& plane, const unsigned char* mask, std::int64_t ro
     smooth(
         plane, top, bottom, Memory(plane, memory),
         [&](std::int64_t y, Narrow* line) { widen(mask + y * row_stride, width, line); },
-        [&](std::int64_t y, const Sum* sums) { memcpy(density + y * width, sums, static_cast<std::size_t>(width) * sizeof(Sum)); });
+        [&](std::int64_t y, const Sum* sums) { memcpy(density + y * plane.pitch, sums, static_cast<std::size_t>(width) * sizeof(Sum)); });
 }
 
 DenseCount count_denser(const Plane& plane, const std::int32_t* density, const unsigned char* mask,
@@ -163,7 +210,7 @@ DenseCount count_denser(const Plane& plane, const std::int32_t* density, const u
     const std::int64_t width = plane.width;
     DenseCount count{0, 0};
     for (std::int64_t y = top; y < bottom; ++y) {
-        const std::int32_t* FINGERFLOW_RESTRICT row = density + y * width;
+        const std::int32_t* FINGERFLOW_RESTRICT row = density + y * plane.pitch;
         const unsigned char* FINGERFLOW_RESTRICT covered = mask + y * row_stride;
         std::int32_t all = 0, both = 0;
         for (std::int64_t x = 0; x < width; ++x) {
@@ -184,11 +231,11 @@ BorderSum border_density(const Plane& plane, const std::int32_t* density, std::i
     BorderSum border{0, 0};
     smooth(
         plane, top, bottom, kept,
-        [&](std::int64_t y, Narrow* line) { denser_than(limit, density + y * width, width, line); },
+        [&](std::int64_t y, Narrow* line) { denser_than(limit, density + y * plane.pitch, width, line); },
         [&](std::int64_t y, const Sum* sums) {
             memset(kept.columns - 1, 0, static_cast<std::size_t>(width + 2));  // nothing to both sides of the frame
             for (std::int64_t at = y == 0 ? 0 : y - 1; at < height && at <= y + 1; ++at)
-                add_denser_than(limit, density + at * width, width, kept.columns);
+                add_denser_than(limit, density + at * plane.pitch, width, kept.columns);
             mixed(kept.columns, width, kept.near);
             memset(kept.near + width, 0, 8);
             for (std::int64_t x = 0; x < width; x += 8) {
@@ -204,11 +251,12 @@ BorderSum border_density(const Plane& plane, const std::int32_t* density, std::i
 }
 
 void write_denser(const Plane& plane, const std::int32_t* density, std::int32_t limit, std::int64_t top,
-                  std::int64_t bottom, unsigned char* region) {
-    const std::int32_t* FINGERFLOW_RESTRICT from = density + top * plane.width;
-    unsigned char* FINGERFLOW_RESTRICT to = region + top * plane.width;
-    const std::int64_t count = (bottom - top) * plane.width;
-    for (std::int64_t k = 0; k < count; ++k) to[k] = from[k] > limit;
+                  std::int64_t bottom, unsigned char* region, std::int64_t region_stride) {
+    for (std::int64_t y = top; y < bottom; ++y) {
+        const std::int32_t* FINGERFLOW_RESTRICT from = density + y * plane.pitch;
+        unsigned char* FINGERFLOW_RESTRICT to = region + y * region_stride;
+        for (std::int64_t x = 0; x < plane.width; ++x) to[x] = from[x] > limit;
+    }
 }
 
 }  // namespace FINGERFLOW_ISA

@@ -24,8 +24,10 @@ from torch import Tensor
 
 from bench.rows import Row
 from bench.timing import time_in_turns
+from fingerflow.ops.contact_classes import contact_classes
 from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.illumination import contact_signal, normalize_illumination, quantize
+from fingerflow.ops.ellipse import mask_moments
+from fingerflow.ops.illumination import normalize_illumination
 from fingerflow.ops.median import median_filter
 from fingerflow.ops.otsu import otsu_threshold
 from fingerflow.synthetic import Camera, Press
@@ -132,10 +134,8 @@ def _contact(frame: Tensor, empty: Tensor) -> Operation:
         return torch.from_numpy(contact) > 0
 
     def with_fingerflow() -> Tensor:
-        normalized = normalize_illumination(frame, empty)
-        smooth = median_filter(quantize(contact_signal(normalized)), 9)
-        contact = smooth > otsu_threshold(smooth, normalized.valid)[:, None, None, None]
-        contact.sum((1, 2, 3))
+        contact = contact_classes(frame, empty, median_px=9).touching
+        mask_moments(contact)
         return contact[0, 0]
 
     return Operation("contact path, 8 bit", {"opencv": with_opencv, OURS: with_fingerflow})

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from kernel_images import CONTENTS, SHAPES, images
+from kernel_images import SHAPES, images
 
 from fingerflow import kernels
 from fingerflow.ops.contact_above import contact_above
@@ -16,7 +16,7 @@ THRESHOLDS = torch.tensor([0.25, torch.nan, -0.5, 0.9, 0.5], dtype=torch.float64
 
 
 @pytest.mark.parametrize("size", [1, 3, 15])
-@pytest.mark.parametrize("content", CONTENTS)
+@pytest.mark.parametrize("content", ["two levels", "random"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_same_as_the_ops(
     portable: Portable, instruction_set: int, shape: tuple[int, int, int], content: str, size: int

@@ -66,7 +66,7 @@ def test_views_and_threads(portable: Portable) -> None:
     masks = blobs((5, 300, 220), 0.5)
     before = torch.get_num_threads()
     try:
-        for threads in (1, 2, 3):
+        for threads in (1, 2, 3, 7):
             torch.set_num_threads(threads)
             for view in (masks, masks[1:2, ..., 3:], masks[::3, :, 7:290, 5:201], masks[..., ::2]):
                 for op in (fill_holes, largest_component, mask_moments, lambda mask: dense_region(mask, 6)):
