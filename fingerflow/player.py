@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, BinaryIO, Generic, NamedTuple, Protocol, TextIO, TypeVar
 
 import numpy as np
 import onnxruntime as ort
@@ -262,7 +262,7 @@ class Bundle:
 
     @property
     def bit_depth(self) -> int:
-        return int(self.recipe["bit_depth"])
+        return int(self.recipe["views"]["bit_depth"])
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -296,7 +296,7 @@ def load_bundle(folder: Path) -> Bundle:
             hashes={name: graphs[name]["sha256"] for name in GRAPHS},
             files={name: folder / graphs[name]["file"] for name in GRAPHS},
         )
-        _ = bundle.height, bundle.width, bundle.dtype, int(bundle.recipe["points"])
+        _ = bundle.height, bundle.width, bundle.dtype
     except (KeyError, TypeError, ValueError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
@@ -724,6 +724,7 @@ class Stepper:
 
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
         self._held = {name: self._room(tensor) for name, tensor in held.items()}
+        self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
         self.states = {f"next_{name}" for name in states}
         self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in range(2)]
@@ -765,7 +766,7 @@ class Stepper:
     def step(self, slot: Slot) -> dict[str, Array]:
         """Outputs by name, (1, ...); valid until the step after the next one."""
         binding = self._bindings[self._side]
-        for name, value in slot.values.items():
+        for name, value in (slot.values | self._states[self._side]).items():
             binding.bind_ortvalue_input(name, value)
         self._engine.frame.run_with_iobinding(binding)
         self._side = 1 - self._side
@@ -809,10 +810,8 @@ class Stepper:
 
     def _binding(self, side: int, constants: Mapping[str, Any]) -> Any:
         binding = self._engine.frame.io_binding()
-        inputs = {argument.name for argument in self._engine.frame.get_inputs()}
-        for name, value in (self._held | self._states[side] | dict(constants)).items():
-            if name in inputs:  # `background` may give more than this recipe's `frame` takes
-                binding.bind_ortvalue_input(name, value)
+        for name, value in constants.items():
+            binding.bind_ortvalue_input(name, value)
         for name, value in self._states[1 - side].items():
             binding.bind_ortvalue_output(f"next_{name}", value)
         for name, array in self._results[side].items():
@@ -836,6 +835,11 @@ class Stepper:
             else:
                 binding.bind_output(name)
         session.run_with_iobinding(binding)
+        for name in names:
+            if name in self._frame_inputs and name in self._held:
+                # Providers with memory of their own copy an input when it is bound, not when they run.
+                for each in self._bindings:
+                    each.bind_ortvalue_input(name, self._held[name])
         found = dict(zip(names, binding.get_outputs(), strict=True))
         return {name: value.numpy() for name, value in found.items() if name not in self._held}
 
@@ -920,6 +924,8 @@ class Sink:
 
     def __init__(self, folder: Path, header: Mapping[str, Any]) -> None:
         self.folder, self._header = folder, header
+        self._records: BinaryIO | None = None
+        self._events: TextIO | None = None
         self._synced = 0.0
         self._lock = threading.Lock()
 
@@ -936,24 +942,29 @@ class Sink:
 
     def write(self, record: Array) -> None:
         """A record as bytes; once a second all of them go to the disk."""
+        assert self._records is not None
         with self._said():
             self._records.write(record.data)
             if time.perf_counter() - self._synced >= 1:
                 self.sync()
 
     def sync(self) -> None:
+        assert self._records is not None
         self._synced = time.perf_counter()
         self._records.flush()
         os.fsync(self._records.fileno())
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
         """One line; may come from any thread."""
+        assert self._events is not None
         with self._said(), self._lock:
             line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
             self._events.write(json.dumps(line) + "\n")
             self._events.flush()
 
     def close(self) -> None:
+        if self._records is None or self._events is None:
+            return
         with self._said():
             try:
                 self.sync()
@@ -1125,10 +1136,10 @@ class Player:
         ]
         self._started = time.perf_counter()
         page = serve_page(self, self.settings.page) if self.settings.page else None
-        self._sink.open()
-        for thread in threads:
-            thread.start()
         try:
+            self._sink.open()
+            for thread in threads:
+                thread.start()
             self._watch()
             threads[0].join(_HANGING)
             self._frames.close()
@@ -1138,6 +1149,7 @@ class Player:
             self._seconds = time.perf_counter() - self._started
             if page:
                 page.shutdown()
+                page.server_close()
             try:
                 self._sink.close()
             except PlayerError as error:
@@ -1281,8 +1293,7 @@ class Player:
 
     def _compute(self) -> None:
         first, restarted, key_frame = math.nan, -math.inf, 0
-        share = self.scene.rekey_share or self.bundle.recipe.get("rekey_share") or _REKEY_SHARE
-        rekey_frames = self.scene.rekey_frames or self.bundle.recipe.get("rekey_frames") or math.inf
+        share, rekey_frames = self.scene.rekey_share or _REKEY_SHARE, self.scene.rekey_frames or math.inf
         place = 0
         while (slot := self._frames.get()) is not None:
             if not self.restarts:

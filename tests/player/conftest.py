@@ -61,6 +61,8 @@ class Stream:
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"
         given = [str(self.bundle), "--output", str(output), "--threads", "1", "--no-spin", *arguments]
+        if "--provider" not in arguments:
+            given += ["--provider", "cpu"]
         code = player.main(given if "--page" in arguments else [*given, "--page", "off"])
         said = self._capsys.readouterr()
         results = player.read_results(output) if output.exists() else None

@@ -259,3 +259,15 @@ def test_latencies_are_kept_in_bins() -> None:
     assert latencies.quantile(0.99) == pytest.approx(0.0109, rel=0.011)
     latencies.add(100.0)
     assert latencies.summary()["worst"] == 1e5
+
+
+def test_openvino_gives_the_same(stream: Stream) -> None:
+    """A provider with memory of its own, which copies what is bound: states and held tensors must not be stale."""
+    pytest.importorskip("onnxruntime_ep_openvino", reason="the package onnxruntime-ep-openvino is not installed")
+    stream.run("--source", "synthetic", "--frames", "30", "--provider", "cpu")
+    (stream.folder / "results").rename(stream.folder / "cpu")
+    ended = stream.run("--source", "synthetic", "--frames", "30", "--provider", "openvino")
+    assert ended.results.header["provider"] == "OpenVINOExecutionProvider"
+    cpu = player.read_results(stream.folder / "cpu").records
+    for name in set(cpu.dtype.names or ()) - {"time", "latency"}:
+        np.testing.assert_allclose(ended.results.records[name], cpu[name], rtol=1e-6, err_msg=name)
