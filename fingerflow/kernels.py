@@ -581,8 +581,8 @@ def _check_frames(frames: Tensor, dtypes: tuple[torch.dtype, ...]) -> None:
 
 def _classes(numbers: Tensor) -> OtsuClasses:
     batch = numbers.shape[0] // 8
-    threshold, *pairs, separability = numbers.split([batch, 2 * batch, 2 * batch, 2 * batch, batch])
-    fractions, means, variances = (pair.reshape(batch, 2) for pair in pairs)
+    threshold, *pairs, separability = numbers.split_with_sizes((batch, 2 * batch, 2 * batch, 2 * batch, batch))
+    fractions, means, variances = (pair.view(batch, 2) for pair in pairs)
     # The portable op's own root: torch's is not the nearest number for all (the root of 8).
     return OtsuClasses(threshold, fractions, means, variances.sqrt(), separability)
 
