@@ -5,8 +5,8 @@ by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points; views o
 and 100 points with --quick). Frames stay on the device: a camera's cable and the disk are not in it. `compiled` is
 `torch.compile` with fixed shapes, compiled before it is timed. ms is a frame's share of a call, and time_to_peer is
 over the same frames on this machine's processor, by the same graphs and with the compiled kernels where they were
-built. `deviation` is the largest from the processor's result: of an area as a share, of a position in px, of a
-divergence (no unit); NaN in one and not in the other counts as infinite.
+built. `deviation` is the largest from the processor's result: of an area in px, of a position in px, of a divergence;
+NaN in one and not in the other counts as infinite.
 """
 
 from collections.abc import Callable, Mapping, Sequence
