@@ -85,11 +85,12 @@ def median_program(size: int) -> MedianProgram:
         raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size of at least 3")
     # Tiles of 2x1, 2x2, 4x2 and 8x2: which axis is halved, in order. From 13 on the last is the shortest.
     halvings = ["y", "xy", "yyx"] if size < 13 else ["yyyx"]
-    programs = [_tile_program(size, order) for order in halvings if 2 ** order.count("y") <= size]
+    programs = [tile_program(size, order) for order in halvings if 2 ** order.count("y") <= size]
     return min(programs, key=lambda program: program.operations_per_pixel)
 
 
-def _tile_program(size: int, order: str) -> MedianProgram:
+def tile_program(size: int, order: str) -> MedianProgram:
+    """The program of tiles that are halved along these axes: "y" has tiles of 2 x 1 px, "yyx" of 4 x 2."""
     tile = 2 ** order.count("y"), 2 ** order.count("x")
     windows = _Windows(size, tile)
     windows.halve(0, 0, *tile, windows.block(*windows.core(0, 0, *tile)), order)

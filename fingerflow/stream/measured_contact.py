@@ -1,0 +1,111 @@
+"""Contact of one frame with the threshold measured in it."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
+from fingerflow.stream.background import levels, whole_level
+from fingerflow.stream.contact import span
+from fingerflow.stream.levels import LEVELS, median_level, otsu_classes
+from fingerflow.stream.median_planes import median_of_rows
+from fingerflow.stream.region import CELL, RegionStep, enlarge
+
+# Contact takes at least a twentieth of the light; two halves of noise lie closer together (`graphs.ContactGraph`).
+_LEAST_LIGHT_LOST = 0.05
+_NOISE_RATIO = 6
+
+
+class MeasuredContact(NamedTuple):
+    """As `StreamContact`, and `threshold` (B,), the share of light lost above which a pixel touches; NaN, and nothing
+    touches, without contact."""
+
+    touching: Tensor
+    real_area_px: Tensor
+    gross_area_px: Tensor
+    center: Tensor
+    semi_axes: Tensor
+    angle: Tensor
+    threshold: Tensor
+
+
+class MeasuredContactStep(nn.Module):
+    """Levels of light lost, their median, Otsu's threshold, and the better one that it leads to.
+
+    Otsu's threshold finds the gross region; half-way between the medians of its touching and its other pixels lies the
+    threshold (`graphs.ContactGraph`).
+
+    Args:
+        median_px: odd side of the median.
+        median_type: type of the levels in the median: uint8, or one that the runtime has minima of.
+        lattice_px: step of the lattice of pixels that are counted; 1 for all of them.
+        scatter: count by scattering (fast on a processor) rather than by a product of digits.
+    """
+
+    def __init__(
+        self,
+        median_px: int = 3,
+        median_type: torch.dtype = torch.uint8,
+        lattice_px: int = 1,
+        scatter: bool = True,
+        precision: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        self.median_px = median_px
+        self.median_type = median_type
+        self.lattice_px = lattice_px
+        self.scatter = scatter
+        self.precision = precision
+        self.region = RegionStep(precision)
+
+    def forward(self, contact_view: Tensor, gain: Tensor, offset: Tensor, valid: Tensor) -> MeasuredContact:
+        """(B, 1, H, W) frames and the results of `BackgroundStep`."""
+        counts = contact_view.to(self.precision)
+        smooth = median_of_rows(levels(counts, gain, offset).to(self.median_type), self.median_px)
+        threshold = self._threshold(smooth, valid)
+        contact = span(self.region, self._touching(smooth, valid, threshold))
+        return MeasuredContact(*contact[:-1], threshold=threshold)
+
+    def _touching(self, smooth: Tensor, valid: Tensor, threshold: Tensor) -> Tensor:
+        """(B, 1, H, W) uint8, 1 where a valid level lies above the threshold (B,); nowhere above NaN."""
+        limit = whole_level(threshold).reshape(-1, 1, 1, 1).to(self.median_type)
+        return torch.minimum((smooth > limit).to(torch.uint8), valid)
+
+    def _threshold(self, smooth: Tensor, valid: Tensor) -> Tensor:
+        low, high = LEVEL_RANGE
+        scale = levels_per_unit(low, high)
+        some, weight = self._lattice(smooth), self._lattice(valid)
+        classes = otsu_classes(self._histogram(some, weight))
+        otsu = classes.threshold / scale + low
+        distance = (classes.upper - classes.lower) / scale
+        least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_LIGHT_LOST)
+        apart = otsu.isfinite() & (classes.upper / scale + low > _LEAST_LIGHT_LOST) & (distance > least)
+        touching = self._touching(smooth, valid, torch.where(apart, otsu, torch.nan))
+        gross = (self.region(touching).excess > 0).to(self.precision)
+        height, width = valid.shape[-2:]
+        inside = enlarge(gross, CELL)[..., :height, :width].to(valid.dtype)
+        weight = torch.minimum(weight, self._lattice(inside))
+        both = self._histogram(some, weight)
+        ridges = self._histogram(some, torch.minimum(weight, self._lattice(touching)))
+        valleys = both - ridges
+        # Contact without gaps has no valleys: the empty glass stands for them.
+        valley = torch.where(valleys.sum(1) > 0, median_level(valleys), classes.lower)
+        return torch.where(apart, (median_level(ridges) + valley) / 2 / scale + low, torch.nan)
+
+    def _lattice(self, image: Tensor) -> Tensor:
+        return image[..., :: self.lattice_px, :: self.lattice_px]
+
+    def _histogram(self, image: Tensor, weight: Tensor) -> Tensor:
+        """Counts (B, 256) of the levels of pixels of weight 1, exact below 2^24."""
+        flat, counted = image.flatten(1), weight.flatten(1).to(self.precision)
+        if self.scatter:
+            empty = torch.zeros((flat.shape[0], LEVELS), dtype=self.precision, device=flat.device)
+            return empty.scatter_add(1, flat.to(torch.int64), counted)
+        digits = torch.arange(16, dtype=self.precision, device=flat.device)
+        values = flat.to(self.precision)
+        tens = (values / 16).floor()
+        ones = values - 16 * tens
+        rows = (tens[:, None] == digits[:, None]).to(self.precision) * counted[:, None]
+        columns = (ones[:, None] == digits[:, None]).to(self.precision)
+        return (rows @ columns.transpose(1, 2)).flatten(1)

@@ -1,0 +1,124 @@
+"""What a deployment needs of its graphs: one TOML file, validated."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+
+from fingerflow.errors import FingerflowError
+
+GraphName = Literal["background", "contact", "detect", "key", "track", "fields", "frame"]
+GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "track", "fields", "frame")
+_LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
+
+
+def _odd(value: int) -> int:
+    if value % 2 == 0:
+        raise ValueError(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
+    return value
+
+
+Whole = Annotated[int, Strict()]
+Number = Annotated[float, Strict()]
+Switch = Annotated[bool, Strict()]
+Odd = Annotated[Whole, AfterValidator(_odd)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ViewRecipe(_Table):
+    """[views]: size of both views in px, bits of a pixel (uint8 up to 8, else uint16), recordings side by side."""
+
+    height: Annotated[Whole, Field(ge=48, le=_LARGEST_SIDE)]
+    width: Annotated[Whole, Field(ge=48, le=_LARGEST_SIDE)]
+    bit_depth: Annotated[Whole, Field(ge=8, le=16)] = 8
+    batch: Annotated[Whole, Field(ge=1, le=64)] | Literal["dynamic"] = 1
+
+
+class ContactRecipe(_Table):
+    """[contact]: median, the type that carries it, and how the threshold is measured (`MeasuredContactStep`)."""
+
+    median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
+    median_type: Literal["uint8", "float32", "float16"] = "uint8"
+    lattice_px: Annotated[Whole, Field(ge=1, le=16)] = 1
+    count_by: Literal["scatter", "product"] = "scatter"
+    touching: Switch = True  # whether `frame` gives the mask
+
+
+class TrackingRecipe(_Table):
+    """[tracking]: points, window and table (`TrackStep`), distance of corners (`DetectStep`)."""
+
+    points: Annotated[Whole, Field(ge=3, le=5000)] = 700
+    window_px: Annotated[Odd, Field(ge=5, le=41)] = 21
+    reach_px: Annotated[Whole, Field(ge=1, le=4)] = 1
+    way_back: Literal["table", "step"] = "table"
+    forward_backward_limit_px: Annotated[Number, Field(gt=0)] = 1.0
+    corner_distance_px: Annotated[Whole, Field(ge=1, le=50)] = 3
+
+
+class FieldsRecipe(_Table):
+    """[fields]: diameter of the support of a local fit, px of the topography view."""
+
+    gauge_px: Annotated[Number, Field(gt=0)]
+
+
+class ExportRecipe(_Table):
+    """[export]: which graphs, and the precision of everything but the median."""
+
+    graphs: tuple[GraphName, ...] = GRAPHS
+    precision: Literal["float32", "float64"] = "float32"
+
+
+class Recipe(_Table):
+    """A recipe file."""
+
+    views: ViewRecipe
+    contact: ContactRecipe = ContactRecipe()
+    tracking: TrackingRecipe = TrackingRecipe()
+    fields: FieldsRecipe
+    export: ExportRecipe = ExportRecipe()
+
+    @model_validator(mode="after")
+    def _windows_fit(self) -> Self:
+        side = self.tracking.window_px + 2 * (self.tracking.reach_px + 2)
+        least = min(self.views.height, self.views.width)
+        if side > least:
+            raise ValueError(
+                f"a window of {self.tracking.window_px} px with its table needs {side} px, and the views have "
+                f"{least}: choose a smaller tracking.window_px or tracking.reach_px"
+            )
+        if self.tracking.points > (self.views.height * self.views.width) // 16:
+            raise ValueError(
+                f"tracking.points is {self.tracking.points}: views of {self.views.height} x {self.views.width} px hold "
+                f"no more than {self.views.height * self.views.width // 16}"
+            )
+        return self
+
+
+def load_recipe(path: Path) -> Recipe:
+    """The recipe of a file.
+
+    Raises:
+        FingerflowError: no such file, no TOML, an unknown key or a value out of range, each named.
+    """
+    try:
+        with path.open("rb") as file:
+            content: dict[str, Any] = tomllib.load(file)
+        return Recipe.model_validate(content)
+    except OSError as error:
+        raise FingerflowError(
+            f"{path} cannot be read ({error.strerror}); recipes are TOML files such as export/exact.toml"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FingerflowError(f"{path} is no TOML file: {error}") from None
+    except ValidationError as error:
+        lines = [
+            f"{'.'.join(str(part) for part in found['loc']) or 'recipe'}: {found['msg']} (found {found['input']!r})"
+            if found["loc"]
+            else found["msg"]
+            for found in error.errors(include_url=False)
+        ]
+        raise FingerflowError(f"{path}: " + "; ".join(lines)) from None
