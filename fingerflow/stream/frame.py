@@ -58,8 +58,8 @@ class FrameStep(nn.Module):
         valid: Tensor,
         templates: Templates,
     ) -> FrameResult:
-        """Views (B, 1, H, W), transform (2, 3), prediction and reference (B, N, 2) px of the topography view, limit and valid pixels
-        of `BackgroundStep`, and the templates of `KeyStep`."""
+        """Views (B, 1, H, W), transform (2, 3), prediction and reference (B, N, 2) px of the topography view, limit and
+        valid pixels of `BackgroundStep`, and the templates of `KeyStep`."""
         contact = self.contact(contact_view, limit, valid)
         tracks = self.track(topography_view, prediction, templates)
         matrix = topography_to_contact.to(tracks.points.dtype)

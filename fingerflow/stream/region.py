@@ -124,9 +124,10 @@ def _enclosed(inside: Tensor) -> Tensor:
 def _moments(coverage: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Area, centre, semi axes and angle of the ellipse with the same moments (`ops.fit_ellipse`), px."""
     rows, columns = coverage.shape[-2:]
-    kind = {"dtype": coverage.dtype, "device": coverage.device}
-    x = torch.arange(columns, **kind) * CELL + (CELL - 1) / 2
-    y = torch.arange(rows, **kind) * CELL + (CELL - 1) / 2
+    x, y = (
+        torch.arange(count, dtype=coverage.dtype, device=coverage.device) * CELL + (CELL - 1) / 2
+        for count in (columns, rows)
+    )
     along_x, along_y = coverage.sum((1, 2)), coverage.sum((1, 3))
     mass = along_x.sum(1)
     some = mass > 0.5
