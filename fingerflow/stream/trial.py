@@ -40,6 +40,8 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     lost[:, ::5] = torch.nan
     lost[:, 1::5] = -3.0
     lost[:, 2::5] += 40.0
+    late = points - 0.5
+    late[:, ::5] = torch.nan
     matrix = torch.tensor([[0.999, 0.002, 0.4], [-0.002, 0.999, -0.3]])
     common = {
         "background": empty,
@@ -54,7 +56,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     noise = torch.rand(size, generator=generator)
     return [
         Case("press", {**common, **press, "points": points, "prediction": points}),
-        Case("lost and foreign points", {**common, **press, "points": points, "prediction": lost, "reference": lost}),
+        Case("lost and foreign points", {**common, **press, "points": points, "prediction": lost, "reference": late}),
         Case("points that are none", {**common, **press, "points": lost, "prediction": points}),
         *(
             Case(

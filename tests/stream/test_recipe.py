@@ -1,0 +1,44 @@
+"""Recipes: the ones that are shipped, and what is wrong with others."""
+
+from pathlib import Path
+
+import pytest
+
+from fingerflow.errors import FingerflowError
+from fingerflow.stream.recipe import load_recipe
+
+RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_shipped_recipes_are_valid(path: Path) -> None:
+    assert load_recipe(path).views.height > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "views"),
+        ("[views\n", "no TOML"),
+        ("[views]\nheight = 512\nwidth = 640\nbit_depth = 20\n[fields]\ngauge_px = 60.0\n", "views.bit_depth"),
+        ("[views]\nheight = 512\nwidth = 640\n[fields]\ngauge_px = 60.0\n[tracking]\nwindow_px = 20\n", "20 is even"),
+        ("[views]\nheight = 512\nwidth = 640\n[fields]\ngauge_px = 60.0\n[tracking]\npoint = 20\n", "tracking.point"),
+        ("[views]\nheight = 48\nwidth = 48\n[fields]\ngauge_px = 60.0\n[tracking]\npoints = 500\n", "no more than 144"),
+        (
+            "[views]\nheight = 48\nwidth = 48\n[fields]\ngauge_px = 60.0\n[tracking]\npoints = 9\nwindow_px = 41\n"
+            "reach_px = 4\n",
+            "needs 53 px",
+        ),
+    ],
+)
+def test_wrong_recipes_are_named(text: str, named: str, tmp_path: Path) -> None:
+    path = tmp_path / "recipe.toml"
+    path.write_text(text)
+    with pytest.raises(FingerflowError, match=named) as error:
+        load_recipe(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_missing_recipe_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FingerflowError, match=r"absent\.toml cannot be read"):
+        load_recipe(tmp_path / "absent.toml")

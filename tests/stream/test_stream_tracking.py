@@ -1,0 +1,149 @@
+"""The tracker of a stream beside `ops.track_points`, and its constants beside the splines they come from."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.spline import spline_basis, spline_basis_derivative
+from fingerflow.ops.strain import curl, divergence, green_lagrange
+from fingerflow.ops.tracking import TrackStatus, track_points
+from fingerflow.stream.detect import DetectStep
+from fingerflow.stream.fields import FieldsStep
+from fingerflow.stream.key import KeyStep
+from fingerflow.stream.spline_features import feature_slopes, features, spline_matrix
+from fingerflow.stream.track import TrackStep
+from fingerflow.synthetic import Press
+
+SCENE = Press()
+
+
+def _view(frame: int) -> Tensor:
+    picture = SCENE.views["topography"].crop(SCENE.render(frame))
+    return torch.from_numpy(np.ascontiguousarray(picture))[None, None]
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[Tensor, Tensor]:
+    return _view(200), _view(203)
+
+
+@pytest.fixture(scope="module")
+def points(views: tuple[Tensor, Tensor]) -> Tensor:
+    return detect_corners(views[0], 200, 6.0, window=5, border=18).points
+
+
+@pytest.mark.parametrize("reach", [1, 2, 3])
+def test_features_make_the_spline(reach: int) -> None:
+    shift = torch.linspace(-reach, reach, 401, dtype=torch.float64)[None]
+    place = torch.arange(-reach - 1, reach + 2, dtype=torch.float64)[:, None]
+    matrix = spline_matrix(reach, torch.float64)
+    torch.testing.assert_close(matrix @ features(shift, reach), spline_basis(shift - place, 3), rtol=0, atol=1e-13)
+    slopes = spline_basis_derivative(shift - place, 3)
+    torch.testing.assert_close(matrix @ feature_slopes(shift, reach), slopes, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(("window", "reach"), [(15, 1), (21, 1), (21, 2)])
+@pytest.mark.parametrize("exact_return", [True, False])
+def test_tracks_are_those_of_track_points(
+    window: int, reach: int, exact_return: bool, views: tuple[Tensor, Tensor], points: Tensor
+) -> None:
+    expected = track_points(*views, points, window)
+    templates = KeyStep(window, reach)(views[0], points)
+    tracks = TrackStep(window, reach, exact_return)(views[1], points, templates)
+    assert torch.equal(tracks.status, expected.status)
+    # Rounding of positions of some hundred px in float32 is 3e-5 px.
+    torch.testing.assert_close(tracks.points, expected.points, rtol=0, atol=2e-4, equal_nan=True)
+    torch.testing.assert_close(tracks.covariance, expected.covariance, rtol=2e-3, atol=1e-7, equal_nan=True)
+    # One step is the way back to first order: residuals of 1e-3 px leave 1e-3 of it.
+    tolerance = 1e-4 if exact_return else 1e-3
+    torch.testing.assert_close(tracks.error, expected.error, rtol=0, atol=tolerance, equal_nan=True)
+
+
+def test_float64_agrees_to_a_hundred_thousandth(views: tuple[Tensor, Tensor], points: Tensor) -> None:
+    near = TrackStep(21)(views[1], points, KeyStep(21)(views[0], points))
+    exact = torch.float64
+    far = TrackStep(21, precision=exact)(views[1], points, KeyStep(21, precision=exact)(views[0], points))
+    torch.testing.assert_close(near.points.double(), far.points, rtol=0, atol=1e-4, equal_nan=True)
+
+
+def test_what_cannot_be_tracked_has_a_reason(views: tuple[Tensor, Tensor], points: Tensor) -> None:
+    some = points[:, :6].clone()
+    some[0, 0] = torch.nan
+    some[0, 1] = torch.tensor([2.0, 200.0])
+    prediction = some.clone()
+    prediction[0, 2] = torch.nan
+    prediction[0, 3] += 20
+    prediction[0, 4, 0] = 1e9
+    tracks = TrackStep(21)(views[1], prediction, KeyStep(21)(views[0], some))
+    status = [TrackStatus(int(value)) for value in tracks.status[0]]
+    assert status[0] == status[2] == TrackStatus.NOT_FINITE
+    assert status[1] == TrackStatus.LEFT_FRAME
+    assert status[3] in (TrackStatus.NOT_CONVERGED, TrackStatus.MISMATCH, TrackStatus.FORWARD_BACKWARD)
+    assert status[4] in (TrackStatus.LEFT_FRAME, TrackStatus.NOT_CONVERGED)
+    assert status[5] == TrackStatus.TRACKED
+    assert tracks.points[0, :5].isnan().all()
+    blank = torch.full_like(views[0], 90)
+    nothing = TrackStep(21)(views[1], points, KeyStep(21)(blank, points))
+    assert (nothing.status == TrackStatus.NO_TEXTURE).all()
+
+
+def test_recordings_side_by_side_do_not_mix(views: tuple[Tensor, Tensor], points: Tensor) -> None:
+    both = torch.cat((views[0], views[1])), torch.cat((views[1], views[0])), torch.cat((points, points.flip(1)))
+    together = TrackStep(15)(both[1], both[2], KeyStep(15)(both[0], both[2]))
+    for number in range(2):
+        own = tuple(one[number : number + 1] for one in both)
+        alone = TrackStep(15)(own[1], own[2], KeyStep(15)(own[0], own[2]))
+        torch.testing.assert_close(together.points[number], alone.points[0], rtol=0, atol=1e-4, equal_nan=True)
+
+
+def test_fields_are_those_of_local_gradients() -> None:
+    generator = torch.Generator().manual_seed(0)
+    reference = torch.rand(2, 300, 2, generator=generator) * torch.tensor([340.0, 280.0]) + 100
+    gradient = torch.tensor([[0.05, 0.02], [-0.01, 0.08]])
+    points = reference + (reference - 250) @ gradient.T + 0.5 * torch.sin(reference / 30) + 17
+    reference[0, 5] = torch.nan
+    points[1, 7] = torch.nan
+    reference[0, 6] = torch.tensor([2000.0, 2000.0])  # alone
+    fields = FieldsStep(70.0)(points, reference)
+    fit = local_gradients(reference.double(), points.double() - reference.double(), gauge_length=70.0)
+    gradient = fit.gradient.clone()
+    gradient[1, 7] = torch.nan  # where a point is lost now, a recording still has what its neighbours say
+    # Float32 positions of 500 px are rounded to 3e-5 px, over a gauge length of 70 px.
+    for ours, expected in (
+        (fields.divergence, divergence(gradient)),
+        (fields.curl, curl(gradient)),
+        (fields.strain, green_lagrange(gradient)),
+    ):
+        torch.testing.assert_close(ours.double(), expected, rtol=0, atol=5e-5, equal_nan=True)
+    expected = torch.from_numpy(np.nanmedian(divergence(gradient).numpy(), axis=1))
+    torch.testing.assert_close(fields.median_divergence.double(), expected, rtol=0, atol=5e-5)
+
+
+@pytest.mark.parametrize("known", [0, 1, 2, 3])
+def test_median_divergence_of_few_points(known: int) -> None:
+    from fingerflow.stream.fields import _median
+
+    values = torch.full((1, 5), torch.nan)
+    values[0, :known] = torch.tensor([3.0, -1.0, 7.0])[:known]
+    expected = [torch.nan, 3.0, 1.0, 3.0][known]
+    torch.testing.assert_close(_median(values), torch.tensor([expected]), equal_nan=True)
+
+
+def test_corners_are_strong_apart_and_inside(views: tuple[Tensor, Tensor]) -> None:
+    mask = torch.ones_like(views[0], dtype=torch.bool)
+    mask[..., :100] = False
+    points, response = DetectStep(100, 3, 13)(views[0], mask)
+    found = points[0][points[0].isfinite().all(-1)]
+    assert len(found) == 100
+    assert (response[0].diff() <= 0).all()
+    height, width = views[0].shape[-2:]
+    assert (found[:, 0] >= 100).all()
+    assert (found >= 13).all()
+    assert (found <= torch.tensor([width - 14, height - 14])).all()
+    apart = (found[:, None] - found).abs().amax(-1) + 1e9 * torch.eye(len(found))
+    assert apart.min() > 3
+    none, _ = DetectStep(20, 3, 13)(torch.full_like(views[0], 80), mask)
+    assert none.isnan().all()

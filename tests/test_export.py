@@ -1,0 +1,167 @@
+"""Export to ONNX: a small bundle that holds what it promises, and refusals that leave nothing behind."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from fingerflow import export
+from fingerflow.errors import FingerflowError
+from fingerflow.export import Difference, export_bundle, verify
+from fingerflow.stream.graphs import build
+from fingerflow.stream.recipe import GRAPHS, load_recipe
+from fingerflow.stream.trial import cases, feed
+
+RECIPE = """
+[views]
+height = 96
+width = 120
+bit_depth = {bits}
+batch = {batch}
+[tracking]
+points = 24
+window_px = 11
+{tracking}
+[contact]
+{contact}
+[fields]
+gauge_px = 70.0
+[export]
+graphs = [{graphs}]
+"""
+
+
+def _recipe(
+    folder: Path, bits: int = 8, batch: str = "1", tracking: str = "", contact: str = "", graphs: str = ""
+) -> Path:
+    path = folder / "recipe.toml"
+    names = graphs or ", ".join(f'"{name}"' for name in GRAPHS)
+    path.write_text(RECIPE.format(bits=bits, batch=batch, tracking=tracking, contact=contact, graphs=names))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Difference]]:
+    folder = tmp_path_factory.mktemp("export")
+    return folder / "bundle", export_bundle(_recipe(folder), folder / "bundle")
+
+
+def test_bundle_holds_graphs_player_and_what_to_do(bundle: tuple[Path, list[Difference]]) -> None:
+    folder, _ = bundle
+    about = json.loads((folder / "bundle.json").read_text())
+    assert list(about["graphs"]) == list(GRAPHS)
+    for entry in about["graphs"].values():
+        assert hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
+    for name in ("player.py", "README.md", "requirements.txt", "scene.toml"):
+        assert (folder / name).stat().st_size > 0
+    assert not list(folder.parent.glob(".bundle-*"))
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_graph_is_standard_and_says_what_it_is(name: str, bundle: tuple[Path, list[Difference]]) -> None:
+    model = onnx.load(bundle[0] / f"{name}.onnx")
+    onnx.checker.check_model(model, full_check=True)
+    assert {(one.domain, one.version) for one in model.opset_import} == {("", 18)}
+    assert not {node.op_type for node in model.graph.node} & {"Loop", "If", "Scan"}
+    assert not model.functions
+    assert "/" not in "".join(node.doc_string for node in model.graph.node)
+    facts = {one.key: one.value for one in model.metadata_props}
+    assert facts["fingerflow.graph"] == name
+    named = {one.name for one in (*model.graph.input, *model.graph.output)}
+    assert named <= set(json.loads(facts["fingerflow.units"]))
+    assert {"fingerflow.version", "fingerflow.recipe", "fingerflow.coordinates", "fingerflow.hash"} <= set(facts)
+
+
+def test_verification_covers_every_output(bundle: tuple[Path, list[Difference]]) -> None:
+    graphs = build(load_recipe(bundle[0].parent / "recipe.toml"))
+    expected = {(name, output) for name, graph in graphs.items() for output in graph.outputs}
+    assert {(row.graph, row.output) for row in bundle[1]} == expected
+    points = {row.graph: row for row in bundle[1] if row.output == "points"}
+    assert points["track"].to_float64 <= 1e-3
+    assert points["frame"].to_float64 <= 1e-3
+    assert all(row.to_torch == 0 for row in bundle[1] if row.output in ("touching", "status", "valid"))
+
+
+def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
+    """Two frames of a stream by ONNX Runtime alone: what a frame gives as next_X is the next one's X."""
+    folder, _ = bundle
+    recipe = load_recipe(folder.parent / "recipe.toml")
+    case = cases(recipe, 1)[0].inputs
+    sessions = {name: onnxruntime.InferenceSession(folder / f"{name}.onnx") for name in ("background", "key", "frame")}
+    known = {name: tensor.numpy() for name, tensor in case.items()}
+    known["reference"] = np.full_like(known["points"], np.nan)
+
+    def run(name: str) -> dict[str, np.ndarray]:
+        session = sessions[name]
+        outputs = [one.name for one in session.get_outputs()]
+        source = {**known, "topography_view": known["key_view"]} if name == "key" else known
+        inputs = {one.name: source[one.name] for one in session.get_inputs()}
+        return dict(zip(outputs, session.run(outputs, inputs), strict=True))
+
+    known |= run("background")
+    known |= run("key")
+    first = run("frame")
+    known |= {name.removeprefix("next_"): value for name, value in first.items() if name.startswith("next_")}
+    second = run("frame")
+    tracked = first["status"] == 0
+    assert tracked.sum() >= 10
+    # The first frame is the reference of the second, and nothing moved between them.
+    np.testing.assert_allclose(second["points"][tracked], first["points"][tracked], rtol=0, atol=1e-3)
+    covered = np.isfinite(first["next_reference"]).all(-1)
+    assert 0 < covered.sum() < tracked.sum() + 1
+    np.testing.assert_allclose(second["divergence"][covered & tracked], 0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "graphs"),
+    [
+        ({"bits": 12}, '"background", "contact", "frame"'),
+        ({"batch": '"dynamic"'}, '"key", "frame"'),
+        ({"batch": "2", "tracking": 'way_back = "step"\nreach_px = 2'}, '"track"'),
+        ({"contact": 'median_type = "float32"\nmedian_px = 5\nlattice_px = 4\ncount_by = "product"'}, '"contact"'),
+    ],
+    ids=["12 bit", "open batch", "two recordings", "for other providers"],
+)
+def test_other_recipes_export(settings: dict[str, str | int], graphs: str, tmp_path: Path) -> None:
+    rows = export_bundle(_recipe(tmp_path, graphs=graphs, **settings), tmp_path / "bundle")  # type: ignore[arg-type]
+    assert rows
+
+
+def test_a_graph_that_differs_is_refused(bundle: tuple[Path, list[Difference]], tmp_path: Path) -> None:
+    folder, _ = bundle
+    for name in GRAPHS:
+        (tmp_path / f"{name}.onnx").write_bytes((folder / f"{name}.onnx").read_bytes())
+    recipe = load_recipe(folder.parent / "recipe.toml")
+    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_px": 60.0})})
+    with pytest.raises(FingerflowError, match="divergence"):
+        verify(other, tmp_path)
+
+
+def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise FingerflowError("no")
+
+    monkeypatch.setattr(export, "verify", fail)
+    with pytest.raises(FingerflowError, match="no"):
+        export_bundle(_recipe(tmp_path, graphs='"fields"'), tmp_path / "bundle")
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
+
+
+def test_an_existing_folder_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "bundle").mkdir()
+    with pytest.raises(FingerflowError, match="exists already"):
+        export_bundle(_recipe(tmp_path), tmp_path / "bundle")
+
+
+def test_float64_reference_is_another_precision() -> None:
+    """The verification compares with numbers that are really computed in float64."""
+    recipe = load_recipe(Path(__file__).parents[1] / "export" / "fast.toml")
+    fields = build(recipe, torch.float64)["fields"]
+    case = cases(recipe, 1)[0].inputs
+    results = fields.module(*feed("fields", fields, case))
+    assert all(result.dtype == torch.float64 for result in results)
