@@ -191,6 +191,9 @@ def _double(tensor: Tensor) -> Tensor:
 
 def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> Difference:
     unit = UNITS[output]
+    if output == "status":
+        # Whether a point is tracked. Why it is not may turn on the last digit: far from any root, steps are chaotic.
+        ours, near, far = (values != 0 for values in (ours, near, far))
     if not np.issubdtype(near.dtype, np.floating):
         share = float(np.mean(ours != far)) if ours.size else 0.0
         return Difference(graph, output, unit, float(np.max(ours != near, initial=0)), 0.0, 0, share)
