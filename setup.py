@@ -16,6 +16,7 @@ PLAIN = [
     "components",
     "contact_above",
     "contact_classes",
+    "corners",
     "dense_region",
     "ellipse",
     "illumination",
@@ -32,6 +33,7 @@ PLAIN = [
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
+    "corners_rows",
     "dense_region_rows",
     "ellipse_rows",
     "illumination_rows",

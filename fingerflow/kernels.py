@@ -18,11 +18,12 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 8  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 9  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
 LARGEST_MEDIAN_ABOVE = 15
+LARGEST_CORNER_WINDOW = 15
 LARGEST_DENSITY_RADIUS = 17
 WIDEST_MOMENTS = (1 << 16) - 1
 MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
@@ -39,6 +40,13 @@ class OtsuClasses(NamedTuple):
     means: Tensor
     deviations: Tensor
     separability: Tensor
+
+
+class CornerPlaces(NamedTuple):
+    """Points (B, count, 2) and response (B, count), float32, strongest first; NaN behind the last."""
+
+    points: Tensor
+    response: Tensor
 
 
 class FittedPlanes(NamedTuple):
@@ -205,20 +213,14 @@ def histogram(frames: Tensor, mask: Tensor | None, bin_of_level: Tensor | None, 
             f"{bins} bins for {levels} levels: give 1 to 65536, and the bin of each level if they are fewer"
         )
     frames = _rows_in_one_piece(frames)
-    masked: list[int | None] = [None, 0, 0, 0]
-    if mask is not None:
-        _check_frames(mask, (torch.bool,))
-        if mask.shape[1:] != frames.shape[1:] or len(mask) not in (1, len(frames)):
-            raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
-        mask = _rows_in_one_piece(mask)
-        masked = [mask.data_ptr(), len(mask), mask.stride(0), mask.stride(2)]
+    mask = None if mask is None else _mask_of(frames, mask)
     counts = torch.empty(len(frames), bins, dtype=torch.int64)
     _call(
         "fingerflow_histogram",
         frames.data_ptr(),
         *_extent(frames),
         FRAME_KINDS[frames.dtype],
-        *masked,
+        *_mask_numbers(mask),
         None if bin_of_level is None else bin_of_level.data_ptr(),
         bins,
         counts.data_ptr(),
@@ -386,6 +388,49 @@ def track_points(
     return points, error, covariance, status
 
 
+def corners(
+    frames: Tensor,
+    mask: Tensor | None,
+    floors: Tensor,
+    *,
+    count: int,
+    min_distance: float,
+    quality: float,
+    window: int,
+    border: int,
+) -> CornerPlaces:
+    """Corners of uint8 frames (B, 1, H, W), as `ops.corners` has them; responses exceed `floors` (B,) float32.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.
+    """
+    _check_frames(frames, (torch.uint8,))
+    _check_like("floors", floors, torch.float32, (len(frames),))
+    if not 1 <= window <= LARGEST_CORNER_WINDOW or window % 2 == 0:
+        raise ValueError(f"compiled corners have odd windows up to {LARGEST_CORNER_WINDOW}: {window} was asked for")
+    if frames.shape[2] * frames.shape[3] >= 1 << 32:
+        raise ValueError(f"a frame of {tuple(frames.shape[2:])}: compiled corners take fewer than 2^32 pixels")
+    frames, floors = _rows_in_one_piece(frames), floors.contiguous()
+    mask = None if mask is None else _mask_of(frames, mask)
+    points, response = torch.empty(len(frames), count, 2), torch.empty(len(frames), count)
+    _call(
+        "fingerflow_corners",
+        frames.data_ptr(),
+        *_extent(frames),
+        *_mask_numbers(mask),
+        floors.data_ptr(),
+        quality,
+        window,
+        border,
+        count,
+        min_distance,
+        points.data_ptr(),
+        response.data_ptr(),
+        torch.get_num_threads(),
+    )
+    return CornerPlaces(points, response)
+
+
 def local_gradients(
     points: Tensor,
     values: Tensor,
@@ -507,6 +552,11 @@ def _library() -> ctypes.CDLL | None:
         *[pointer, count, pointer, number],
     ]
     library.fingerflow_otsu_classes.argtypes = [pointer, count, double, double, *[pointer] * 5]
+    library.fingerflow_corners.argtypes = [
+        *[pointer, *extent],
+        *[pointer, *beside],
+        *[pointer, real, count, count, count, double, pointer, pointer, number],
+    ]
     library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
@@ -615,6 +665,19 @@ def _call_on_images(
 def _check_size_above(size: int) -> None:
     if not 1 <= size <= LARGEST_MEDIAN_ABOVE or size % 2 == 0:
         raise ValueError(f"the compiled count has odd sizes from 1 to {LARGEST_MEDIAN_ABOVE}: {size} was asked for")
+
+
+def _mask_of(frames: Tensor, mask: Tensor) -> Tensor:
+    """The mask (B or 1, 1, H, W) bool of frames, checked, pixels of a row neighbours in memory."""
+    _check_frames(mask, (torch.bool,))
+    if mask.shape[1:] != frames.shape[1:] or len(mask) not in (1, len(frames)):
+        raise ValueError(f"a mask of {tuple(mask.shape)} beside frames of {tuple(frames.shape)}")
+    return _rows_in_one_piece(mask)
+
+
+def _mask_numbers(mask: Tensor | None) -> tuple[int | None, int, int, int]:
+    """Data, number of images, strides of an image and of a row."""
+    return (None, 0, 0, 0) if mask is None else (mask.data_ptr(), len(mask), mask.stride(0), mask.stride(2))
 
 
 def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:

@@ -136,3 +136,13 @@ struct fingerflow_local_fit {
 };
 FINGERFLOW_EXPORT int fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread,
                                                  int wide, int threads);
+
+// Corners of uint8 frames, as fingerflow/ops/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
+// a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame, or null)
+// tells where they may lie, `floors` (batch) what their response must exceed.
+FINGERFLOW_EXPORT int fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height,
+                                         std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
+                                         const unsigned char* mask, std::int64_t masks, std::int64_t mask_stride,
+                                         std::int64_t mask_row_stride, const float* floors, float quality,
+                                         std::int64_t window, std::int64_t border, std::int64_t count,
+                                         double min_distance, float* points, float* responses, int threads);

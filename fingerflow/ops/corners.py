@@ -7,12 +7,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.noise import estimate_noise
 
-# White noise of variance 1 leaves this variance in a component of the Sobel gradient of `_gradient`: the sum of its
-# squared weights, (1 + 4 + 1) 2 / 64.
-_GRADIENT_NOISE = 12 / 64
+_GRADIENT_SCALE = 8  # of Sobel's gradient in whole numbers
+# White noise of variance 1 leaves this variance in a component of the gradient: the sum of its squared weights,
+# (1 + 4 + 1) 2.
+_GRADIENT_NOISE = 12 / _GRADIENT_SCALE**2
 # Below this share of the larger eigenvalue the smaller one is what float32 leaves of a difference of equal numbers.
 _ROUNDING = 1e-5
 
@@ -63,8 +65,8 @@ def detect_corners(
             finer than about 4 px for noise: give the camera's noise where such texture is to be tracked.
 
     Returns:
-        `Corners`, float32 (float64 for float64 frames). Non-finite pixels spoil the windows that hold them, and
-        nothing else.
+        `Corners`, float32 (float64 for float64 frames). uint8 frames are worked on in whole numbers up to the
+        eigenvalues. Non-finite pixels spoil the windows that hold them, and nothing else.
 
     Raises:
         ValueError: a shape or a number out of its range, with its value.
@@ -74,7 +76,22 @@ def detect_corners(
             f"count {count}, border {border}, min_distance {min_distance} and quality {quality}: "
             "none may be negative, and quality is at most 1"
         )
-    response, smaller_bound = _eigenvalues(frame, window)
+    _check_frame(frame, window)
+    exact = frame.dtype == torch.uint8 and window <= kernels.LARGEST_CORNER_WINDOW
+    if exact and frame.numel() and kernels.serve(frame, mask):
+        spread = _noise_deviation(frame) if noise is None else torch.full((len(frame),), noise)
+        points, strength = kernels.corners(
+            frame,
+            mask,
+            _above_noise(window) * spread.square(),
+            count=count,
+            min_distance=min_distance,
+            quality=quality,
+            window=window,
+            border=border,
+        )
+        return Corners(points, strength, strength.isfinite())
+    response, larger = _eigenvalues(frame, window)
     allowed = _inside(frame, border)
     if mask is not None:
         allowed = allowed & mask
@@ -82,7 +99,7 @@ def detect_corners(
     known = torch.where(allowed & response.isfinite(), response, 0.0)
     floor = torch.maximum(quality * known.amax((1, 2, 3)), _above_noise(window) * spread.square())
     peak = known == _largest_around(known)
-    candidate = peak & (known > floor[:, None, None, None]) & (known > _ROUNDING * smaller_bound)
+    candidate = peak & (known > floor[:, None, None, None]) & (known > _ROUNDING * larger)
     return _strongest_apart(known, candidate, count, min_distance)
 
 
@@ -101,36 +118,49 @@ def corner_response(frame: Tensor, window: int = 7) -> Tensor:
     Raises:
         ValueError: `frame` is not (B, 1, H, W) or `window` is not odd and positive.
     """
+    _check_frame(frame, window)
     return _eigenvalues(frame, window)[0]
 
 
-def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
-    """Smaller and larger eigenvalue of the structure tensor, (B, 1, H, W) each."""
+def _check_frame(frame: Tensor, window: int) -> None:
     if frame.ndim != 4 or frame.shape[1] != 1:
         raise ValueError(f"frame has shape {tuple(frame.shape)}: give (B, 1, H, W)")
     if window < 1 or window % 2 == 0:
         raise ValueError(f"window is {window} px: the structure tensor needs an odd one")
-    values = frame if frame.dtype == torch.float64 else frame.float()
+
+
+def _eigenvalues(frame: Tensor, window: int) -> tuple[Tensor, Tensor]:
+    """Smaller and larger eigenvalue of the structure tensor, (B, 1, H, W) each."""
+    whole = frame.dtype == torch.uint8
+    values = frame.double() if whole or frame.dtype == torch.float64 else frame.float()
     values = torch.where(values.isfinite(), values, torch.nan)
     gradient_x, gradient_y = _gradient(values)
     tensor = torch.cat([gradient_x * gradient_x, gradient_x * gradient_y, gradient_y * gradient_y], 1)
     half = window // 2
     if tensor.numel():
         padded = functional.pad(tensor, (half, half, half, half), mode="replicate")
-        tensor = box_sum(padded, window) / (window * window)
+        tensor = box_sum(padded, window)
     xx, xy, yy = tensor.split(1, 1)
-    middle, spread = (xx + yy) / 2, torch.hypot((xx - yy) / 2, xy)
-    return middle - spread, middle + spread
+    both, apart, twice = xx + yy, xx - yy, 2 * xy
+    if whole:
+        # Whole numbers up to here; from here on single roundings in a fixed order, as the compiled twin takes them.
+        both, apart, twice = both.float(), apart.float(), twice.float()
+        # By way of float64: torch's float32 root is not the nearest number for all.
+        spread = (apart.square() + twice.square()).double().sqrt().float()
+    else:
+        spread = torch.hypot(apart, twice)
+    scale = 1 / (2 * _GRADIENT_SCALE**2 * window * window)
+    return (both - spread) * scale, (both + spread) * scale
 
 
 def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Sobel's derivative in grey levels a pixel: [-1 0 1] / 2 one way, [1 2 1] / 4 the other."""
+    """Sobel's derivative in eighths of a grey level a pixel: [-1 0 1] one way, [1 2 1] the other."""
     if values.numel() == 0:
         return values, values
     padded = functional.pad(values, (1, 1, 1, 1), mode="replicate")
-    smooth_y = (padded[..., :-2, :] + 2 * padded[..., 1:-1, :] + padded[..., 2:, :]) / 4
-    smooth_x = (padded[..., :-2] + 2 * padded[..., 1:-1] + padded[..., 2:]) / 4
-    return (smooth_y[..., 2:] - smooth_y[..., :-2]) / 2, (smooth_x[..., 2:, :] - smooth_x[..., :-2, :]) / 2
+    smooth_y = padded[..., :-2, :] + 2 * padded[..., 1:-1, :] + padded[..., 2:, :]
+    smooth_x = padded[..., :-2] + 2 * padded[..., 1:-1] + padded[..., 2:]
+    return smooth_y[..., 2:] - smooth_y[..., :-2], smooth_x[..., 2:, :] - smooth_x[..., :-2, :]
 
 
 def _largest_around(response: Tensor) -> Tensor:

@@ -67,6 +67,13 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     for (std::int64_t bin : counts) total += bin;
     expect(total == count, "histogram counts every pixel");
 
+    const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
+    for (int window : {1, 7, 15}) {
+        std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));
+        expect(fingerflow_corners(eight.data(), batch, height, width, frame, width, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads) == 0, "corners");
+        expect(fingerflow_corners(eight.data(), batch, height, width, frame, width, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads) == 0, "corners");
+    }
+
     std::vector<float> signal(real.size());
     std::vector<double> classes(static_cast<std::size_t>(8 * batch));
     const fingerflow_images images{{eight.data(), batch, frame, width, 0},
