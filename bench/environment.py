@@ -10,7 +10,16 @@ import torch
 
 from fingerflow import kernels
 
-_PACKAGES = ("fingerflow-engine", "torch", "opencv-contrib-python-headless", "numpy", "scipy", "scikit-image", "kornia")
+_PACKAGES = (
+    "fingerflow-engine",
+    "torch",
+    "onnxruntime",
+    "opencv-contrib-python-headless",
+    "numpy",
+    "scipy",
+    "scikit-image",
+    "kornia",
+)
 
 
 def share_cores() -> None:

@@ -1,0 +1,45 @@
+"""The player of a bundle as a program of its own, as a lab PC runs it: without torch in its memory."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+
+@contextmanager
+def exported(recipe: str) -> Iterator[Path]:
+    """The bundle of a recipe, given as the text of its file; it is gone afterwards."""
+    from fingerflow.export import export_bundle
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recipe.toml"
+        path.write_text(recipe, encoding="utf-8")
+        export_bundle(path, Path(folder) / "bundle")
+        yield Path(folder) / "bundle"
+
+
+def play(bundle: Path, *arguments: str, watch: Callable[[int], None] = lambda pid: None) -> dict[str, Any]:
+    """The summary of a stream of the synthetic source; ``watch`` is called ten times a second with the process id.
+
+    Raises RuntimeError with what the player said where it ends with an error.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, str(bundle / "player.py"), "--source", "synthetic", "--page", "off"]
+        options = ["--provider", "cpu", "--output", f"{folder}/results", "--json", f"{folder}/summary.json"]
+        log = Path(folder) / "log"
+        with (
+            log.open("w") as file,
+            subprocess.Popen([*command, *options, *arguments], stdout=file, stderr=file) as running,
+        ):
+            while running.poll() is None:
+                watch(running.pid)
+                time.sleep(0.1)
+        if running.returncode:
+            raise RuntimeError(log.read_text())
+        summary: dict[str, Any] = json.loads(Path(folder, "summary.json").read_text())
+        return summary
