@@ -719,8 +719,14 @@ class Stepper:
         outputs = {name: self._tensors(name, "get_outputs") for name in GRAPHS}
         self.outputs = outputs["frame"]
         self.found = self.keyed = 0
-        self._detect_inputs, self._key_inputs = inputs["detect"], inputs["key"]
-        self._mask = _region_mask(scene, inputs["detect"]["mask"].shape) if "mask" in inputs["detect"] else None
+        self._key_inputs = inputs["key"]
+        self._of_scene: dict[str, Array] = {"topography_to_contact": scene.topography_to_contact}
+        if scene.threshold is not None:
+            self._of_scene["threshold"] = np.array([scene.threshold])
+        else:
+            for name in GRAPHS:
+                self._refuse_threshold(name, inputs[name])
+        self._mask = _region_mask(scene, (1, 1, self._bundle.height, self._bundle.width))
 
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
         self._held = {name: self._room(tensor) for name, tensor in held.items()}
@@ -732,7 +738,7 @@ class Stepper:
             {name: np.zeros(t.shape, t.dtype) for name, t in self.outputs.items() if name not in self.states}
             for _ in range(2)
         ]
-        constants = self._constants(inputs["frame"], scene, {*states, *held})
+        constants = self._constants(inputs["frame"], {*states, *held})
         # Two bindings: what one writes as next state the other reads as state.
         self._bindings = [self._binding(side, constants) for side in range(2)]
         self._side = 0
@@ -746,7 +752,7 @@ class Stepper:
 
     def restart(self, slot: Slot) -> int:
         """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""
-        given = {"view": slot.views["topography_view"]} | ({} if self._mask is None else {"mask": self._mask})
+        given = {"topography_view": slot.views["topography_view"], "mask": self._mask}
         points = self._run("detect", given)["points"]
         self.found = int(np.isfinite(points).all(-1).sum())
         for value in self._states[self._side].values():
@@ -779,17 +785,16 @@ class Stepper:
     def _room(self, tensor: _Tensor) -> Any:
         return ort.OrtValue.ortvalue_from_shape_and_type(tensor.shape, tensor.dtype, self._engine.device)
 
-    def _constants(self, inputs: Mapping[str, _Tensor], scene: Scene, known: set[str]) -> dict[str, Any]:
-        """Inputs that the scene gives; raises PlayerError for an input that nothing gives."""
-        path = self._bundle.files["frame"]
-        given = {"topography_to_contact": scene.topography_to_contact}
-        if scene.threshold is not None:
-            given["threshold"] = np.array([scene.threshold])
-        elif "threshold" in inputs and "threshold" not in known:
+    def _refuse_threshold(self, graph: str, inputs: Mapping[str, _Tensor]) -> None:
+        if "threshold" in inputs:
             raise PlayerError(
-                f"{path}: takes its threshold from the scene; add [contact] threshold = with the share of light lost "
-                "that counts as contact, such as 0.25"
+                f"{self._bundle.files[graph]}: takes its threshold from the scene; add [contact] threshold = with the "
+                "share of light lost that counts as contact, such as 0.25"
             )
+
+    def _constants(self, inputs: Mapping[str, _Tensor], known: set[str]) -> dict[str, Any]:
+        """Inputs that the scene gives; raises PlayerError for an input that nothing gives."""
+        path, given = self._bundle.files["frame"], self._of_scene
         constants = {}
         for name, tensor in inputs.items():
             if name in given and name not in known:
@@ -822,6 +827,7 @@ class Stepper:
         """One of the graphs that run rarely; what it gives is held where `frame` takes it."""
         session, path = self._sessions[graph], self._bundle.files[graph]
         inputs = self._tensors(graph, "get_inputs")
+        given = self._of_scene | dict(given)
         if set(inputs) - set(given):
             raise PlayerError(f"{path}: needs inputs {sorted(inputs)}, this player gives {sorted(given)}")
         binding = session.io_binding()
