@@ -28,6 +28,7 @@ PLAIN = [
     "noise",
     "otsu",
     "parallel",
+    "search",
     "spline",
     "tracking",
 ]
@@ -43,7 +44,7 @@ EXACT = [
     "noise_rows",
     "spline_rows",
 ]
-ROUNDED = ["local_fit_block", "tracking_points"]
+ROUNDED = ["local_fit_block", "search_points", "tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers

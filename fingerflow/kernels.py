@@ -319,7 +319,7 @@ def fit_ellipse(mask: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def track_points(
-    coefficients: tuple[Tensor, Tensor],
+    images: tuple[Tensor, Tensor],
     image_index: Tensor,
     noise: Tensor,
     start: Tensor,
@@ -335,47 +335,42 @@ def track_points(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """P points there and back by cubic splines, as `ops.tracking` has it, float32.
 
-    Coefficients are (B, 1, H, W), image_index (P,) int64, noise (P,), points (P, 2), warp (P, 2, 2). Returns points,
-    forward-backward error, covariance and status.
+    Images are (B, 1, H, W) of FRAME_KINDS, H and W at least 4, image_index (P,) int64, noise (P,), points (P, 2), warp
+    (P, 2, 2). Returns points, forward-backward error, covariance and status.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
     count = len(start)
-    height, width = coefficients[0].shape[-2:]
-    expected = {
-        "noise": (count,),
-        "start": (count, 2),
-        "guess": (count, 2),
-        "back_guess": (count, 2),
-        "warp": (count, 2, 2),
-    }
-    given = {"noise": noise, "start": start, "guess": guess, "back_guess": back_guess, "warp": warp}
-    for name, tensor in (("coefficients", coefficients[0]), ("coefficients", coefficients[1]), *given.items()):
-        if tensor is not None and tensor.dtype != torch.float32:
-            raise TypeError(f"{name} is {tensor.dtype}: the compiled tracker takes torch.float32")
-        if tensor is not None and name in expected and tuple(tensor.shape) != expected[name]:
-            raise ValueError(f"{name} has shape {tuple(tensor.shape)} for {count} points: {expected[name]} is needed")
-    if coefficients[0].shape != coefficients[1].shape or coefficients[0].shape[1] != 1 or min(height, width) < 4:
-        raise ValueError(f"coefficients {[tuple(c.shape) for c in coefficients]}: two (B, 1, H, W) of 4 px and more")
-    if image_index.dtype != torch.int64 or tuple(image_index.shape) != (count,):
-        raise ValueError(f"image_index is {image_index.dtype} {tuple(image_index.shape)}: int64 ({count},) is needed")
-    if count and not 0 <= int(image_index.min()) <= int(image_index.max()) < len(coefficients[0]):
-        raise ValueError(f"image_index goes from {image_index.min()} to {image_index.max()} of {len(coefficients[0])}")
+    for image in images:
+        _check_frames(image, tuple(FRAME_KINDS))
+    if images[0].shape != images[1].shape or min(images[0].shape[2:]) < 4:
+        raise ValueError(f"images of {[tuple(image.shape) for image in images]}: two (B, 1, H, W) of 4 px and more")
+    _check_indices(image_index, count, len(images[0]))
+    _check_like("noise", noise, torch.float32, (count,))
+    for name, points in (("start", start), ("guess", guess), ("back_guess", back_guess)):
+        if points is not None:
+            _check_like(name, points, torch.float32, (count, 2))
+    if warp is not None:
+        _check_like("warp", warp, torch.float32, (count, 2, 2))
     if window < 5 or window % 2 == 0:
         raise ValueError(f"window must be odd and at least 5 px, not {window}")
-    given = {name: None if tensor is None else tensor.contiguous() for name, tensor in given.items()}
-    images = [image.contiguous() for image in coefficients]
-    index = image_index.contiguous()
+    frames = [_rows_in_one_piece(image) for image in images]
+    described = [
+        (ctypes.c_int64 * 5)(image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype])
+        for image in frames
+    ]
+    of_points = [
+        None if tensor is None else tensor.contiguous()
+        for tensor in (image_index, noise, start, guess, back_guess, warp)
+    ]
     points, error, covariance = torch.empty(count, 2), torch.empty(count), torch.empty(count, 2, 2)
     status = torch.empty(count, dtype=torch.uint8)
     _call(
         "fingerflow_track_points",
-        *(image.data_ptr() for image in images),
-        height,
-        width,
-        index.data_ptr(),
-        *(None if tensor is None else tensor.data_ptr() for tensor in given.values()),
+        *map(ctypes.addressof, described),
+        *frames[0].shape[2:],
+        *(None if tensor is None else tensor.data_ptr() for tensor in of_points),
         count,
         window,
         int(gain_offset),
@@ -491,6 +486,40 @@ def local_gradients(
     return FittedPlanes(value, gradient, None if noise is None else covariance, counts, offset)
 
 
+def search_windows(
+    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, size: int, reach: int
+) -> Tensor:
+    """Places (P, 2) as `ops.search` has them, from images (B, 1, h, w) of half resolution, all float32.
+
+    Image_index (P,) int64, points and guess (P, 2); templates `size` wide, found up to `reach` px away.
+
+    Raises:
+        TypeError, ValueError: another dtype, shapes that do not belong together, an even size or a negative reach.
+    """
+    count = len(points)
+    _check_frames(templates, (torch.float32,))
+    _check_like("images", images, torch.float32, tuple(templates.shape))
+    _check_indices(image_index, count, len(images))
+    _check_like("points", points, torch.float32, (count, 2))
+    _check_like("guess", guess, torch.float32, (count, 2))
+    if size < 1 or size % 2 == 0 or reach < 0 or (count and min(images.shape[2:]) < 1):
+        raise ValueError(f"templates {size} wide, {reach} px away, in images of {tuple(images.shape)}")
+    given = [tensor.contiguous() for tensor in (templates, images, image_index, points, guess)]
+    found = torch.empty(count, 2)
+    _call(
+        "fingerflow_search_windows",
+        *(tensor.data_ptr() for tensor in given[:2]),
+        *images.shape[2:],
+        *(tensor.data_ptr() for tensor in given[2:]),
+        count,
+        size,
+        reach,
+        found.data_ptr(),
+        torch.get_num_threads(),
+    )
+    return found
+
+
 def spline_coefficients(frames: Tensor) -> Tensor:
     """Coefficients (B, 1, H, W) float32, as `ops.spline` has them, of frames of FRAME_KINDS, H and W at least 3."""
     coefficients = torch.empty(frames.shape)
@@ -564,6 +593,15 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_dense_region.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_mask_moments.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_fit_ellipse.argtypes = [pointer, pointer, *extent, number]
+    library.fingerflow_search_windows.argtypes = [
+        *[pointer] * 2,
+        *[count] * 2,
+        *[pointer] * 3,
+        count,
+        *[number] * 2,
+        pointer,
+        number,
+    ]
     library.fingerflow_track_points.argtypes = [
         *[pointer] * 2,
         *[count] * 2,
@@ -683,6 +721,12 @@ def _mask_numbers(mask: Tensor | None) -> tuple[int | None, int, int, int]:
 def _check_like(name: str, tensor: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
     if tensor.dtype != dtype or tuple(tensor.shape) != shape:
         raise ValueError(f"{name} is {tensor.dtype} {tuple(tensor.shape)}: {dtype} {shape} is needed")
+
+
+def _check_indices(image_index: Tensor, count: int, images: int) -> None:
+    _check_like("image_index", image_index, torch.int64, (count,))
+    if count and not 0 <= int(image_index.min()) <= int(image_index.max()) < images:
+        raise ValueError(f"image_index goes from {image_index.min()} to {image_index.max()} of {images}")
 
 
 def _rows_in_one_piece(frames: Tensor) -> Tensor:

@@ -3,6 +3,11 @@
 
 #include <cstdint>
 #include <cstring>
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#include "lanes.h"
 
 // Before a loop over a few vectors: unrolled, they stay in registers.
 #if defined(__clang__)
@@ -37,6 +42,12 @@ struct Beginning {
     }
     Floats of(Floats value) const { return (Floats)((Integers)value & mask); }
 };
+// Numbers where a mask of the same length is -1, zero where it is 0.
+inline Floats kept(Floats value, const std::int32_t* mask) {
+    Integers of;
+    std::memcpy(&of, mask, sizeof of);
+    return (Floats)((Integers)value & of);
+}
 #else
 struct Floats {
     float of[kFloats];
@@ -55,9 +66,19 @@ struct Beginning {
         return value;
     }
 };
+inline Floats kept(Floats value, const std::int32_t* mask) {
+    for (int k = 0; k < kFloats; ++k)
+        if (mask[k] == 0) value.of[k] = 0.0f;
+    return value;
+}
 struct Floats4 {
     float of[4];
+    float operator[](int k) const { return of[k]; }
 };
+inline Floats4 operator*(Floats4 a, const Floats4& b) {
+    for (int k = 0; k < 4; ++k) a.of[k] *= b.of[k];
+    return a;
+}
 inline Floats4 operator+(Floats4 a, const Floats4& b) {
     for (int k = 0; k < 4; ++k) a.of[k] += b.of[k];
     return a;
@@ -108,29 +129,56 @@ inline Vector held(Vector value) {
 }
 inline void store(float* to, const Floats& value) { std::memcpy(to, &value, sizeof value); }
 
-#if defined(__GNUC__) || defined(__clang__)
-// Halves added to halves, in registers.
-template <class Half, class Whole>
-inline Half folded(Whole value) {
-    const Whole copy = held(value);  // the sum itself must not be addressed: it would be kept in memory from the start
-    Half low, high;
-    std::memcpy(&low, &copy, sizeof low);
-    std::memcpy(&high, reinterpret_cast<const char*>(&copy) + sizeof low, sizeof high);
-    return low + high;
-}
-inline float sum(Floats4 value) { return (value[0] + value[2]) + (value[1] + value[3]); }
-#if defined(__AVX__)
-typedef float Floats8 __attribute__((vector_size(32)));
-inline float sum(Floats8 value) { return sum(folded<Floats4>(value)); }
-#endif
+// Sums of neighbours: those of `a`, then those of `b`.
+#if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
 #if defined(__AVX512F__)
-inline float sum(Floats value) { return sum(folded<Floats8>(value)); }
-#endif
+#define FINGERFLOW_EVEN 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30
+#define FINGERFLOW_ODD 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31
+#elif defined(__AVX__)
+#define FINGERFLOW_EVEN 0, 2, 4, 6, 8, 10, 12, 14
+#define FINGERFLOW_ODD 1, 3, 5, 7, 9, 11, 13, 15
 #else
-inline float sum(const Floats& value) {
-    float result = 0;
-    for (int k = 0; k < kFloats; ++k) result += value[k];
+#define FINGERFLOW_EVEN 0, 2, 4, 6
+#define FINGERFLOW_ODD 1, 3, 5, 7
+#endif
+inline Floats pair_sums(Floats a, Floats b) {
+    return __builtin_shufflevector(a, b, FINGERFLOW_EVEN) + __builtin_shufflevector(a, b, FINGERFLOW_ODD);
+}
+#else
+inline Floats pair_sums(const Floats& a, const Floats& b) {
+    Floats result = all(0);
+    for (int k = 0; k < kFloats / 2; ++k) {
+        result[k] = a[2 * k] + a[2 * k + 1];
+        result[kFloats / 2 + k] = b[2 * k] + b[2 * k + 1];
+    }
     return result;
+}
+#endif
+// The sum of each of `count` vectors, a power of 2; of kFloats vectors a vector of sums.
+template <int count>
+inline Floats folded(const Floats* of) {
+    if constexpr (count == 1) return of[0];
+    else return pair_sums(folded<count / 2>(of), folded<count / 2>(of + count / 2));
+}
+// The sum of each vector; `to` has room for whole vectors.
+template <int count>
+inline void sums(const Floats (&of)[count], float* to) {
+    static_assert(count % kFloats == 0, "whole vectors of sums");
+    for (int k = 0; k < count; k += kFloats) store(to + k, folded<kFloats>(of + k));
+}
+inline float sum(const Floats4& value) { return (value[0] + value[2]) + (value[1] + value[3]); }
+
+#if defined(__AVX2__) && (defined(__GNUC__) || defined(__clang__))
+#define FINGERFLOW_LOOKUP
+// Of the numbers of two vectors, one behind the other, those at the places `index`.
+inline Floats looked_up(Floats low, Floats high, Integers index) {
+#if defined(__AVX512F__)
+    return (Floats)_mm512_permutex2var_ps((__m512)low, (__m512i)index, (__m512)high);
+#else
+    const __m256 of_low = _mm256_permutevar8x32_ps((__m256)low, (__m256i)index);
+    const __m256 of_high = _mm256_permutevar8x32_ps((__m256)high, (__m256i)index);
+    return (Floats)_mm256_blendv_ps(of_low, of_high, (__m256)_mm256_slli_epi32((__m256i)index, 28));  // bit 3 chooses
+#endif
 }
 #endif
 

@@ -11,6 +11,12 @@
 #define FINGERFLOW_EXPORT extern "C" __attribute__((visibility("default")))
 #endif
 
+// Images of one shape and a kind of pixels.h.
+struct fingerflow_image {
+    const void* data;
+    std::int64_t count, image_stride, row_stride, kind;
+};
+
 // Changes with every signature below.
 FINGERFLOW_EXPORT int fingerflow_interface();
 
@@ -25,15 +31,22 @@ FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::
                                         int pixel_bytes, int size, const std::uint16_t* table, int threads);
 
 // Points of one image found in another and back again, as fingerflow/ops/tracking.py describes, with cubic splines.
-// Coefficients are (B, height, width), the points of all images flat: image index, noise, error and status (count),
+// Images as for fingerflow_contact_classes, the points of all of them flat: image index, noise, error and status (count),
 // start, guess, back_guess (or null) and points (count, 2), warp (or null) and covariance (count, 2, 2), all contiguous.
-FINGERFLOW_EXPORT int fingerflow_track_points(const float* from, const float* to, std::int64_t height,
-                                              std::int64_t width, const std::int64_t* image_index, const float* noise,
+FINGERFLOW_EXPORT int fingerflow_track_points(const fingerflow_image* previous, const fingerflow_image* current,
+                                              std::int64_t height, std::int64_t width, const std::int64_t* image_index, const float* noise,
                                               const float* start, const float* guess, const float* back_guess,
                                               const float* warp, std::int64_t count, int window, int gain_offset,
                                               float rounding, float forward_backward_limit,
                                               float mismatch_limit, float* points, float* error, float* covariance,
                                               unsigned char* status, int threads);
+
+// Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/search.py describes: images
+// (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
+FINGERFLOW_EXPORT int fingerflow_search_windows(const float* templates, const float* images, std::int64_t height,
+                                                std::int64_t width, const std::int64_t* image_index,
+                                                const float* points, const float* guess, std::int64_t count, int size,
+                                                int reach, float* found, int threads);
 
 // Spline coefficients, and the mean absolute response of the noise mask, of `batch` frames of a kind of pixels.h, at
 // least 3 x 3; coefficients (batch, height, width) contiguous, means (batch), NaN where no response is finite.
@@ -45,10 +58,6 @@ FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means
                                                std::int64_t row_stride, int kind, int threads);
 
 // Frames, their reference and dark (data null for none): one image or one a frame each.
-struct fingerflow_image {
-    const void* data;
-    std::int64_t count, image_stride, row_stride, kind;
-};
 struct fingerflow_images {
     fingerflow_image frames, reference, dark;
     std::int64_t batch, height, width;

@@ -13,8 +13,8 @@ struct Responses {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // `line` holds width floats; the masks whose middle lies on rows from `top` to before `bottom`.
-    void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, float* line,
+    // `line` holds 4 width bytes; the masks whose middle lies on rows from `top` to before `bottom`.
+    void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, void* line,
                     Responses* responses);
 )
 // clang-format on

@@ -4,7 +4,10 @@
 
 #include <math.h>
 
+#include <cstddef>
+
 #include "floats.h"
+#include "patches.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -12,10 +15,12 @@ namespace {
 
 constexpr int kReach = 1;                     // px the estimate may move within one table
 constexpr int kPositions = 2 * kReach + 3;    // integer positions in a table, each way
-constexpr int kRowsAtATime = 8;               // of a window, sampled together
 constexpr int kRounds = 5;                    // tables a point may use up
-constexpr int kGaussNewtonSteps = 6, kNewtonSteps = 3;
-constexpr float kSettled = 1e-5f;             // px; a smaller step changes no result
+constexpr int kSteps = 9;                     // on one table
+// px; after a smaller step of Gauss and Newton, which leaves about a fifth of the error, Newton's own steps are safe; after a
+// smaller one of those, which squares the error, nothing is left to gain.
+constexpr float kNewtonNear = 0.05f, kSettled = 1e-3f;
+constexpr float kSettledGaussNewton = 1e-5f;
 constexpr float kConverged = 1e-2f;           // px
 constexpr float kTextureToNoise = 2.0f;
 constexpr float kTiny = 1.17549435e-38f;  // the least normal number
@@ -62,16 +67,18 @@ void cubic_taps(Number fraction, Number* value, Number* slope) {
 }
 
 // The rows of a window lie as far apart as those of the patch that a table is built from, so that one index runs over
-// both: four columns of zeros end each row of the window. Rows are written in whole vectors, one after the other; what a
-// vector writes too much the next row replaces.
+// both: zeros end each row of the window.
 struct Layout {
     int window, stride, span;  // span: a row in whole vectors
     explicit Layout(int window) : window(window), stride(window + kPositions - 1), span(whole_floats(window)) {}
     int values() const { return whole_floats(window * stride); }
-    int buffer() const { return values() + span + kFloats; }
+    int buffer() const { return values() + span + kFloats; }  // a warped row is written in whole vectors
     int patch() const { return stride * stride; }
-    int patch_end() const { return whole_floats(kPositions) + span + 2 * kFloats; }  // zeros behind the patch
-    int row() const { return whole_floats(window + kOrder) + kFloats; }
+    int patch_buffer() const { return patch() + 2 * kPatchBlock; }
+    int rows() const { return whole_floats(window * stride + kOrder) + kFloats; }
+    int wide() const { return patch_span(2 * stride); }  // side of what a warped window may reach over in one patch
+    int wide_buffer() const { return wide() * wide() + 2 * kPatchBlock; }
+    int lines() const { return (wide() + 2) * wide(); }
 };
 
 struct Window {
@@ -83,13 +90,20 @@ struct Window {
 struct Equations {
     float mean;       // of the template
     Matrix hessian;   // sum of g g^T
-    Vector constant;  // sum of g (T - mean)
+    Vector constant;  // sum of g T
 };
 
 struct Match {
     Vector place;
     bool inside;
     float step;
+};
+
+// Coefficients around a whole position, as far as a table needs them.
+struct Patch {
+    float* values;
+    Vector center;
+    bool filled;
 };
 
 class Tracker {
@@ -102,50 +116,63 @@ public:
             return piece;
         };
         template_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
-        matched_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
-        reference_ = take(layout_.buffer());
-        patch_ = take(layout_.patch() + layout_.patch_end());
-        rows_ = take(kRowsAtATime * 2 * layout_.row());
+        // Once the template was found its gradient is not needed any more, and what a point needs fits the nearest cache.
+        matched_ = {take(layout_.buffer()), template_.along_x, template_.along_y};
+        for (Patch& patch : patches_) patch = {take(layout_.patch_buffer()), {0, 0}, false};
+        rows_ = take(layout_.rows());
+        row_slopes_ = take(layout_.rows());
+        inside_ = reinterpret_cast<std::int32_t*>(take(layout_.values()));
+        for (int k = 0; k < layout_.values(); ++k)
+            inside_[k] = k < layout_.window * layout_.stride && k % layout_.stride < layout_.window ? -1 : 0;
+        if (pair.warp != nullptr) {
+            reference_ = take(layout_.buffer());
+            wide_ = memory;
+            memory += whole_floats(layout_.wide_buffer());
+        }
+        lines_ = memory;
     }
 
     static std::int64_t floats(int window) {
         const Layout layout(window);
-        return 7 * whole_floats(layout.buffer()) + whole_floats(layout.patch() + layout.patch_end()) +
-               kRowsAtATime * 2 * layout.row();
+        return 5 * whole_floats(layout.buffer()) + 2 * whole_floats(layout.patch_buffer()) + 2 * whole_floats(layout.rows()) +
+               layout.values() + whole_floats(layout.wide_buffer()) + layout.lines();
     }
 
     void track(std::int64_t point) {
         const auto at = [&](const float* values) { return Vector{values[2 * point], values[2 * point + 1]}; };
         const Vector start = at(pair_.start), guess = at(pair_.guess);
+        const bool warped = pair_.warp != nullptr;
         Matrix warp{1, 0, 0, 1};
-        if (pair_.warp != nullptr) {
+        if (warped) {
             const float* w = pair_.warp + 4 * point;
             warp = {w[0], w[1], w[2], w[3]};
         }
-        image_ = pair_.image_index[point] * pair_.height * pair_.width;
         const Matrix inverse_warp = inverse(warp);
         const bool given = is_finite(start) && is_finite(guess) && is_finite(warp) && is_finite(inverse_warp);
         if (!given) return write(point, {NAN, NAN}, NAN, {NAN, NAN, NAN, NAN}, kNotFinite);
 
-        sample(0, start, pair_.warp == nullptr ? nullptr : &inverse_warp, template_);
+        image_ = pair_.image_index[point];
+        patches_[0].filled = patches_[1].filled = false;
+        level_ = pixel(start);
         const float* reference = template_.value;
-        if (pair_.warp != nullptr) {
-            const Window plain{reference_, matched_.along_x, matched_.along_y};
-            sample(0, start, nullptr, plain);
+        if (warped) {
+            sample(0, start, {reference_, template_.along_x, template_.along_y});
+            sample_warped(0, start, inverse_warp, template_);
             reference = reference_;
+        } else {
+            sample(0, start, template_);
         }
         const Equations forward = equations(template_);
         const Matrix& hessian = forward.hessian;
         bool converged = false;
         const Vector found = solve(1, guess, template_, forward, &converged);
 
-        sample(1, found, pair_.warp == nullptr ? nullptr : &warp, matched_);
-        const Equations backward = equations(matched_);
+        if (warped) sample_warped(1, found, warp, matched_);
+        else sample(1, found, matched_);
+        const float matched_mean = total(matched_.value) / samples(), reference_mean = warped ? total(reference) / samples() : forward.mean;
         float variance, unexplained;
-        const float samples = static_cast<float>(pair_.window * pair_.window);
-        const float mean = pair_.warp == nullptr ? forward.mean : total(reference) / samples;
-        compare(reference, matched_.value, mean, backward.mean, pair_.noise[point], &variance, &unexplained);
-        const bool finite = is_finite(forward.mean) && is_finite(backward.mean);
+        compare(reference, matched_.value, reference_mean, matched_mean, pair_.noise[point], &variance, &unexplained);
+        const Equations backward = equations(matched_);
         const Vector back_guess = pair_.back_guess != nullptr
                                       ? at(pair_.back_guess)
                                       : Vector{found.x - (guess.x - start.x), found.y - (guess.y - start.y)};
@@ -157,12 +184,12 @@ public:
         const float middle = (hessian.xx + hessian.yy) / 2, apart = (hessian.xx - hessian.yy) / 2;
         const float spread = sqrtf(apart * apart + hessian.xy * hessian.xy);
         const float noise = pair_.noise[point] * pair_.noise[point];
-        const float noise_energy = samples * (noise < pair_.rounding ? pair_.rounding : noise) * kGradientNoise;
+        const float noise_energy = samples() * (noise < pair_.rounding ? pair_.rounding : noise) * kGradientNoise;
         const float least = kTextureToNoise * noise_energy, rounded = 1e-4f * middle;
         const bool textured = middle - spread > (least > rounded ? least : rounded);
 
         Status status = kTracked;
-        if (!finite) status = kNotFinite;
+        if (!(is_finite(forward.mean) && is_finite(matched_mean))) status = kNotFinite;
         else if (!(contains(start) && contains(found))) status = kLeftFrame;
         else if (!textured) status = kNoTexture;
         else if (!converged) status = kNotConverged;
@@ -188,290 +215,415 @@ private:
         pair_.status[point] = status;
     }
 
+    float samples() const { return static_cast<float>(layout_.window * layout_.window); }
+
     bool contains(Vector place) const {
-        const float half = static_cast<float>(pair_.window / 2);
-        return place.x >= half && place.y >= half && place.x <= static_cast<float>(pair_.width - 1) - half &&
-               place.y <= static_cast<float>(pair_.height - 1) - half;
+        const float half = static_cast<float>(layout_.window / 2);
+        return place.x >= half && place.y >= half && place.x <= static_cast<float>(pair_.images[0].width - 1) - half &&
+               place.y <= static_cast<float>(pair_.images[0].height - 1) - half;
     }
 
-    // Rows x columns of coefficients from (x, y) on, less `level`; beyond the border they repeat it.
-    void cut(int which, Vector corner, int rows, int columns, float level) {
-        const float* image = pair_.coefficients[which] + image_;
-        const float far = static_cast<float>(columns + rows);
-        // However far outside, what is cut is the border.
-        const auto x = static_cast<std::int64_t>(clamped(corner.x, -far, static_cast<float>(pair_.width) + far));
-        const auto y = static_cast<std::int64_t>(clamped(corner.y, -far, static_cast<float>(pair_.height) + far));
-        const int span = whole_floats(columns);
-        for (int r = 0; r < rows; ++r) {
-            std::int64_t row = y + r;
-            row = row < 0 ? 0 : row >= pair_.height ? pair_.height - 1 : row;
-            const float* line = image + row * pair_.width;
-            float* to = patch_ + r * layout_.stride;
-            // Behind the last column more is read than needed, but nothing behind the last row.
-            if (x >= 0 && x + columns <= pair_.width && (row + 1 < pair_.height || x + span <= pair_.width)) {
-                for (int c = 0; c < span; c += kFloats) store(to + c, load(line + x + c) - all(level));
-            } else {
-                for (int c = 0; c < columns; ++c) {
-                    std::int64_t column = x + c;
-                    column = column < 0 ? 0 : column >= pair_.width ? pair_.width - 1 : column;
-                    to[c] = line[column] - level;
-                }
-            }
+    // However far outside the frame, what is cut there is its border.
+    std::int64_t column(float x) const {
+        const float far = static_cast<float>(2 * layout_.stride);
+        return static_cast<std::int64_t>(clamped(x, -far, static_cast<float>(pair_.images[0].width) + far));
+    }
+    std::int64_t row(float y) const {
+        const float far = static_cast<float>(2 * layout_.stride);
+        return static_cast<std::int64_t>(clamped(y, -far, static_cast<float>(pair_.images[0].height) + far));
+    }
+
+    // The grey level of the first image at a place. Taken off everywhere, it leaves float32 sums that do not cancel.
+    float pixel(Vector place) const {
+        const Frames& frames = pair_.images[0];
+        const std::int64_t x = nearest(column(rintf(place.x)), frames.width), y = nearest(row(rintf(place.y)), frames.height);
+        const auto read = [&](const auto* data) {
+            return static_cast<float>(data[image_ * frames.frame_stride + y * frames.row_stride + x]);
+        };
+        FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, read)
+    }
+
+    void cut(int which, const Rectangle& where, float* to, int stride) {
+        const Frames& frames = pair_.images[which];
+        const auto from = [&](const auto* data) {
+            cut_patch(data + image_ * frames.frame_stride, frames, where, level_, lines_, to, stride);
+        };
+        FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
+    }
+
+    void cut_taps(int which, const Rectangle& where, float* to) const {
+        const Frames& frames = pair_.images[which];
+        const auto from = [&](const auto* data) {
+            cut_anywhere(data + image_ * frames.frame_stride, frames, where, level_, to, kTaps);
+        };
+        FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
+    }
+
+    // The patch of an image around a whole position.
+    const float* patch(int which, Vector center) {
+        Patch& kept = patches_[which];
+        if (!kept.filled || kept.center.x != center.x || kept.center.y != center.y) {
+            const float first = static_cast<float>(layout_.window / 2 + kReach + 1);
+            kept.center = center;
+            kept.filled = true;
+            cut(which, {column(center.x - first), row(center.y - first), layout_.stride, layout_.stride}, kept.values, layout_.stride);
+            for (int k = 0; k < kPatchBlock; ++k) kept.values[layout_.patch() + k] = 0.0f;
         }
-        for (int c = 0; c < layout_.patch_end(); ++c) patch_[layout_.patch() + c] = 0.0f;
+        return kept.values;
     }
 
-    // The spline and its gradient on the window around a place; with a warp A samples lie at place + A w.
-    void sample(int which, Vector place, const Matrix* warp, const Window& to) {
-        if (warp != nullptr) return sample_warped(which, place, *warp, to);
-        const int n = layout_.window;
-        const float whole_x = floorf(place.x), whole_y = floorf(place.y);
+    // The spline and its gradient on the window around a place.
+    void sample(int which, Vector place, const Window& to) {
+        Vector center = patches_[which].center;
+        const bool near = patches_[which].filled && fabsf(place.x - center.x) <= kReach && fabsf(place.y - center.y) <= kReach;
+        if (!near) center = {rintf(place.x), rintf(place.y)};
+        const float* values = patch(which, center);
+        const Vector shift{place.x - center.x, place.y - center.y};
+        const Vector whole{shift.x < 0 ? -1.0f : 0.0f, shift.y < 0 ? -1.0f : 0.0f};
         float across[kTaps], across_slope[kTaps], down[kTaps], down_slope[kTaps];
-        cubic_taps(place.x - whole_x, across, across_slope);
-        cubic_taps(place.y - whole_y, down, down_slope);
-        const float first = static_cast<float>(n / 2 + 1);
-        cut(which, {whole_x - first, whole_y - first}, n + kOrder, n + kOrder, 0.0f);
-        const int stride = layout_.stride, columns = whole_floats(n + kOrder), apart = layout_.row();
-        // Some rows first, then their columns: what was stored a moment ago cannot be loaded in other pieces at once.
-        for (int begin = 0; begin < n; begin += kRowsAtATime) {
-            const int end = begin + kRowsAtATime < n ? begin + kRowsAtATime : n;
-            for (int r = begin; r < end; ++r) {
-                const float* line = patch_ + r * stride;
-                float* row = rows_ + (r - begin) * 2 * apart;
-                for (int c = 0; c < columns; c += kFloats) {
-                    Floats value = load(line + c) * all(down[0]), slope = load(line + c) * all(down_slope[0]);
-                    for (int k = 1; k < kTaps; ++k) {
-                        const Floats tap = held(load(line + k * stride + c));
-                        value += tap * all(down[k]);
-                        slope += tap * all(down_slope[k]);
-                    }
-                    store(row + c, value);
-                    store(row + apart + c, slope);
-                }
+        cubic_taps(shift.x - whole.x, across, across_slope);
+        cubic_taps(shift.y - whole.y, down, down_slope);
+        const int stride = layout_.stride;
+        values += (static_cast<int>(whole.y) + kReach) * stride + static_cast<int>(whole.x) + kReach;
+        // All rows first, then the columns: what was stored a moment ago cannot be loaded in other pieces at once.
+        float *const rows = rows_, *const row_slopes = row_slopes_;  // members would be read again after every store
+        for (int k = 0, end = layout_.rows() - kFloats; k < end; k += kFloats) {
+            Floats value = all(0), slope = all(0);
+            FINGERFLOW_UNROLL
+            for (int i = 0; i < kTaps; ++i) {
+                const Floats tap = held(load(values + k + i * stride));
+                value += tap * all(down[i]);
+                slope += tap * all(down_slope[i]);
             }
-            for (int r = begin; r < end; ++r) {
-                const float* row = rows_ + (r - begin) * 2 * apart;
-                for (int c = 0; c < layout_.span; c += kFloats) {
-                    Floats value = all(0), along_x = all(0), along_y = all(0);
-                    for (int k = 0; k < kTaps; ++k) {
-                        const Floats tap = held(load(row + c + k));
-                        value += tap * all(across[k]);
-                        along_x += tap * all(across_slope[k]);
-                        along_y += load(row + apart + c + k) * all(across[k]);
-                    }
-                    write(to, r, c, value, along_x, along_y);
-                }
+            store(rows + k, value);
+            store(row_slopes + k, slope);
+        }
+        const Window out = to;
+        const std::int32_t* const inside = inside_;
+        for (int k = 0, end = layout_.values(); k < end; k += kFloats) {
+            Floats value = all(0), along_x = all(0), along_y = all(0);
+            FINGERFLOW_UNROLL
+            for (int i = 0; i < kTaps; ++i) {
+                const Floats tap = held(load(rows + k + i));
+                value += tap * all(across[i]);
+                along_x += tap * all(across_slope[i]);
+                along_y += load(row_slopes + k + i) * all(across[i]);
             }
+            store(out.value + k, kept(value, inside + k));
+            store(out.along_x + k, kept(along_x, inside + k));
+            store(out.along_y + k, kept(along_y, inside + k));
         }
     }
 
+    // The same with samples at place + A w.
     void sample_warped(int which, Vector place, const Matrix& warp, const Window& to) {
         constexpr float kFirst = -1, kLast = 2;
-        const float* image = pair_.coefficients[which] + image_;
-        const int n = layout_.window, width = static_cast<int>(pair_.width);
+        const int n = layout_.window, half = n / 2;
         // Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
-        const float right = static_cast<float>(pair_.width - 1) - kLast, bottom = static_cast<float>(pair_.height - 1) - kLast;
-        float columns[kFloats];
-        for (int k = 0; k < kFloats; ++k) columns[k] = static_cast<float>(k - n / 2);
+        const float right = static_cast<float>(pair_.images[0].width - 1) - kLast, bottom = static_cast<float>(pair_.images[0].height - 1) - kLast;
+        const auto outermost = static_cast<float>(half);
+        const Range x_range = range(place.x, outermost * (fabsf(warp.xx) + fabsf(warp.xy)), right);
+        const Range y_range = range(place.y, outermost * (fabsf(warp.yx) + fabsf(warp.yy)), bottom);
+        const Rectangle where{x_range.first, y_range.first, y_range.count, x_range.count};
+        const int stride = patch_span(where.columns);
+        const bool in_one_piece = where.rows <= layout_.wide() && stride <= layout_.wide();
+        if (in_one_piece) cut(which, where, wide_, stride);
+        float* const columns = rows_;  // those behind the last one repeat it
+        for (int k = 0; k < layout_.span; ++k) columns[k] = static_cast<float>(k < n ? k - half : half);
         for (int r = 0; r < n; ++r) {
-            const float down = static_cast<float>(r - n / 2);
+            const float down = static_cast<float>(r - half);
             for (int c = 0; c < layout_.span; c += kFloats) {
-                const Floats along = load(columns) + all(static_cast<float>(c));
+                const Floats along = load(columns + c);
                 const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, -kFirst, right);
                 const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, -kFirst, bottom);
-                std::int32_t index[kFloats];
-                for (int k = 0; k < kFloats; ++k) index[k] = (y.whole[k] - 1) * width + (x.whole[k] - 1);
-                Floats across[kTaps], across_slope[kTaps], below[kTaps], below_slope[kTaps];
-                cubic_taps(x.fraction, across, across_slope);
-                cubic_taps(y.fraction, below, below_slope);
-                // First down the columns, four at a time as they lie in memory, for one sample after the other; then
-                // across, for all samples at once.
-                float down_weights[kTaps][kFloats], down_slopes[kTaps][kFloats];
-                for (int i = 0; i < kTaps; ++i) {
-                    store(down_weights[i], below[i]);
-                    store(down_slopes[i], below_slope[i]);
-                }
-                float values[kFloats][kTaps], slopes[kFloats][kTaps];
-                for (int k = 0; k < kFloats; ++k) {
-                    const float* taps = image + index[k];
-                    const Floats4 first = load4(taps), second = load4(taps + width), third = load4(taps + 2 * width),
-                                  fourth = load4(taps + 3 * width);
-                    const Floats4 sampled = first * down_weights[0][k] + second * down_weights[1][k] +
-                                            third * down_weights[2][k] + fourth * down_weights[3][k];
-                    const Floats4 sloped = first * down_slopes[0][k] + second * down_slopes[1][k] +
-                                           third * down_slopes[2][k] + fourth * down_slopes[3][k];
-                    std::memcpy(values[k], &sampled, sizeof sampled);
-                    std::memcpy(slopes[k], &sloped, sizeof sloped);
-                }
-                Floats value = all(0), along_x = all(0), along_y = all(0);
-                for (int j = 0; j < kTaps; ++j) {
-                    float column[kFloats], column_slope[kFloats];
-                    for (int k = 0; k < kFloats; ++k) {
-                        column[k] = values[k][j];
-                        column_slope[k] = slopes[k][j];
+                Samples at{};
+                if (in_one_piece) {
+                    const auto taps = [&](int row, int column) {
+                        return wide_ + (row - 1 - static_cast<int>(where.y)) * stride + column - 1 - static_cast<int>(where.x);
+                    };
+                    if (!interpolate_neighbours(x, y, taps, stride, &at)) {
+                        interpolate(x, y, [&](int k) { return taps(y.whole[k], x.whole[k]); }, stride, &at);
                     }
-                    value += load(column) * across[j];
-                    along_x += load(column) * across_slope[j];
-                    along_y += load(column_slope) * across[j];
+                } else {
+                    float around[kTaps * kTaps];
+                    interpolate(x, y, [&](int k) {
+                        cut_taps(which, {x.whole[k] - 1, y.whole[k] - 1, kTaps, kTaps}, around);
+                        return around;
+                    }, kTaps, &at);
                 }
                 // Chain rule: d/dw = A^T d/dx.
-                write(to, r, c, value, all(warp.xx) * along_x + all(warp.yx) * along_y,
-                      all(warp.xy) * along_x + all(warp.yy) * along_y);
+                Floats value = at.value, along_x = all(warp.xx) * at.along_x + all(warp.yx) * at.along_y;
+                Floats along_y = all(warp.xy) * at.along_x + all(warp.yy) * at.along_y;
+                // Behind the last column come zeros, for sums run over whole vectors.
+                if (c + kFloats > n) {
+                    value = last_.of(value);
+                    along_x = last_.of(along_x);
+                    along_y = last_.of(along_y);
+                }
+                const int to_place = r * layout_.stride + c;
+                store(to.value + to_place, value);
+                store(to.along_x + to_place, along_x);
+                store(to.along_y + to_place, along_y);
             }
         }
     }
 
-    // A vector of samples; behind the last column come zeros, for sums run over whole vectors.
-    void write(const Window& to, int row, int column, Floats value, Floats along_x, Floats along_y) {
-        const int place = row * layout_.stride + column;
-        if (column + kFloats > layout_.window) {
-            value = last_.of(value);
-            along_x = last_.of(along_x);
-            along_y = last_.of(along_y);
+    // What samples of a warped window along one axis may touch, as far as the frame goes: from `first` on.
+    struct Range {
+        std::int64_t first;
+        int count;
+    };
+    static Range range(float place, float away, float limit) {
+        const float low = place - away, high = place + away;
+        if (!(is_finite(low) && is_finite(high))) return {0, static_cast<int>(limit) + kOrder};
+        // One pixel more on either side than the taps take, for rounding.
+        const int begin = static_cast<int>(clamped(floorf(low), 1, limit)) - 2;
+        const int end = static_cast<int>(clamped(floorf(high), 1, limit)) + kOrder, border = static_cast<int>(limit) + 2;
+        const int from = begin < 0 ? 0 : begin;
+        return {from, (end > border ? border : end) - from + 1};
+    }
+
+    struct Samples {
+        Floats value, along_x, along_y;
+    };
+
+    // The spline at positions whose taps lie anywhere: taps(k) gives the first of sample k, rows `stride` apart.
+    template <class Taps>
+    static void interpolate(const Split& x, const Split& y, const Taps& taps, int stride, Samples* at) {
+        Floats across[kTaps], across_slope[kTaps], below[kTaps], below_slope[kTaps];
+        cubic_taps(x.fraction, across, across_slope);
+        cubic_taps(y.fraction, below, below_slope);
+        // First down the columns, four at a time as they lie in memory, for one sample after the other; then across, for
+        // all samples at once.
+        float down_weights[kTaps][kFloats], down_slopes[kTaps][kFloats];
+        for (int i = 0; i < kTaps; ++i) {
+            store(down_weights[i], below[i]);
+            store(down_slopes[i], below_slope[i]);
         }
-        store(to.value + place, value);
-        store(to.along_x + place, along_x);
-        store(to.along_y + place, along_y);
+        float values[kFloats][kTaps], slopes[kFloats][kTaps];
+        for (int k = 0; k < kFloats; ++k) {
+            const float* from = taps(k);
+            const Floats4 first = load4(from), second = load4(from + stride), third = load4(from + 2 * stride),
+                          fourth = load4(from + 3 * stride);
+            const Floats4 sampled = first * down_weights[0][k] + second * down_weights[1][k] + third * down_weights[2][k] +
+                                    fourth * down_weights[3][k];
+            const Floats4 sloped = first * down_slopes[0][k] + second * down_slopes[1][k] + third * down_slopes[2][k] +
+                                   fourth * down_slopes[3][k];
+            std::memcpy(values[k], &sampled, sizeof sampled);
+            std::memcpy(slopes[k], &sloped, sizeof sloped);
+        }
+        at->value = at->along_x = at->along_y = all(0);
+        for (int j = 0; j < kTaps; ++j) {
+            float column[kFloats], column_slope[kFloats];
+            for (int k = 0; k < kFloats; ++k) {
+                column[k] = values[k][j];
+                column_slope[k] = slopes[k][j];
+            }
+            at->value += load(column) * across[j];
+            at->along_x += load(column) * across_slope[j];
+            at->along_y += load(column_slope) * across[j];
+        }
+    }
+
+    // The same for samples so close together that two vectors of a row hold all their taps, and five rows: each row is
+    // loaded once and its numbers are picked in registers. False where they are not, or the instruction set cannot.
+    template <class Taps>
+    static bool interpolate_neighbours(const Split& x, const Split& y, const Taps& taps, int stride, Samples* at) {
+#if defined(FINGERFLOW_LOOKUP)
+        // Positions along a row of the window grow or fall from its first sample to its last.
+        const int left = x.whole[0] < x.whole[kFloats - 1] ? x.whole[0] : x.whole[kFloats - 1];
+        const int top = y.whole[0] < y.whole[kFloats - 1] ? y.whole[0] : y.whole[kFloats - 1];
+        const int columns = x.whole[0] + x.whole[kFloats - 1] - 2 * left, rows = y.whole[0] + y.whole[kFloats - 1] - 2 * top;
+        if (columns + kTaps > 2 * kFloats || rows > 1) return false;
+        Integers index, lower;
+        std::memcpy(&index, x.whole, sizeof index);
+        std::memcpy(&lower, y.whole, sizeof lower);
+        index -= left;
+        lower = lower > top;
+        Floats across[kTaps], across_slope[kTaps], below[kTaps + 2], below_slope[kTaps + 2];
+        cubic_taps(x.fraction, across, across_slope);
+        below[0] = below_slope[0] = below[kTaps + 1] = below_slope[kTaps + 1] = all(0);
+        cubic_taps(y.fraction, below + 1, below_slope + 1);
+        at->value = at->along_x = at->along_y = all(0);
+        const float* row = taps(top, left);
+        FINGERFLOW_UNROLL
+        for (int i = 0; i < kTaps + 1; ++i) {
+            if (i == kTaps && rows == 0) break;
+            const Floats low = load(row + i * stride), high = load(row + i * stride + kFloats);
+            Floats value = all(0), slope = all(0);
+            FINGERFLOW_UNROLL
+            for (int j = 0; j < kTaps; ++j) {
+                const Floats tap = looked_up(low, high, index + j);
+                value += tap * across[j];
+                slope += tap * across_slope[j];
+            }
+            // A sample that lies one row lower has its first tap one row later.
+            const Floats weight = lower ? below[i] : below[i + 1], weight_slope = lower ? below_slope[i] : below_slope[i + 1];
+            at->value += value * weight;
+            at->along_x += slope * weight;
+            at->along_y += value * weight_slope;
+        }
+        return true;
+#else
+        return static_cast<void>(x), static_cast<void>(y), static_cast<void>(taps), static_cast<void>(stride), static_cast<void>(at), false;
+#endif
     }
 
     float total(const float* values) const {
-        Floats result = all(0);
-        for (int k = 0; k < layout_.values(); k += kFloats) result += load(values + k);
-        return sum(result);
+        Floats result[kFloats] = {};
+        for (int k = 0; k < layout_.values(); k += kFloats) result[0] += load(values + k);
+        return folded<kFloats>(result)[0];
     }
 
     // What the equations need of a template, after a change of gain and offset was taken out of its gradient.
     Equations equations(const Window& window) {
-        Equations of{};
-        of.mean = total(window.value) / static_cast<float>(layout_.window * layout_.window);
-        if (pair_.gain_offset) take_out_gain_and_offset(window, of.mean);
-        Floats xx = all(0), xy = all(0), yy = all(0), constant_x = all(0), constant_y = all(0);
+        if (pair_.gain_offset) take_out_gain_and_offset(window);
+        Floats of[whole_floats(6)] = {};
         for (int k = 0; k < layout_.values(); k += kFloats) {
-            // Behind the last column the gradient is zero, whatever the value less its mean is.
-            const Floats x = load(window.along_x + k), y = load(window.along_y + k);
-            const Floats value = load(window.value + k) - all(of.mean);
-            xx += x * x;
-            xy += x * y;
-            yy += y * y;
-            constant_x += value * x;
-            constant_y += value * y;
+            const Floats x = load(window.along_x + k), y = load(window.along_y + k), value = load(window.value + k);
+            of[0] += x * x;
+            of[1] += x * y;
+            of[2] += y * y;
+            of[3] += value * x;
+            of[4] += value * y;
+            of[5] += value;
         }
-        of.hessian = {sum(xx), sum(xy), sum(xy), sum(yy)};
-        of.constant = {sum(constant_x), sum(constant_y)};
-        return of;
+        float sum_of[whole_floats(6)];
+        sums(of, sum_of);
+        return {sum_of[5] / samples(), {sum_of[0], sum_of[1], sum_of[1], sum_of[2]}, {sum_of[3], sum_of[4]}};
     }
 
-    void take_out_gain_and_offset(const Window& window, float mean) {
-        const int n = layout_.window;
-        const float samples = static_cast<float>(n * n);
-        const float mean_x = total(window.along_x) / samples, mean_y = total(window.along_y) / samples;
-        float energy = 0, share_x = 0, share_y = 0;
-        for (int r = 0; r < n; ++r)
-            for (int c = 0; c < n; ++c) {
-                const int k = r * layout_.stride + c;
-                const float centred = window.value[k] - mean;
-                energy += centred * centred;
-                share_x += (window.along_x[k] - mean_x) * centred;
-                share_y += (window.along_y[k] - mean_y) * centred;
-            }
-        if (energy < kTiny) energy = kTiny;
-        for (int r = 0; r < n; ++r)
-            for (int c = 0; c < n; ++c) {
-                const int k = r * layout_.stride + c;
-                const float centred = window.value[k] - mean;
-                window.along_x[k] -= mean_x + share_x / energy * centred;
-                window.along_y[k] -= mean_y + share_y / energy * centred;
-            }
+    void take_out_gain_and_offset(const Window& window) {
+        const float mean = total(window.value) / samples();
+        const float mean_x = total(window.along_x) / samples(), mean_y = total(window.along_y) / samples();
+        Floats of[whole_floats(3)] = {};
+        for (int k = 0; k < layout_.values(); k += kFloats) {
+            const Floats centred = kept(load(window.value + k) - all(mean), inside_ + k);
+            of[0] += centred * centred;
+            of[1] += (load(window.along_x + k) - all(mean_x)) * centred;
+            of[2] += (load(window.along_y + k) - all(mean_y)) * centred;
+        }
+        float sum_of[whole_floats(3)];
+        sums(of, sum_of);
+        const float energy = sum_of[0] < kTiny ? kTiny : sum_of[0];
+        const float share_x = sum_of[1] / energy, share_y = sum_of[2] / energy;
+        for (int k = 0; k < layout_.values(); k += kFloats) {
+            const Floats centred = load(window.value + k) - all(mean);
+            const Floats x = load(window.along_x + k) - all(mean_x) - all(share_x) * centred;
+            const Floats y = load(window.along_y + k) - all(mean_y) - all(share_y) * centred;
+            store(window.along_x + k, kept(x, inside_ + k));
+            store(window.along_y + k, kept(y, inside_ + k));
+        }
     }
 
-    // C[k] = sum_w g(w) c[k + w] for the integer positions k of a table.
-    void build_table(const Window& window, float (*table)[kPositions][kPositions]) {
-        for (int down = 0; down < kPositions; ++down) {
-            Floats along_x[kPositions], along_y[kPositions];
+    // Some rows of positions of a table.
+    template <int rows>
+    void multiply_rows(const Window& window, const float* patch, int first, float* table) const {
+        Floats along_x[rows][kPositions], along_y[rows][kPositions];
+        FINGERFLOW_UNROLL
+        for (int down = 0; down < rows; ++down) {
             FINGERFLOW_UNROLL
-            for (int k = 0; k < kPositions; ++k) along_x[k] = along_y[k] = all(0);
-            const float* patch = patch_ + down * layout_.stride;
-            for (int place = 0; place < layout_.values(); place += kFloats) {
-                const Floats gx = load(window.along_x + place), gy = load(window.along_y + place);
+            for (int k = 0; k < kPositions; ++k) along_x[down][k] = along_y[down][k] = all(0);
+        }
+        const std::ptrdiff_t stride = layout_.stride;
+        const float* from = patch + first * stride;
+        const float *gradient_x = window.along_x, *gradient_y = window.along_y;
+        for (const float* const end = from + layout_.values(); from < end; from += kFloats, gradient_x += kFloats, gradient_y += kFloats) {
+            const Floats gx = load(gradient_x), gy = load(gradient_y);
+            FINGERFLOW_UNROLL
+            for (int down = 0; down < rows; ++down) {
                 FINGERFLOW_UNROLL
                 for (int k = 0; k < kPositions; ++k) {
-                    const Floats sample = held(load(patch + place + k));
-                    along_x[k] += gx * sample;
-                    along_y[k] += gy * sample;
+                    const Floats sample = held(load(from + down * stride + k));
+                    along_x[down][k] += gx * sample;
+                    along_y[down][k] += gy * sample;
                 }
             }
+        }
+        constexpr int kCount = rows * kPositions, kWhole = whole_floats(2 * kCount);
+        Floats products[kWhole] = {};
+        FINGERFLOW_UNROLL
+        for (int down = 0; down < rows; ++down) {
             FINGERFLOW_UNROLL
             for (int k = 0; k < kPositions; ++k) {
-                table[0][down][k] = sum(along_x[k]);
-                table[1][down][k] = sum(along_y[k]);
+                products[down * kPositions + k] = along_x[down][k];
+                products[kCount + down * kPositions + k] = along_y[down][k];
             }
         }
+        float summed[kWhole];
+        sums(products, summed);
+        float* const to = table + first * kPositions;
+        std::memcpy(to, summed, kCount * sizeof(float));
+        std::memcpy(to + kPositions * kPositions, summed + kCount, kCount * sizeof(float));
+    }
+
+    // C[k] = sum_w g(w) c[k + w] for the integer positions k of a table: component by component, row by row.
+    static constexpr int kTable = 2 * kPositions * kPositions, kTableFloats = whole_floats(kTable);
+    void build_table(const Window& window, const float* patch, float* table) const {
+        for (int k = kTable; k < kTableFloats; ++k) table[k] = 0;
+        // Two rows of positions at a time: as many sums as there are registers.
+        static_assert(kPositions == 5, "two pairs of rows and one");
+        multiply_rows<2>(window, patch, 0, table);
+        multiply_rows<2>(window, patch, 2, table);
+        multiply_rows<1>(window, patch, 4, table);
     }
 
     // The root of b(y) = 0 near `shift`, within the reach of a table.
-    void solve_table(const float (*table)[kPositions][kPositions], Vector constant, const Matrix& inverse_hessian,
-                     Vector* shift, float* step) const {
+    static void solve_table(const float* table, Vector constant, const Matrix& inverse_hessian, Vector* shift, float* step) {
+        bool newton = false;
         *step = 0;
-        for (int iteration = 0; iteration < kGaussNewtonSteps + kNewtonSteps; ++iteration) {
+        for (int iteration = 0; iteration < kSteps; ++iteration) {
             // The table's index of the first tap; at the upper end of the reach the last tap weighs nothing.
             const float whole_x = clamped(floorf(shift->x), -kReach, kReach - 1);
             const float whole_y = clamped(floorf(shift->y), -kReach, kReach - 1);
-            const int first_x = static_cast<int>(whole_x) + kReach;
-            const int first_y = static_cast<int>(whole_y) + kReach;
-            float across[kTaps], across_slope[kTaps], down[kTaps], down_slope[kTaps];
-            cubic_taps(shift->x - whole_x, across, across_slope);
+            const float* line_x = table + (static_cast<int>(whole_y) + kReach) * kPositions + static_cast<int>(whole_x) + kReach;
+            const float* line_y = line_x + kPositions * kPositions;
+            float taps[kTaps], slopes[kTaps], down[kTaps], down_slope[kTaps];
+            cubic_taps(shift->x - whole_x, taps, slopes);
             cubic_taps(shift->y - whole_y, down, down_slope);
-            float residual[2], slope_x[2], slope_y[2];
-            for (int component = 0; component < 2; ++component) {
-                float value = 0, along_x = 0, along_y = 0;
-                for (int i = 0; i < kTaps; ++i) {
-                    const float* line = table[component][first_y + i] + first_x;
-                    float row = 0, row_slope = 0;
-                    for (int j = 0; j < kTaps; ++j) {
-                        row += across[j] * line[j];
-                        row_slope += across_slope[j] * line[j];
-                    }
-                    value += down[i] * row;
-                    along_x += down[i] * row_slope;
-                    along_y += down_slope[i] * row;
-                }
-                residual[component] = value - (component == 0 ? constant.x : constant.y);
-                slope_x[component] = along_x;
-                slope_y[component] = along_y;
+            const Floats4 across = load4(taps), across_slope = load4(slopes);
+            Floats4 value_x = load4(line_x) * down[0], value_y = load4(line_y) * down[0];
+            Floats4 slope_x = load4(line_x) * down_slope[0], slope_y = load4(line_y) * down_slope[0];
+            for (int i = 1; i < kTaps; ++i) {
+                value_x = value_x + load4(line_x + i * kPositions) * down[i];
+                value_y = value_y + load4(line_y + i * kPositions) * down[i];
+                slope_x = slope_x + load4(line_x + i * kPositions) * down_slope[i];
+                slope_y = slope_y + load4(line_y + i * kPositions) * down_slope[i];
             }
+            const Vector residual{sum(value_x * across) - constant.x, sum(value_y * across) - constant.y};
             Vector move;
-            if (iteration < kGaussNewtonSteps) {
-                move = {inverse_hessian.xx * residual[0] + inverse_hessian.xy * residual[1],
-                        inverse_hessian.yx * residual[0] + inverse_hessian.yy * residual[1]};
-            } else {
-                const float determinant = slope_x[0] * slope_y[1] - slope_x[1] * slope_y[0];
-                move = {(residual[0] * slope_y[1] - residual[1] * slope_y[0]) / determinant,
-                        (slope_x[0] * residual[1] - slope_x[1] * residual[0]) / determinant};
+            if (newton) {
+                const Matrix jacobian{sum(value_x * across_slope), sum(slope_x * across), sum(value_y * across_slope), sum(slope_y * across)};
+                const Matrix inverted = inverse(jacobian);
                 // Far from the root, or on the kinks of order 1, Newton may leap: never further than a pixel.
-                move = {clamped(finite_or_zero(move.x), -1, 1), clamped(finite_or_zero(move.y), -1, 1)};
+                move = {clamped(finite_or_zero(inverted.xx * residual.x + inverted.xy * residual.y), -1, 1),
+                        clamped(finite_or_zero(inverted.yx * residual.x + inverted.yy * residual.y), -1, 1)};
+            } else {
+                move = {inverse_hessian.xx * residual.x + inverse_hessian.xy * residual.y,
+                        inverse_hessian.yx * residual.x + inverse_hessian.yy * residual.y};
             }
             const Vector moved{clamped(shift->x - move.x, -kReach, kReach), clamped(shift->y - move.y, -kReach, kReach)};
             const float step_x = shift->x - moved.x, step_y = shift->y - moved.y;
             *shift = moved;
             *step = sqrtf(step_x * step_x + step_y * step_y);
-            if (*step < kSettled) break;
+            if (*step < (newton ? kSettled : kSettledGaussNewton)) break;
+            newton = newton || move.x * move.x + move.y * move.y < kNewtonNear * kNewtonNear;
         }
     }
 
     Vector solve(int which, Vector guess, const Window& window, const Equations& of, bool* converged) {
-        const int n = layout_.window;
         Matrix inverted = inverse(of.hessian);
         inverted = {finite_or_zero(inverted.xx), finite_or_zero(inverted.xy), finite_or_zero(inverted.yx), finite_or_zero(inverted.yy)};
         Match match{guess, false, INFINITY};
         for (int round = 0; round < kRounds && !match.inside && is_finite(match.place); ++round) {
             const Vector center{rintf(match.place.x), rintf(match.place.y)};
-            const float first = static_cast<float>(n / 2 + kReach + 1);
-            cut(which, {center.x - first, center.y - first}, layout_.stride, layout_.stride, of.mean);
-            float table[2][kPositions][kPositions];
-            build_table(window, table);
-            float all_of_it = 0;
-            for (int k = 0; k < 2 * kPositions * kPositions; ++k) all_of_it += (&table[0][0][0])[k];
-            if (!is_finite(all_of_it)) {  // a bad pixel within reach
+            float table[kTableFloats];
+            build_table(window, patch(which, center), table);
+            Floats all_of_it = all(0);
+            for (int k = 0; k < kTableFloats; k += kFloats) all_of_it += load(table + k);
+            bool finite = true;
+            for (int k = 0; k < kFloats; ++k) finite = finite && is_finite(all_of_it[k]);
+            if (!finite) {  // a bad pixel within reach
                 match.place = {NAN, NAN};
                 break;
             }
@@ -486,28 +638,23 @@ private:
 
     void compare(const float* reference, const float* matched, float mean_a, float mean_b, float noise, float* variance,
                  float* unexplained) const {
-        const float samples = static_cast<float>(layout_.window * layout_.window);
-        Floats squares_of = all(0), a_a = all(0), b_b = all(0), a_b = all(0);
-        for (int r = 0; r < layout_.window; ++r)
-            for (int c = 0; c < layout_.span; c += kFloats) {
-                const Floats a = load(reference + r * layout_.stride + c), b = load(matched + r * layout_.stride + c);
-                Floats difference = b - a, above_a = a - all(mean_a), above_b = b - all(mean_b);
-                if (c + kFloats > layout_.window) {
-                    difference = last_.of(difference);
-                    above_a = last_.of(above_a);
-                    above_b = last_.of(above_b);
-                }
-                squares_of += difference * difference;
-                a_a += above_a * above_a;
-                b_b += above_b * above_b;
-                a_b += above_a * above_b;
-            }
-        const float aa = sum(a_a), bb = sum(b_b), ab = sum(a_b);
-        float squares = sum(squares_of);
+        Floats of[whole_floats(4)] = {};
+        for (int k = 0; k < layout_.values(); k += kFloats) {
+            const Floats a = load(reference + k), b = load(matched + k), difference = b - a;
+            const Floats above_a = kept(a - all(mean_a), inside_ + k), above_b = kept(b - all(mean_b), inside_ + k);
+            of[0] += difference * difference;
+            of[1] += above_a * above_a;
+            of[2] += above_b * above_b;
+            of[3] += above_a * above_b;
+        }
+        float sum_of[whole_floats(4)];
+        sums(of, sum_of);
+        const float aa = sum_of[1], bb = sum_of[2], ab = sum_of[3];
+        float squares = sum_of[0];
         if (pair_.gain_offset) squares = bb - ab * ab / (aa < kTiny ? kTiny : aa);
-        *variance = squares / (samples - 4) / (2 * kValueNoise);
+        *variance = squares / (samples() - 4) / (2 * kValueNoise);
         if (*variance < pair_.rounding) *variance = pair_.rounding;
-        const float noise_energy = samples * noise * noise * kValueNoise;
+        const float noise_energy = samples() * noise * noise * kValueNoise;
         const float left_a = aa - noise_energy, left_b = bb - noise_energy;
         const float energy = (left_a < 0 ? 0 : left_a) * (left_b < 0 ? 0 : left_b);
         *unexplained = 1 - ab * (ab < 0 ? 0 : ab) / energy;
@@ -516,11 +663,16 @@ private:
     const TrackedPair& pair_;
     const Layout layout_;
     const Beginning last_;  // columns of a row's last vector
-    std::int64_t image_ = 0;  // where the point's image begins
+    std::int64_t image_ = 0;  // the point's
+    float level_ = 0;
     Window template_{}, matched_{};
-    float* reference_ = nullptr;
-    float* patch_ = nullptr;
+    Patch patches_[2]{};
     float* rows_ = nullptr;
+    float* row_slopes_ = nullptr;
+    std::int32_t* inside_ = nullptr;  // which of a window's values are samples, -1, and which only fill, 0
+    float* reference_ = nullptr;
+    float* wide_ = nullptr;
+    float* lines_ = nullptr;
 };
 
 }  // namespace

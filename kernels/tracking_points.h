@@ -4,13 +4,13 @@
 #include <cstdint>
 
 #include "instruction_sets.h"
+#include "pixels.h"
 
 namespace fingerflow {
 
 // As fingerflow/ops/tracking.py has them. Points, guesses and the results are (P, 2), warps and covariances (P, 2, 2).
 struct TrackedPair {
-    const float* coefficients[2];  // (B, H, W) each
-    std::int64_t height, width;
+    Frames images[2];                 // of one shape
     const std::int64_t* image_index;  // (P)
     const float* noise;               // (P)
     const float* start;

@@ -4,6 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.windows import cut_windows
 
 # The template of the search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
@@ -42,20 +43,29 @@ def search_windows(
     Returns:
         (P, 2) px; ``guess`` where it is not finite or nothing correlates.
     """
-    coarse_templates, coarse_images = F.avg_pool2d(template_images, 2), F.avg_pool2d(images, 2)
+    coarse_templates, coarse_images = _halved(template_images), _halved(images)
+    size, reach = 2 * (_WIDENING * window // 4) + 1, (radius + 1) // 2
+    given = (coarse_templates, coarse_images, image_index, points, guess)
+    if images.dtype == torch.float32 and kernels.serve(*given):
+        return kernels.search_windows(*given, size, reach)
     found = [
-        _search_coarse(coarse_templates, coarse_images, *part, window, radius)
+        _search_coarse(coarse_templates, coarse_images, *part, size, reach)
         for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
     ]
     return torch.cat(found) if found else guess
 
 
+def _halved(images: Tensor) -> Tensor:
+    """Means of 2 x 2 px, without the last row or column of odd sizes; several times as fast as torch's pooling."""
+    height, width = images.shape[-2] // 2 * 2, images.shape[-1] // 2 * 2
+    rows = images[..., 0:height:2, :width] + images[..., 1:height:2, :width]
+    return (rows[..., 0::2] + rows[..., 1::2]) / 4
+
+
 def _search_coarse(
-    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, window: int, radius: int
+    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, size: int, reach: int
 ) -> Tensor:
-    half = _WIDENING * window // 4
-    size = 2 * half + 1
-    reach = (radius + 1) // 2
+    half = size // 2
     span = 2 * reach + 1
     finite = points.isfinite().all(-1) & guess.isfinite().all(-1)
     # Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.

@@ -1,6 +1,8 @@
 """Tracking of points between two images by Lucas-Kanade on correlation tables."""
 
+from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -99,17 +101,17 @@ def track_points(
     """
     _check(previous, current, points, window, order, initial, warp)
     batch, count = points.shape[:2]
-    coefficients = spline_coefficients(previous), spline_coefficients(current)
-    dtype = coefficients[0].dtype
+    images = _Images(_real(previous), _real(current))
+    dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
     image_index = torch.arange(batch, device=points.device).repeat_interleave(count)
     start = points.to(dtype).reshape(-1, 2)
     guess = start if initial is None else initial.to(dtype).reshape(-1, 2)
     deformation = None if warp is None else warp.to(dtype).reshape(-1, 2, 2)
-    noise = torch.maximum(estimate_noise(previous), estimate_noise(current)).detach().to(dtype)
+    noise = torch.maximum(estimate_noise(images.previous.detach()), estimate_noise(images.current.detach())).to(dtype)
     # Integer images carry at least the noise of rounding, also where two of them do not differ.
     rounding = 0.0 if previous.is_floating_point() else 1 / 12
 
-    problem = _Pair(coefficients, image_index, noise[image_index], rounding, window, order, gain_offset)
+    problem = _Pair(images, image_index, noise[image_index], rounding, window, order, gain_offset)
     limits = (forward_backward_limit, mismatch_limit)
     found = problem.track(start, guess, None, deformation, *limits)
     if search > 0:
@@ -117,9 +119,9 @@ def track_points(
         if lost.numel():
             with torch.no_grad():
                 where = (image_index[lost], start[lost], guess[lost])
-                ahead = search_windows(*coefficients, *where, window, search)
+                ahead = search_windows(*images.coefficients, *where, window, search)
                 # Searched for backward too: the way back must not know the way there.
-                back = search_windows(*coefficients[::-1], where[0], ahead, start[lost], window, search)
+                back = search_windows(*images.coefficients[::-1], where[0], ahead, start[lost], window, search)
             again = problem.subset(lost).track(
                 start[lost], ahead, back, None if deformation is None else deformation[lost], *limits
             )
@@ -159,10 +161,27 @@ def _check(
         raise ValueError(f"order must be 1 or 3, not {order}")
 
 
+def _real(image: Tensor) -> Tensor:
+    """The image itself, or as float32 where its number type is a rare one."""
+    return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Two images (B, 1, H, W), and their spline coefficients, of whole frames only where something asks for them."""
+
+    previous: Tensor
+    current: Tensor
+
+    @cached_property
+    def coefficients(self) -> tuple[Tensor, Tensor]:
+        return spline_coefficients(self.previous), spline_coefficients(self.current)
+
+
 class _Pair(NamedTuple):
     """Two images and P points between them, flattened over the batch."""
 
-    coefficients: tuple[Tensor, Tensor]
+    images: _Images
     image_index: Tensor
     noise: Tensor  # (P,) standard deviation of the white noise in the image of each point, grey levels
     rounding: float  # least variance of a pixel
@@ -187,7 +206,7 @@ class _Pair(NamedTuple):
         if self._compiled(start, guess, back_guess, warp):
             return Tracks(
                 *kernels.track_points(
-                    self.coefficients,
+                    (self.images.previous, self.images.current),
                     self.image_index,
                     self.noise,
                     start,
@@ -246,17 +265,17 @@ class _Pair(NamedTuple):
 
     def _compiled(self, *points: Tensor | None) -> bool:
         """Whether the compiled twin takes these points."""
-        image = self.coefficients[0]
+        images = self.images.previous, self.images.current
         return (
             self.order == 3
-            and image.dtype == torch.float32
-            and min(image.shape[-2:]) >= 4
-            and kernels.serve(*self.coefficients, self.image_index, self.noise, *points)
+            and all(image.dtype in kernels.FRAME_KINDS for image in images)
+            and min(images[0].shape[-2:]) >= 4
+            and kernels.serve(*images, self.image_index, self.noise, *points)
         )
 
     def _sample(self, which: int, points: Tensor, warp: Tensor | None) -> tuple[Tensor, Tensor]:
         """Windows (P, n, n) and their gradient (P, 2, n, n)."""
-        image = self.coefficients[which]
+        image = self.images.coefficients[which]
         if self.order == 3:
             return sample_windows(image, self.image_index, points, self.window, 3, warp)
         # The slope of a polygon is that of one side: at whole pixels half a pixel off. Central differences are not.
@@ -267,7 +286,7 @@ class _Pair(NamedTuple):
 
     def _contains(self, points: Tensor) -> Tensor:
         """(P,) whether the window lies in the frame."""
-        height, width = self.coefficients[0].shape[-2:]
+        height, width = self.images.previous.shape[-2:]
         half = self.window // 2
         x, y = points[:, 0], points[:, 1]
         return (x >= half) & (y >= half) & (x <= width - 1 - half) & (y <= height - 1 - half)
@@ -292,7 +311,7 @@ class _Pair(NamedTuple):
         equations."""
         with torch.no_grad():
             match = find_templates(
-                self.coefficients[which],
+                self.images.coefficients[which],
                 self.image_index,
                 guess,
                 gradient,
@@ -310,7 +329,7 @@ class _Pair(NamedTuple):
 
         At the root b(y; images, p) = 0, hence dy = -(db/dy)^-1 db; the Jacobian itself needs no derivative.
         """
-        value, slope = sample_windows(self.coefficients[1], self.image_index, found, self.window, self.order)
+        value, slope = sample_windows(self.images.coefficients[1], self.image_index, found, self.window, self.order)
         centred = value - template if not self.gain_offset else value - value.mean((-1, -2), keepdim=True)
         residual = (gradient * centred[:, None]).sum((-1, -2))
         jacobian = (gradient.flatten(2) @ slope.flatten(2).transpose(1, 2)).detach()

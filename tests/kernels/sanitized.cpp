@@ -88,6 +88,26 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         expect(failed == 0, "contact classes");
         expect(fingerflow_contact_above(&images, 0.05f, thresholds.data(), size, touching.data(), threads) == 0, "contact above");
     }
+    if (height >= 4 && width >= 4) {
+        const fingerflow_image first{eight.data(), batch, frame, width, 0}, second{real.data(), batch, frame, width, 3};
+        const std::int64_t points = 40;
+        const auto place = noise<std::uint8_t>(2 * points, 5);
+        std::vector<float> start, warp, deviation(points, 1.0f), found(2 * points), error(points), covariance(4 * points);
+        std::vector<std::int64_t> index;
+        for (std::int64_t k = 0; k < points; ++k) {
+            start.push_back(static_cast<float>(place[static_cast<std::size_t>(2 * k)] * width / 256) + 0.3f);
+            start.push_back(static_cast<float>(place[static_cast<std::size_t>(2 * k + 1)] * height / 256) - 0.4f);
+            const float stretch = k % 4 == 3 ? 40.0f : 1.1f;  // some reach over the whole frame
+            for (float element : {stretch, 0.1f, -0.05f, 0.9f}) warp.push_back(element);
+            index.push_back(k % batch);
+        }
+        std::vector<std::uint8_t> status(points);
+        for (int window : {5, 21, 33})
+            for (const float* deformation : {static_cast<const float*>(nullptr), static_cast<const float*>(warp.data())})
+                expect(fingerflow_track_points(&first, &second, height, width, index.data(), deviation.data(), start.data(), start.data(), nullptr, deformation, points, window, 1, 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), threads) == 0, "track");
+        for (int reach : {0, 5})
+            expect(fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads) == 0, "search");
+    }
     if (height >= 3 && width >= 3) {
         std::vector<float> coefficients(real.size());
         std::vector<double> means(static_cast<std::size_t>(batch));

@@ -189,10 +189,10 @@ def test_wrong_shapes_are_named() -> None:
     }
     for change, message in (
         ((image.double(), image, index, noise, points), "float64"),
-        ((image, image[..., :30], index, noise, points), "coefficients"),
+        ((image, image[..., :30], index, noise, points), "images"),
         ((image, image, index + 1, noise, points), "image_index"),
         ((image, image, index, noise[:2], points), "noise"),
-        ((image, image, index, noise, points[:2]), "noise"),
+        ((image, image, index, noise, points[:, :1]), "start"),
     ):
         first, second, of_point, deviation, begin = change
         with pytest.raises((TypeError, ValueError), match=message):

@@ -1,0 +1,209 @@
+// The place of highest normalised cross-correlation, one point after the other; see fingerflow/ops/search.py.
+#include "search_points.h"
+
+#include <math.h>
+
+#include <cstddef>
+
+#include "floats.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr int kRows = 8;  // of displacements at a time: each vector of the image is loaded once for all of them
+constexpr float kTiny = 1.17549435e-38f;  // the least normal number
+
+bool is_finite(float value) { return value - value == 0.0f; }
+
+struct Layout {
+    int size, span, side, width, stride;  // side: of the patch; width and stride: of rows of the template and of the patch
+    Layout(int size, int reach)
+        : size(size), span(2 * reach + 1), side(size + span - 1), width(whole_floats(size)), stride(whole_floats(side) + kFloats) {}
+    int spans() const { return (span + kRows - 1) / kRows * kRows; }
+    int template_floats() const { return (size + 2 * kRows) * width; }
+    int patch_floats() const { return side * stride + kFloats; }
+    int scores() const { return whole_floats(spans() * span); }
+};
+
+class Searcher {
+public:
+    Searcher(const Search& search, void* memory) : search_(search), layout_(search.size, search.reach) {
+        double* const doubles = static_cast<double*>(memory);
+        sums_ = doubles;
+        squares_ = doubles + layout_.stride;
+        float* floats = reinterpret_cast<float*>(doubles + 2 * layout_.stride);
+        const auto take = [&](int count) {
+            float* const piece = floats;
+            floats += count;
+            for (int k = 0; k < count; ++k) piece[k] = 0.0f;
+            return piece;
+        };
+        template_ = take(layout_.template_floats());
+        patch_ = take(layout_.patch_floats());
+        products_ = take(layout_.scores());
+        deviations_ = take(layout_.scores());
+    }
+
+    static std::int64_t bytes(int size, int reach) {
+        const Layout layout(size, reach);
+        const std::int64_t floats = layout.template_floats() + layout.patch_floats() + 2 * layout.scores();
+        return 16 * layout.stride + 4 * floats;
+    }
+
+    void search(std::int64_t point) {
+        const float* const place = search_.points + 2 * point;
+        const float* const guess = search_.guess + 2 * point;
+        float* const found = search_.found + 2 * point;
+        found[0] = guess[0];
+        found[1] = guess[1];
+        if (!(is_finite(place[0]) && is_finite(place[1]) && is_finite(guess[0]) && is_finite(guess[1]))) return;
+        // Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
+        const float start[] = {rintf((place[0] - 0.5f) / 2), rintf((place[1] - 0.5f) / 2)};
+        const float center[] = {rintf((guess[0] - 0.5f) / 2), rintf((guess[1] - 0.5f) / 2)};
+        const std::int64_t image = search_.image_index[point] * search_.height * search_.width;
+        const int size = layout_.size, span = layout_.span;
+        const int half = size / 2;
+        cut(search_.templates + image, start, half, size, template_ + kRows * layout_.width, layout_.width);
+        cut(search_.images + image, center, half + search_.reach, layout_.side, patch_, layout_.stride);
+        correlate();
+        measure();
+
+        float most = 0;
+        for (int row = 0; row < span; ++row)
+            for (int column = 0; column < span; ++column) {
+                const float deviation = deviations_[row * span + column];
+                if (deviation > most) most = deviation;
+            }
+        // A window without contrast correlates with nothing; the bound keeps rounding from making one win.
+        const float least = 1e-3f * most + kTiny;
+        int best = 0;
+        for (int k = 0; k < span * span; ++k) {
+            products_[k] = deviations_[k] > least ? products_[k] / sqrtf(deviations_[k]) : -INFINITY;
+            if (products_[k] > products_[best]) best = k;
+        }
+        const float peak = products_[best];
+        if (!(peak > 0)) return;
+        const int row = best / span, column = best % span;
+        const int left = column > 0 ? best - 1 : best, right = column < span - 1 ? best + 1 : best;
+        const int above = row > 0 ? best - span : best, below = row < span - 1 ? best + span : best;
+        const auto reach = static_cast<float>(search_.reach);
+        const float moved_x = static_cast<float>(column) - reach + vertex(products_[left], peak, products_[right]);
+        const float moved_y = static_cast<float>(row) - reach + vertex(products_[above], peak, products_[below]);
+        // The motion of the template's pixel, carried over to the point itself.
+        found[0] = place[0] + 2 * (center[0] + moved_x - start[0]);
+        found[1] = place[1] + 2 * (center[1] + moved_y - start[1]);
+    }
+
+private:
+    // Where the parabola through three neighbouring scores has its maximum, in -1/2 ... 1/2 from the middle one.
+    static float vertex(float before, float peak, float after) {
+        const float curvature = before - 2 * peak + after;
+        const float at = curvature < 0 ? (before - after) / (2 * curvature) : 0.0f;
+        return !is_finite(at) ? 0.0f : at < -0.5f ? -0.5f : at > 0.5f ? 0.5f : at;
+    }
+
+    // However far outside, a place is the border's.
+    static std::int64_t within(float place, std::int64_t count) {
+        const auto far = static_cast<float>(2 * count);
+        return static_cast<std::int64_t>(place > -far ? (place < far ? place : far) : -far);
+    }
+    static std::int64_t nearest(std::int64_t place, std::int64_t count) { return place < 0 ? 0 : place >= count ? count - 1 : place; }
+
+    // A square around a place, less its mean; what is not finite counts as zero.
+    void cut(const float* image, const float* center, int half, int side, float* to, int stride) const {
+        const std::int64_t width = search_.width, height = search_.height;
+        const std::int64_t x = within(center[0], width) - half, y = within(center[1], height) - half;
+        float total = 0;
+        for (int r = 0; r < side; ++r) {
+            const float* FINGERFLOW_RESTRICT const line = image + nearest(y + r, height) * width;
+            float* FINGERFLOW_RESTRICT const row = to + r * stride;
+            if (x >= 0 && x + side <= width) std::memcpy(row, line + x, static_cast<std::size_t>(side) * sizeof(float));
+            else for (int c = 0; c < side; ++c) row[c] = line[nearest(x + c, width)];
+            for (int c = 0; c < side; ++c) row[c] = is_finite(row[c]) ? row[c] : 0.0f;
+            Floats sum[kFloats] = {};
+            for (int c = 0; c < side; c += kFloats) sum[0] += load(row + c);  // zeros behind the last column
+            total += folded<kFloats>(sum)[0];
+        }
+        const float mean = total / static_cast<float>(side * side);
+        for (int r = 0; r < side; ++r)
+            for (int c = 0; c < side; ++c) to[r * stride + c] -= mean;
+    }
+
+    // Sums of template times patch for all displacements.
+    void correlate() {
+        const int span = layout_.span, width = layout_.width;
+        for (int top = 0; top < span; top += kRows)
+            for (int left = 0; left < span; ++left) {
+                Floats product[kRows];
+                FINGERFLOW_UNROLL
+                for (int k = 0; k < kRows; ++k) product[k] = all(0);
+                const int end = layout_.size + kRows - 1 < layout_.side - top ? layout_.size + kRows - 1 : layout_.side - top;
+                for (int r = 0; r < end; ++r)
+                    for (int c = 0; c < width; c += kFloats) {
+                        const Floats pixels = held(load(patch_ + (top + r) * layout_.stride + left + c));
+                        // Above and below the template lie rows of zeros.
+                        const float* const line = template_ + (kRows + r) * width + c;
+                        FINGERFLOW_UNROLL
+                        for (int k = 0; k < kRows; ++k) product[k] += pixels * load(line - k * width);
+                    }
+                Floats padded[whole_floats(kRows)] = {};
+                for (int k = 0; k < kRows; ++k) padded[k] = product[k];
+                float summed[whole_floats(kRows)];
+                sums(padded, summed);
+                for (int k = 0; k < kRows; ++k) products_[(top + k) * span + left] = summed[k];
+            }
+    }
+
+    // Sums of squared deviations from the mean of the patch's windows, by running sums in double: differences of long sums.
+    void measure() {
+        const int size = layout_.size, span = layout_.span, side = layout_.side;
+        for (int c = 0; c < side; ++c) sums_[c] = squares_[c] = 0;
+        for (int r = 0; r < side; ++r) {
+            const float* const enters = patch_ + r * layout_.stride;
+            for (int c = 0; c < side; ++c) {
+                const auto value = static_cast<double>(enters[c]);
+                sums_[c] += value;
+                squares_[c] += value * value;
+            }
+            if (r < size - 1) continue;
+            double sum = 0, square = 0;
+            for (int c = 0; c < side; ++c) {
+                sum += sums_[c];
+                square += squares_[c];
+                if (c < size - 1) continue;
+                const float whole = static_cast<float>(sum);
+                deviations_[(r - size + 1) * span + c - size + 1] = static_cast<float>(square) - whole * whole / static_cast<float>(size * size);
+                sum -= sums_[c - size + 1];
+                square -= squares_[c - size + 1];
+            }
+            const float* const leaves = enters - (size - 1) * layout_.stride;
+            for (int c = 0; c < side; ++c) {
+                const auto value = static_cast<double>(leaves[c]);
+                sums_[c] -= value;
+                squares_[c] -= value * value;
+            }
+        }
+    }
+
+    const Search& search_;
+    const Layout layout_;
+    double* sums_ = nullptr;
+    double* squares_ = nullptr;
+    float* template_ = nullptr;
+    float* patch_ = nullptr;
+    float* products_ = nullptr;
+    float* deviations_ = nullptr;
+};
+
+}  // namespace
+
+std::int64_t search_workspace_bytes(int size, int reach) { return Searcher::bytes(size, reach); }
+
+void search_points(const Search& search, std::int64_t first, std::int64_t last, void* workspace) {
+    Searcher searcher(search, workspace);
+    for (std::int64_t point = first; point < last; ++point) searcher.search(point);
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
