@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
+from fingerflow.stream.finite import finite
 from fingerflow.stream.levels import LEVELS
 
 _LEAST_LIGHT = 0.05  # of full light at which a quotient means anything, as in `normalize_illumination`
@@ -73,4 +74,4 @@ def whole_level(threshold: Tensor) -> Tensor:
     """The level (B,) that a level must exceed to exceed the threshold, share of light lost; 255 for NaN."""
     low, high = LEVEL_RANGE
     limit = (threshold - low) * levels_per_unit(low, high)
-    return torch.where(limit.isfinite(), limit, float(LEVELS)).floor().clamp(0, LEVELS - 1)
+    return torch.where(finite(limit), limit, float(LEVELS)).floor().clamp(0, LEVELS - 1)

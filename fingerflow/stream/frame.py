@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.fields import FieldsStep
+from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.region import CELL
 from fingerflow.stream.track import TrackStep
@@ -63,10 +64,10 @@ class FrameStep(nn.Module):
         contact = self.contact(contact_view, limit, valid)
         tracks = self.track(topography_view, prediction, templates)
         matrix = topography_to_contact.to(tracks.points.dtype)
-        seen = torch.where(tracks.points.isfinite(), tracks.points, -1e4)
+        seen = torch.where(finite(tracks.points), tracks.points, -1e4)
         under = seen @ matrix[:, :2].T + matrix[:, 2]
         covered = _interpolate(contact.excess, (under - (CELL - 1) / 2) / CELL) > 0
-        arriving = ~reference.isfinite() & (covered & tracks.points.isfinite().all(-1))[..., None]
+        arriving = ~finite(reference) & (covered & finite(tracks.points).all(-1))[..., None]
         next_reference = torch.where(arriving, tracks.points, reference.to(tracks.points.dtype))
         fields = self.fields(tracks.points, next_reference)
         variance = (tracks.covariance[..., 0, 0] + tracks.covariance[..., 1, 1]) / 2
@@ -81,7 +82,7 @@ class FrameStep(nn.Module):
             tracks.error,
             variance.sqrt(),
             tracks.status,
-            torch.where(tracks.points.isfinite(), tracks.points, prediction.to(tracks.points.dtype)),
+            torch.where(finite(tracks.points), tracks.points, prediction.to(tracks.points.dtype)),
             next_reference,
             *fields,
         )

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from fingerflow.stream.finite import finite
 from fingerflow.stream.noise import noise_variance
 from fingerflow.stream.windows import Windows
 
@@ -42,8 +43,8 @@ class KeyStep(nn.Module):
     def forward(self, topography_view: Tensor, points: Tensor) -> Templates:
         """(B, 1, H, W) and (B, N, 2) px; a NaN point has a template that matches nothing."""
         windows, n = self.windows, self.windows.size
-        start = torch.where(points.isfinite(), points.to(windows.precision), torch.nan)
-        known = torch.where(start.isfinite(), start, 0.0)
+        start = torch.where(finite(points), points.to(windows.precision), torch.nan)
+        known = torch.where(finite(start), start, 0.0)
         center = known.round()
         patches = windows.patches(topography_view, center)
         sampled = windows.sample(patches, (known - center).reshape(1, -1, 2).transpose(1, 2))

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
 from fingerflow.stream.background import levels, whole_level
 from fingerflow.stream.contact import span
+from fingerflow.stream.finite import finite
 from fingerflow.stream.levels import LEVELS, median_level, otsu_classes
 from fingerflow.stream.median_planes import median_of_rows
 from fingerflow.stream.region import CELL, RegionStep, enlarge
@@ -80,7 +81,7 @@ class MeasuredContactStep(nn.Module):
         otsu = classes.threshold / scale + low
         distance = (classes.upper - classes.lower) / scale
         least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_LIGHT_LOST)
-        apart = otsu.isfinite() & (classes.upper / scale + low > _LEAST_LIGHT_LOST) & (distance > least)
+        apart = finite(otsu) & (classes.upper / scale + low > _LEAST_LIGHT_LOST) & (distance > least)
         touching = self._touching(smooth, valid, torch.where(apart, otsu, torch.nan))
         gross = (self.region(touching).excess > 0).to(self.precision)
         height, width = valid.shape[-2:]

@@ -29,7 +29,7 @@ class Region(NamedTuple):
 
 
 class RegionStep(nn.Module):
-    """As `graphs.ContactGraph.gross`, at a sixteenth of the places.
+    """As `ops.dense_region`, at a sixteenth of the places.
 
     The density of junctions is smooth over 20 px, so cells of 4 px lose nothing of it. Where its border crosses a cell,
     the cell counts by the part that lies inside, from the density's slope. Holes are filled where the region lies on
@@ -123,32 +123,31 @@ def _enclosed(inside: Tensor) -> Tensor:
 
 def _moments(coverage: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Area, centre, semi axes and angle of the ellipse with the same moments (`ops.fit_ellipse`), px."""
-    rows, columns = coverage.shape[-2:]
-    x, y = (
-        torch.arange(count, dtype=coverage.dtype, device=coverage.device) * CELL + (CELL - 1) / 2
-        for count in (columns, rows)
-    )
-    along_x, along_y = coverage.sum((1, 2)), coverage.sum((1, 3))
-    mass = along_x.sum(1)
+    # About the middle of the frame, in cells, where float32 holds their squares.
+    powers = []
+    middles = []
+    for count in coverage.shape[-2:]:
+        place = torch.arange(count, dtype=coverage.dtype, device=coverage.device) - (count - 1) / 2
+        powers.append(torch.stack((torch.ones_like(place), place, place * place)))
+        middles.append((count - 1) / 2)
+    moments = powers[0] @ coverage[:, 0] @ powers[1].T  # (B, 3, 3) by powers of y and x
+    mass = moments[:, 0, :1]
     some = mass > 0.5
-    safe = torch.where(some, mass, 1.0)
-    center_x, center_y = (along_x * x).sum(1) / safe, (along_y * y).sum(1) / safe
-    dx, dy = x - center_x[:, None], y - center_y[:, None]
-    # The places within a cell vary by CELL^2 / 12 themselves, pixels of one by 1 / 12 less (see `fit_ellipse`).
-    within = (CELL**2 - 1) / 12
-    xx = (along_x * dx * dx).sum(1) / safe + within
-    yy = (along_y * dy * dy).sum(1) / safe + within
-    xy = ((coverage[:, 0] * dx[:, None, :]).sum(2) * dy).sum(1) / safe
-    middle, half = (xx + yy) / 2, (xx - yy) / 2
-    spread = (half * half + xy * xy).sqrt()
-    variances = torch.stack((middle + spread, (middle - spread).clamp_min(0)), dim=1)
-    axes = 2 * variances.sqrt()
-    angle = torch.atan2(2 * xy, xx - yy) / 2
-    center = torch.stack((center_x, center_y), dim=1)
-    nothing = ~some
+    moments = moments / torch.where(some, mass, 1.0)[..., None]
+    mean = torch.cat((moments[:, 0, 1:2], moments[:, 1, :1]), dim=1)
+    square = torch.cat((moments[:, 0, 2:], moments[:, 2, :1]), dim=1) - mean * mean
+    mixed = moments[:, 1, 1:2] - mean[:, :1] * mean[:, 1:]
+    # The places within a cell vary themselves, by (CELL^2 - 1) / 12 px^2 if they are pixel centres.
+    variance = square * CELL**2 + (CELL**2 - 1) / 12
+    middle, half = variance.mean(1, keepdim=True), (square[:, :1] - square[:, 1:]) * (CELL**2 / 2)
+    mixed = mixed * CELL**2
+    spread = (half * half + mixed * mixed).sqrt()
+    axes = 2 * torch.cat((middle + spread, (middle - spread).clamp_min(0)), dim=1).sqrt()
+    angle = torch.atan2(mixed, half) / 2
+    center = (mean + torch.tensor(middles[::-1], dtype=mean.dtype, device=mean.device)) * CELL + (CELL - 1) / 2
     return (
-        torch.where(some, mass * CELL**2, 0.0),
-        center.masked_fill(nothing[:, None], torch.nan),
-        axes.masked_fill(nothing[:, None], torch.nan),
-        angle.masked_fill(nothing, torch.nan),
+        torch.where(some, mass * CELL**2, 0.0).squeeze(1),
+        torch.where(some, center, torch.nan),
+        torch.where(some, axes, torch.nan),
+        torch.where(some, angle, torch.nan).squeeze(1),
     )

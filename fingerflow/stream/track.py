@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.ops.tracking import TrackStatus
+from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.spline_features import feature_slopes, features
 from fingerflow.stream.windows import Windows
@@ -63,8 +64,8 @@ class TrackStep(nn.Module):
         start, guess = templates.template_start, prediction.to(windows.precision)
         template, level = templates.template_values.flatten(0, 1), templates.template_level.reshape(-1, 1, 1)
         noise = templates.template_noise.flatten()
-        given = (start + guess).isfinite().all(-1)
-        guess = torch.where(guess.isfinite(), guess, 0.0)
+        given = finite(start + guess).all(-1)
+        guess = torch.where(finite(guess), guess, 0.0)
         center = guess.round()
         patches = windows.patches(topography_view, center) - level
         table = windows.shifted_rows(patches) @ templates.template_gradients.flatten(0, 1)
@@ -96,7 +97,7 @@ class TrackStep(nn.Module):
         product = torch.stack([(slope * rest).sum((1, 2)) for slope in gradient])  # (2, P)
         if self.exact_return:
             back_table = windows.shifted_gradients(torch.stack(gradient, dim=1)) @ templates.template_rows.flatten(0, 1)
-            known = torch.where(start.isfinite(), start, 0.0)
+            known = torch.where(finite(start), start, 0.0)
             fraction = _components_first(known - known.round())
             # As far to go as the way there was, but no further than the table reaches.
             begin = (fraction + _components_first(found - guess)).clamp(-windows.reach, windows.reach)
@@ -160,7 +161,7 @@ class TrackStep(nn.Module):
             moved = (shift - step).clamp(-reach, reach)
             step, shift = shift - moved, moved
         # A singular Jacobian leaves NaN: no root.
-        good = shift.isfinite()
+        good = finite(shift)
         return torch.where(good, shift, 0.0), torch.where(good, step, float(reach)).square().sum(1).sqrt()
 
     def _contains(self, points: Tensor, view: Tensor) -> Tensor:
