@@ -44,9 +44,9 @@ class Difference(NamedTuple):
     """How far an output of a graph was from torch at most, over all trial cases; NaN where both are NaN is no
     difference.
 
-    `to_torch` and `to_float64` are in the unit for px and rad, else shares of the largest number (of 1 if that is more);
-    `flips` counts numbers that are NaN in one only, `share` that
-    of differing numbers of an integer output against float64.
+    `to_torch` and `to_float64` are in the unit for px and rad, else shares of the largest number, or of 1 if that is
+    more; `flips` counts numbers that are NaN in one only, and `share` the share of these, or of differing integers,
+    against float64.
     """
 
     graph: str
