@@ -102,7 +102,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
         part.mkdir(parents=True)
         graphs = build(recipe)
         models = {
-            name: _write(recipe, name, graph, part)
+            name: write_graph(recipe, name, graph, part)
             for name, graph in tqdm(graphs.items(), "export", disable=not progress)
         }
         found = verify(recipe, part)
@@ -226,7 +226,7 @@ def _tolerable(row: Difference) -> bool:
     return near and far and row.flips == 0 and row.share <= _MOST_FLIPS
 
 
-def _write(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
+def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
     """Exports, checks and saves one graph; its entry in bundle.json."""
     import onnx
     import onnxscript.optimizer

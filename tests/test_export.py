@@ -122,11 +122,10 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
     ("settings", "graphs"),
     [
         ({"bits": 12}, '"contact", "track"'),
-        ({"batch": '"dynamic"'}, '"track", "fields"'),
-        ({"batch": "2", "tracking": 'way_back = "step"\nreach_px = 2'}, '"track"'),
+        ({"batch": '"dynamic"', "tracking": 'way_back = "step"\nreach_px = 2'}, '"track"'),
         ({"contact": 'median_type = "float32"\nmedian_px = 5\nlattice_px = 4\ncount_by = "product"'}, '"contact"'),
     ],
-    ids=["12 bit", "open batch", "two recordings", "for other providers"],
+    ids=["12 bit", "open batch", "for other providers"],
 )
 def test_other_recipes_export(settings: dict[str, str | int], graphs: str, tmp_path: Path) -> None:
     rows = export_bundle(_recipe(tmp_path, graphs=graphs, **settings), tmp_path / "bundle")  # type: ignore[arg-type]

@@ -65,7 +65,7 @@ class FieldsStep(nn.Module):
         queries = torch.cat((2 * scaled, norm, one), dim=2)
         support = torch.cat((scaled, -one, one - norm), dim=2)
         near = (queries @ support.transpose(1, 2)).clamp_min(0)
-        points_near = near.sign() @ weight
+        points_near = (near > 0).to(self.precision) @ weight
         # 1, x, y, the four products of x and y, u, v, and the four products of u and v with x and y.
         squares = (place[..., :, None] * place[..., None, :]).flatten(2)
         mixed = (moved[..., :, None] * place[..., None, :]).flatten(2)

@@ -1,0 +1,162 @@
+"""Exported graphs in ONNX Runtime on the processor: what each setting of a recipe costs in time and buys in accuracy.
+
+One 512 x 640 view of a simulated press, 8 bit, noise of 2 grey levels, hot and dead pixels; ONNX Runtime with as many
+threads as torch. `contact` goes from frame to areas, ellipse and threshold; its peer is OpenCV's way from the frame to
+the touching pixels with the same median (illumination quotient, medianBlur, Otsu, count: `image_ops`), which has neither
+gross area nor ellipse. `error` is that of the real contact area against the truth, in per cent. `track` follows corners
+over three frames, there and back; its peer is calcOpticalFlowPyrLK on one level with the same window; `error` is the
+RMS of the accepted points, in px. `frame` does everything for one step of a stream; its `error` is that of `track`.
+`time_to_peer` is taken in turns. `nodes` are those that the exported file holds, constants left out.
+"""
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import Tensor
+
+from bench.rows import Row
+from bench.timing import time_in_turns
+from bench.trackers import track_opencv
+from fingerflow.export import write_graph
+from fingerflow.ops.corners import detect_corners
+from fingerflow.stream.graphs import build
+from fingerflow.stream.recipe import GraphName, Recipe
+from fingerflow.synthetic import Press
+
+_FROM, _TO, _AREA = 296, 299, 299  # frames of the press
+Run = Callable[[], dict[str, np.ndarray]]
+
+CONTACT: list[dict[str, Any]] = [
+    {},
+    {"median_px": 9},
+    {"median_px": 9, "lattice_px": 8},
+    {"median_px": 5, "lattice_px": 8},
+    {"lattice_px": 8},
+    {"median_px": 1, "lattice_px": 8},
+]
+TRACKING: list[dict[str, Any]] = [
+    {"points": 700, "window_px": 21},
+    {"points": 700, "window_px": 21, "way_back": "step"},
+    {"points": 300, "window_px": 15, "way_back": "step"},
+    {"points": 300, "window_px": 11, "way_back": "step"},
+]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a setting of a graph."""
+    rounds = 3 if quick else 15
+    scene = Press()
+    known = _inputs(scene)
+    area = scene.truth.real_contact_area_mm2(_AREA)
+    rows: list[Row] = []
+    for settings in CONTACT[4:5] if quick else CONTACT:
+        recipe = _recipe(contact=settings)
+        nodes, ours = _session(recipe, "contact", known)
+        contact = _opencv_contact(known, recipe.contact.median_px)
+        times = time_in_turns({"opencv": contact, "onnx": ours}, "opencv", rounds)["onnx"]
+        found = float(ours()["real_area_px"][0]) * scene.mm_per_px**2
+        rows.append(_row("contact", settings, nodes, times.cells(), 100 * (found / area - 1)))
+    graphs: tuple[GraphName, ...] = ("track", "frame")
+    for graph in graphs:
+        for settings in TRACKING[3:] if quick else TRACKING:
+            recipe = _recipe(
+                tracking=settings, contact={"median_px": 1, "touching": False} if len(settings) > 2 else {}
+            )
+            points = _corners(known["topography_before"], recipe)
+            nodes, ours = _session(recipe, graph, {**known, "points": points})
+            peer = partial(
+                track_opencv, known["topography_before"], known["topography_view"], points, recipe.tracking.window_px
+            )
+            cells = time_in_turns({"opencv": peer, "onnx": ours}, "opencv", rounds)["onnx"].cells()
+            if graph == "frame":  # which does more than the peer
+                del cells["time_to_peer"]
+            true = scene.truth.follow(points[0].double().numpy(), _FROM, _TO)
+            error = float(np.sqrt(np.nanmean(np.sum((ours()["points"][0] - true) ** 2, axis=-1))))
+            cells = (
+                times.cells() if graph == "track" else {k: v for k, v in times.cells().items() if k != "time_to_peer"}
+            )
+            rows.append(_row(graph, settings, nodes, cells, error))
+    return rows
+
+
+def _row(graph: str, settings: dict[str, Any], nodes: int, cells: dict[str, float], error: float) -> Row:
+    text = ", ".join(f"{name} {value}" for name, value in settings.items()) or "as recipes are by default"
+    return {"graph": graph, "settings": text, "nodes": nodes, **cells, "error": error}
+
+
+def _recipe(**tables: dict[str, Any]) -> Recipe:
+    return Recipe.model_validate({"views": {"height": 512, "width": 640}, "fields": {"gauge_px": 58.0}, **tables})
+
+
+def _inputs(scene: Press) -> dict[str, Tensor]:
+    def view(name: str, picture: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(scene.views[name].crop(picture)))[None, None]
+
+    empty = view("contact", scene.empty())
+    last = scene.render(_TO)
+    return {
+        "contact_view": view("contact", last),
+        "topography_view": view("topography", last),
+        "topography_before": view("topography", scene.render(_FROM)),
+        "background": empty,
+        "dark": torch.zeros_like(empty),
+        "threshold": torch.tensor([0.267]),
+        "topography_to_contact": torch.eye(2, 3),
+    }
+
+
+def _corners(view: Tensor, recipe: Recipe) -> Tensor:
+    border = recipe.tracking.window_px // 2 + 3
+    return detect_corners(view, recipe.tracking.points, 6.0, window=5, border=border).points
+
+
+def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple[int, Run]:
+    """Number of nodes of the exported graph, and a call that runs it."""
+    graphs = build(recipe)
+    tensors = dict(known)
+    tensors.update(zip(graphs["background"].outputs, _apply(graphs["background"], tensors), strict=True))
+    if "points" in tensors:
+        key = {**tensors, "topography_view": tensors["topography_before"]}
+        tensors.update(zip(graphs["key"].outputs, _apply(graphs["key"], key), strict=True))
+        tensors |= {"prediction": tensors["points"], "reference": tensors["points"]}
+    with tempfile.TemporaryDirectory() as folder:
+        write_graph(recipe, name, graphs[name], Path(folder))
+        file = Path(folder) / f"{name}.onnx"
+        nodes = sum(node.op_type != "Constant" for node in onnx.load(file).graph.node)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+    feed = {one.name: tensors[one.name].numpy() for one in session.get_inputs()}
+    outputs = [one.name for one in session.get_outputs()]
+    return nodes, lambda: dict(zip(outputs, session.run(outputs, feed), strict=True))
+
+
+def _apply(graph: Any, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
+    with torch.inference_mode():
+        results: tuple[Tensor, ...] = graph.module(*(tensors[name] for name in graph.inputs))
+    return results
+
+
+def _opencv_contact(known: dict[str, Tensor], size: int) -> Callable[[], int]:
+    frame = known["contact_view"][0, 0].numpy()
+    reference = known["background"][0, 0].numpy().astype(np.float32)
+    lit = (reference > 0.05 * np.quantile(reference, 0.99)).astype(np.uint8)
+    unlit = lit == 0
+
+    def contact() -> int:
+        quotient = cv2.divide(frame, reference, dtype=cv2.CV_32F)
+        quotient[unlit] = 1
+        levels = cv2.addWeighted(quotient, -204, quotient, 0, 255, dtype=cv2.CV_8U)
+        smooth = cv2.medianBlur(levels, size) if size > 1 else levels
+        threshold, _ = cv2.thresholdWithMask(smooth, np.zeros_like(smooth), lit, 0, 1, cv2.THRESH_OTSU)
+        return int(cv2.countNonZero(cv2.threshold(smooth, threshold, 255, cv2.THRESH_BINARY)[1]))
+
+    return contact
