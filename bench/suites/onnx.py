@@ -2,8 +2,8 @@
 
 One 512 x 640 view of a simulated press, 8 bit, noise of 2 grey levels, hot and dead pixels; ONNX Runtime with as many
 threads as torch. `contact` goes from frame to areas, ellipse and threshold; its peer is OpenCV's way from the frame to
-the touching pixels with the same median (illumination quotient, medianBlur, Otsu, count: `image_ops`), which has neither
-gross area nor ellipse. `error` is that of the real contact area against the truth, in per cent. `track` follows corners
+the touching pixels with the same median (illumination quotient, medianBlur, Otsu, count: `image_ops`), without gross
+area and ellipse. `error` is that of the real contact area against the truth, in per cent. `track` follows corners
 over three frames, there and back; its peer is calcOpticalFlowPyrLK on one level with the same window; `error` is the
 RMS of the accepted points, in px. `frame` does everything for one step of a stream; its `error` is that of `track`.
 `time_to_peer` is taken in turns. `nodes` are those that the exported file holds, constants left out.
