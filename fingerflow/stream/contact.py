@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.stream.median_planes import median_of_rows
+from fingerflow.stream.median_planes import majority
 from fingerflow.stream.region import RegionStep
 
 
@@ -29,7 +29,7 @@ class ContactStep(nn.Module):
     """Pixels darker than a limit of their own, the majority in every window of the median, and the region they span.
 
     The median of an odd number of levels lies above a threshold where most of them do, and a level does where its count
-    lies below the pixel's limit: no quotient is formed and the network runs on zeros and ones.
+    lies below the pixel's limit: no quotient is formed and no level.
 
     Args:
         median_px: odd side of the median.
@@ -50,7 +50,7 @@ class ContactStep(nn.Module):
             below = contact_view < limit
         else:
             below = contact_view.to(torch.float32) < limit.to(torch.float32)
-        most = median_of_rows(below.to(self.median_type), self.median_px).to(torch.uint8)
+        most = majority(below.to(self.median_type), self.median_px, self.region.precision)
         return span(self.region, torch.minimum(most, valid))
 
 

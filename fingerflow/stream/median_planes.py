@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.median_network import MedianProgram, tile_program
 
 
@@ -20,10 +21,7 @@ def median_of_rows(frames: Tensor, size: int) -> Tensor:
     down, right = program.reach
     tiles = -(-height // rows)
     grid_y, grid_x = tiles + down, width + right
-    # Lines are repeated by concatenation: an expanded one is written number by number.
-    lines = frames[:, 0]
-    lines = torch.cat((*[lines[:, :1]] * half, lines, *[lines[:, -1:]] * (grid_y * rows - height - half)), dim=1)
-    padded = torch.cat((*[lines[..., :1]] * half, lines, *[lines[..., -1:]] * (right - half)), dim=2)
+    padded = _repeat_border(frames[:, 0], half, grid_y * rows - height - half, right - half)
     cells = batch * grid_y * grid_x
     planes = {phase: padded[:, phase::rows].reshape(-1) for phase in range(rows)}
     lengths = dict.fromkeys(planes, cells)
@@ -45,6 +43,26 @@ def median_of_rows(frames: Tensor, size: int) -> Tensor:
         medians.append(flat.reshape(batch, grid_y, grid_x)[:, :tiles, :width])
     woven = torch.stack(medians, dim=2).reshape(batch, 1, tiles * rows, width)
     return woven[:, :, :height]
+
+
+def majority(above: Tensor, size: int, precision: torch.dtype) -> Tensor:
+    """Where more than half of a `size` x `size` window (B, 1, H, W) holds, of uint8, 0 and 1, or of the precision.
+
+    The median of zeros and ones. The network of 3 x 3 takes 17 operations a pixel on bytes; from 5 x 5 on, sums are
+    faster: at most 4 log2(size) of them, on floats, as no runtime adds bytes.
+    """
+    if size <= 3:
+        return median_of_rows(above, size).to(torch.uint8)
+    half = size // 2
+    padded = _repeat_border(above[:, 0].to(precision), half, half, half)
+    return (box_sum(padded, size) > size * size / 2).to(torch.uint8)[:, None]
+
+
+def _repeat_border(lines: Tensor, before: int, below: int, right: int) -> Tensor:
+    """Frames (B, H, W) with their border repeated: `before` times above and to the left."""
+    # By concatenation: an expanded line is written number by number.
+    lines = torch.cat((*[lines[:, :1]] * before, lines, *[lines[:, -1:]] * below), dim=1)
+    return torch.cat((*[lines[..., :1]] * before, lines, *[lines[..., -1:]] * right), dim=2)
 
 
 @functools.cache

@@ -11,7 +11,7 @@ from fingerflow.stream.background import BackgroundStep
 from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.levels import median_level, otsu_classes
 from fingerflow.stream.measured_contact import MeasuredContactStep
-from fingerflow.stream.median_planes import median_of_rows
+from fingerflow.stream.median_planes import majority, median_of_rows
 from fingerflow.stream.region import RegionStep
 from fingerflow.synthetic import Press
 
@@ -28,12 +28,18 @@ def empty() -> Tensor:
     return _view(SCENE.empty())
 
 
-@pytest.mark.parametrize("size", [1, 3, 5, 7, 9])
+@pytest.mark.parametrize("size", [1, 3, 5, 7])
 @pytest.mark.parametrize("shape", [(2, 1, 61, 47), (1, 1, 48, 50)])
 def test_median_of_rows_is_the_median(size: int, shape: tuple[int, ...]) -> None:
     frames = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(size))
     assert torch.equal(median_of_rows(frames, size), median_filter(frames, size))
     assert torch.equal(median_of_rows(frames.float(), size), median_filter(frames, size).float())
+
+
+@pytest.mark.parametrize("size", [1, 3, 5, 9, 13])
+def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
+    frames = torch.randint(0, 2, (2, 1, 53, 31), dtype=torch.uint8, generator=torch.Generator().manual_seed(size))
+    assert torch.equal(majority(frames, size, torch.float32), median_filter(frames, size))
 
 
 @pytest.mark.parametrize("frame", [40, 150, 299])
