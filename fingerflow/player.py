@@ -135,13 +135,12 @@ class _SceneFile:
         if unused:
             log.info("%s: [%s] is not used: the bundle's recipe says how", self.path, "], [".join(unused))
         scale, transform = self._calibration()
-        threshold = self._get("contact.threshold")
         return Scene(
             contact=self._view("views.contact"),
             topography=self._view("views.topography"),
             mm_per_px=scale,
             topography_to_contact=transform,
-            threshold=threshold if isinstance(threshold, float) else None,
+            threshold=self._threshold(),
             background=self._file("background.frames"),
             dark=self._file("background.dark"),
             frames=self._file("recording.frames"),
@@ -151,6 +150,13 @@ class _SceneFile:
             rekey_share=self._number("stream.rekey_share", 0.0, 1.0),
             rekey_frames=self._count("stream.rekey_frames"),
         )
+
+    def _threshold(self) -> float | None:
+        """None where it is to be measured, whether from the reference frame or from each."""
+        value = self._get("contact.threshold")
+        if value in (None, "reference_frame", "per_frame"):
+            return None
+        return self._number("contact.threshold", 0.0, 1.0)
 
     def _calibration(self) -> tuple[float, Array]:
         """mm_per_px and the affine (2, 3) of the scene, or of the calibration file that it names."""
@@ -239,7 +245,8 @@ PROVIDERS = {
 }
 _PLUGINS = {"openvino": "onnxruntime_ep_openvino"}  # providers that come as a package beside onnxruntime
 _ON_GPU = ("tensorrt", "cuda")  # those whose memory can be bound, so that states and held tensors stay there
-GRAPHS = ("frame", "detect", "key", "background")
+GRAPHS = ("frame", "detect", "key", "background")  # without which nothing can be played
+_MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 
 
 @dataclass(frozen=True)
@@ -289,12 +296,13 @@ def load_bundle(folder: Path) -> Bundle:
         )
     try:
         graphs = facts["graphs"]
+        names = (*GRAPHS, _MEASURING) if _MEASURING in graphs else GRAPHS
         bundle = Bundle(
             folder=folder,
             recipe=facts["recipe"],
             version=str(facts["fingerflow"]),
-            hashes={name: graphs[name]["sha256"] for name in GRAPHS},
-            files={name: folder / graphs[name]["file"] for name in GRAPHS},
+            hashes={name: graphs[name]["sha256"] for name in names},
+            files={name: folder / graphs[name]["file"] for name in names},
         )
         _ = bundle.height, bundle.width, bundle.dtype
     except (KeyError, TypeError, ValueError) as error:
@@ -480,7 +488,8 @@ class Camera:
 class Synthetic:
     """Frames of a pressed fingertip drawn from formulas: no end, and no cost once a ring of them is drawn.
 
-    Ridges and pores move, turn and spread by up to 4 % (divergence 0.08) and back, while the contact grows and shrinks.
+    Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
+    The divergence of a stream is smaller: a point's counts from when the contact reaches it.
     Of one period only half is kept, played forwards and backwards.
     """
 
@@ -707,8 +716,12 @@ class Stepper:
     Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``), tensors that the
     graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
 
+    Where the scene gives no threshold, nothing touches until `measure` has found one.
+
     Attributes:
         outputs, states: of `frame`, by name; which of them are the next frame's inputs.
+        threshold: share of light lost above which a pixel touches; NaN while unknown.
+        measures: whether the threshold is found in frames, by the graph `contact`.
         found, keyed: points found at the last restart, and given to the last key frame.
     """
 
@@ -717,15 +730,14 @@ class Stepper:
         self._sessions = {name: engine.frame if name == "frame" else engine.open(name) for name in GRAPHS}
         inputs = {name: self._tensors(name, "get_inputs") for name in GRAPHS}
         outputs = {name: self._tensors(name, "get_outputs") for name in GRAPHS}
+        self.threshold = math.nan if scene.threshold is None else scene.threshold
+        self.measures = scene.threshold is None and "threshold" in inputs["background"]
+        if self.measures:
+            self._sessions[_MEASURING] = self._open_measuring()
         self.outputs = outputs["frame"]
         self.found = self.keyed = 0
         self._key_inputs = inputs["key"]
         self._of_scene: dict[str, Array] = {"topography_to_contact": scene.topography_to_contact}
-        if scene.threshold is not None:
-            self._of_scene["threshold"] = np.array([scene.threshold])
-        else:
-            for name in GRAPHS:
-                self._refuse_threshold(name, inputs[name])
         self._mask = _region_mask(scene, (1, 1, self._bundle.height, self._bundle.width))
 
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
@@ -742,12 +754,15 @@ class Stepper:
         # Two bindings: what one writes as next state the other reads as state.
         self._bindings = [self._binding(side, constants) for side in range(2)]
         self._side = 0
-        self._run("background", {"background": background[None, None], "dark": dark[None, None]})
+        self._glass = {"background": background[None, None], "dark": dark[None, None]}
+        self._use_threshold()
 
     def warm_up(self) -> None:
         """Runs every graph once on an empty frame: a first run is slow."""
         slot = Slot(self._bundle)
         self.restart(slot)
+        if self.measures:
+            self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
         self.step(slot)
 
     def restart(self, slot: Slot) -> int:
@@ -769,6 +784,17 @@ class Stepper:
         self.keyed = int(np.isfinite(points).all(-1).sum())
         return self.keyed
 
+    def measure(self, slot: Slot) -> bool:
+        """Takes the threshold from a frame; False, and the one in use stays, where the frame shows no contact."""
+        threshold = float(self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})["threshold"][0])
+        if math.isfinite(threshold):
+            self.threshold = threshold
+            self._use_threshold()
+        return math.isfinite(threshold)
+
+    def _use_threshold(self) -> None:
+        self._run("background", {**self._glass, "threshold": np.array([self.threshold])})
+
     def step(self, slot: Slot) -> dict[str, Array]:
         """Outputs by name, (1, ...); valid until the step after the next one."""
         binding = self._bindings[self._side]
@@ -785,12 +811,14 @@ class Stepper:
     def _room(self, tensor: _Tensor) -> Any:
         return ort.OrtValue.ortvalue_from_shape_and_type(tensor.shape, tensor.dtype, self._engine.device)
 
-    def _refuse_threshold(self, graph: str, inputs: Mapping[str, _Tensor]) -> None:
-        if "threshold" in inputs:
+    def _open_measuring(self) -> ort.InferenceSession:
+        if _MEASURING not in self._bundle.files:
             raise PlayerError(
-                f"{self._bundle.files[graph]}: takes its threshold from the scene; add [contact] threshold = with the "
-                "share of light lost that counts as contact, such as 0.25"
+                f"{self._bundle.files['background']}: takes a threshold, the scene has no number for it and the bundle "
+                "no contact.onnx that would measure it; add [contact] threshold = with the share of light lost that "
+                'counts as contact, such as 0.25, or export the bundle with the graph "contact"'
             )
+        return self._engine.open(_MEASURING)
 
     def _constants(self, inputs: Mapping[str, _Tensor], known: set[str]) -> dict[str, Any]:
         """Inputs that the scene gives; raises PlayerError for an input that nothing gives."""
@@ -827,13 +855,16 @@ class Stepper:
         """One of the graphs that run rarely; what it gives is held where `frame` takes it."""
         session, path = self._sessions[graph], self._bundle.files[graph]
         inputs = self._tensors(graph, "get_inputs")
-        given = self._of_scene | dict(given)
-        if set(inputs) - set(given):
-            raise PlayerError(f"{path}: needs inputs {sorted(inputs)}, this player gives {sorted(given)}")
+        if unknown := sorted(set(inputs) - set(given) - set(self._held)):
+            raise PlayerError(f"{path}: needs inputs {unknown} that this player does not give; use its bundle's")
         binding = session.io_binding()
-        values = {n: np.ascontiguousarray(given[n], t.dtype).reshape(t.shape) for n, t in inputs.items()}
-        for name, value in values.items():
-            binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(value))
+        values = {}  # keeps the memory that is bound
+        for name, tensor in inputs.items():
+            if name in given:
+                values[name] = np.ascontiguousarray(given[name], tensor.dtype).reshape(tensor.shape)
+                binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(values[name]))
+            else:
+                binding.bind_ortvalue_input(name, self._held[name])
         names = [argument.name for argument in session.get_outputs()]
         for name in names:
             if name in self._held:
@@ -1082,6 +1113,7 @@ class Settings:
 _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
 _RESTART_INTERVAL = 1.0  # s; choosing points takes far longer than a step
+_MEASURE_INTERVAL = 0.5  # s between tries to find the threshold, each as long as a step or two
 _REKEY_SHARE = 0.8
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -1186,6 +1218,7 @@ class Player:
             "seconds": round(seconds, 3),
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
+            "threshold": self._stepper.threshold if math.isfinite(self._stepper.threshold) else None,
             "results": str(self._sink.folder),
         }
 
@@ -1300,11 +1333,16 @@ class Player:
     def _compute(self) -> None:
         first, restarted, key_frame = math.nan, -math.inf, 0
         share, rekey_frames = self.scene.rekey_share or _REKEY_SHARE, self.scene.rekey_frames or math.inf
+        unmeasured, measured = self._stepper.measures, -math.inf
+        # A recording that waits is tried in every frame: that gives the same result each time.
+        interval = _MEASURE_INTERVAL if self._source.live or self.settings.rate else 0.0
         place = 0
         while (slot := self._frames.get()) is not None:
             if not self.restarts:
                 first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
                 self._restart(slot, "start")
+            if unmeasured and slot.arrival - measured >= interval:
+                measured, unmeasured = slot.arrival, not self._measure(slot)
             outputs = self._stepper.step(slot)
             record = self._room[place]
             self._layout.fill(record, outputs)
@@ -1323,6 +1361,7 @@ class Player:
                 self.restart_wanted.clear()
                 restarted, key_frame = slot.arrival, slot.number
                 self._restart(slot, cause)
+                unmeasured = self._stepper.measures
             elif 0 < self.tracked < share * self._stepper.keyed or slot.number - key_frame >= rekey_frames:
                 key_frame = slot.number
                 self._sink.event("key_frame", slot.number, points=self._stepper.key(slot, outputs["points"]))
@@ -1339,6 +1378,13 @@ class Player:
         self._sink.event("restart", slot.number, cause=cause, points=self._stepper.restart(slot))
         self.restarts += 1
         log.info("frame %d: %d points chosen (%s)", slot.number, self._stepper.found, cause)
+
+    def _measure(self, slot: Slot) -> bool:
+        found = self._stepper.measure(slot)
+        if found:
+            self._sink.event("threshold", slot.number, threshold=self._stepper.threshold)
+            log.info("frame %d: threshold %.4f of the light lost", slot.number, self._stepper.threshold)
+        return found
 
     # Sink: records -> disk and page.
 
@@ -1659,6 +1705,7 @@ function numbers(live) {
     ["Overruns", live.overruns, "", live.overruns > 0],
     ["Reconnects", live.reconnects, "", live.reconnects > 0],
     ["Points", live.tracked, `of ${live.found}`],
+    ["Threshold", live.threshold == null ? "no contact yet" : text(100 * live.threshold, 1), "%"],
     ["Real area", text(s.real_area_mm2, 1), "mm\u00b2"],
     ["Gross area", text(s.gross_area_mm2, 1), "mm\u00b2"],
     ["Median divergence", text(s.median_divergence == null ? null : 100 * s.median_divergence, 2), "%"],
@@ -1738,6 +1785,7 @@ def _stream(options: argparse.Namespace) -> int:
         "policy": "every" if every else "latest",
         "mm_per_px": scene.mm_per_px,
         "topography_to_contact": scene.topography_to_contact.tolist(),
+        "threshold": "measured" if stepper.measures else scene.threshold,
         "coordinates": properties.get("fingerflow.coordinates", ""),
         "record_bytes": layout.dtype.itemsize,
         "fields": layout.fields,

@@ -32,8 +32,8 @@ def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
         ("mm_per_px = 0.5", "", "calibration.mm_per_px is missing"),
         ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0], [0.0, 1.0]]", "an invertible [[a, b, x], [c, d, y]]"),
         ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]", "an invertible"),
-        ("threshold = 0.5", "", "add [contact] threshold"),
-        ("threshold = 0.5", 'threshold = "per_frame"', "add [contact] threshold"),
+        ("threshold = 0.5", "threshold = 35", "contact.threshold is 35; a number above 0 and up to 1"),
+        ("threshold = 0.5", 'threshold = "auto"', "contact.threshold is 'auto'"),
         ('frames = "empty.npy"', "", "background.frames is missing"),
         ('frames = "empty.npy"', 'frames = "nothing.npy"', "nothing.npy: is no file"),
         ('frames = "empty.npy"', "frames = 3", "background.frames is 3; a path"),
@@ -52,6 +52,18 @@ def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -
     assert ended.code == 2
     assert said in ended.said
     assert ended.results is None
+
+
+def test_a_threshold_that_nothing_gives_is_named(stream: Stream, tmp_path: Path) -> None:
+    stream.bundle = write_bundle(tmp_path / "poor", without="contact")
+    text = write_scene(stream.bundle / "scene.toml").read_text()
+    for setting in ("", 'threshold = "per_frame"'):
+        (stream.bundle / "scene.toml").write_text(text.replace("threshold = 0.5", setting))
+        ended = stream.run(*stream.frames([frame()]))
+        assert ended.code == 2
+        assert "background.onnx: takes a threshold" in ended.said
+        assert "add [contact] threshold" in ended.said
+        assert ended.results is None
 
 
 def test_a_calibration_file_is_read(stream: Stream) -> None:

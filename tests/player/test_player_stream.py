@@ -94,6 +94,41 @@ def test_the_policy_latest_takes_the_newest_frame(stream: Stream, monkeypatch: p
     assert summary["overruns"] == 0
 
 
+def _darkened(level: int) -> Any:
+    picture = frame()
+    picture[2:6, WIDTH + 2 : WIDTH + 8] = level
+    return picture
+
+
+@pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
+def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str) -> None:
+    """Of the first frame with contact: 0.4 of the light, half of what it loses; the later, darker ones keep it."""
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
+    frames = np.stack([frame(), frame(), _darkened(40), _darkened(10), _darkened(130)])
+    np.save(stream.folder / "frames.npy", frames)
+    ended = stream.run("--source", str(stream.folder / "frames.npy"))
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0, 24 / 4, 24 / 4, 0])
+    [event] = [event for event in ended.results.events if event["event"] == "threshold"]
+    assert event["frame"] == 2
+    assert event["threshold"] == pytest.approx(0.4, abs=1e-6)
+    assert ended.summary["threshold"] == event["threshold"]
+    assert ended.results.header["threshold"] == "measured"
+    assert "frame 2: threshold 0.4000" in ended.said
+
+
+def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
+    monkeypatch.setattr(player, "_MEASURE_INTERVAL", 0.0)
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
+    frames = [_darkened(40), _darkened(40), _darkened(130), frame(), _darkened(100)]
+    frames[1][0, 0] = 0  # all points lost
+    ended = stream.run(*stream.frames(frames), "--policy", "every")
+    # 0.35 of light lost is under 0.4; measured again after the restart in frame 1, it is over the half of it.
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [6, 6, 6, 0, 6])
+    found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
+    assert found == [(0, pytest.approx(0.4, abs=1e-6)), (2, pytest.approx(0.175, abs=1e-6))]
+
+
 def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
     found = [10, 10, 9, 8, 7, 7, 6, 4, 10, 10]

@@ -2,7 +2,8 @@
 
 Pixel (0, 0) of the topography view says how many of the points are found: what is lost is told by the test. The other
 outputs are simple: `error` is the number that pixel had in the key frame, `divergence` counts frames since the restart
-(a state), areas are the pixels that lose more than the scene's threshold of light.
+(a state), areas are the pixels that lose more than the threshold of light. Where the scene gives none it is half of
+what the darkest pixel loses, and unknown while that is less than 0.2.
 """
 
 import hashlib
@@ -23,12 +24,14 @@ _OF_TYPE = {
 }
 
 
-def write_bundle(folder: Path, bit_depth: int = 8, **changes: Any) -> Path:
-    """Writes the bundle; ``changes`` replace entries of bundle.json."""
+def write_bundle(folder: Path, bit_depth: int = 8, without: str = "", **changes: Any) -> Path:
+    """Writes the bundle, all graphs but one; ``changes`` replace entries of bundle.json."""
     folder.mkdir(parents=True)
     pixel = "uint8" if bit_depth == 8 else "uint16"
     graphs = {}
     for name, model in _models(pixel).items():
+        if name == without:
+            continue
         model.metadata_props.add(key="fingerflow.graph", value=name)
         model.metadata_props.add(key="fingerflow.units", value=json.dumps({"error": "px", "divergence": "1"}))
         onnx.checker.check_model(model)
@@ -103,6 +106,26 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
             {"background": (pixel, view), "dark": (pixel, view), "threshold": ("float", (1,))},
             {"gain": ("float", view), "limit": ("float", (1,))},
             {},
+        ),
+        "contact": _model(
+            [
+                helper.make_node("Cast", ["contact_view"], ["counts"], to=TensorProto.FLOAT),
+                helper.make_node("Mul", ["counts", "gain"], ["left"]),
+                helper.make_node("Sub", ["one", "left"], ["gone"]),
+                helper.make_node("ReduceMax", ["gone", "image"], ["most"], keepdims=0),
+                helper.make_node("Mul", ["most", "half"], ["middle"]),
+                helper.make_node("Greater", ["middle", "least"], ["contact"]),
+                helper.make_node("Where", ["contact", "middle", "nan"], ["threshold"]),
+            ],
+            {"contact_view": (pixel, view), "gain": ("float", view)},
+            {"threshold": ("float", (1,))},
+            {
+                "one": np.ones(1, np.float32),
+                "image": np.array([1, 2, 3]),
+                "half": np.full(1, 0.5, np.float32),
+                "least": np.full(1, 0.1, np.float32),
+                "nan": np.full(1, np.nan, np.float32),
+            },
         ),
         "detect": _model(
             [
