@@ -196,6 +196,9 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
     if output == "status":
         # Whether a point is tracked. Why it is not may turn on the last digit: far from any root, steps are chaotic.
         ours, near, far = (values != 0 for values in (ours, near, far))
+    if graph == "detect" and output == "points":
+        # Corners of nearly equal strength change places, and the last of them their turn.
+        return Difference(graph, output, unit, _absent(near, ours), _absent(far, ours), 0, 0.0)
     if not np.issubdtype(near.dtype, np.floating):
         share = float(np.mean(ours != far)) if ours.size else 0.0
         return Difference(graph, output, unit, float(np.max(ours != near, initial=0)), 0.0, 0, share)
@@ -203,6 +206,13 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
     flips = int(np.sum(np.isfinite(ours) != np.isfinite(near)))
     share = float(np.mean(np.isfinite(ours) != np.isfinite(far))) if ours.size else 0.0
     return Difference(graph, output, unit, _largest(ours, near) / scale, _largest(ours, far) / scale, flips, share)
+
+
+def _absent(expected: NDArray[Any], found: NDArray[Any]) -> float:
+    """Share of the expected points (B, N, 2) that were not found, less the hundredth that may be."""
+    known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
+    absent = len(known[0] - known[1]) / max(1, len(known[0]))
+    return max(0.0, absent - _MOST_FLIPS)
 
 
 def _largest(ours: NDArray[Any], other: NDArray[Any]) -> float:
