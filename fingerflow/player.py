@@ -489,7 +489,7 @@ class Synthetic:
     """Frames of a pressed fingertip drawn from formulas: no end, and no cost once a ring of them is drawn.
 
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
-    The divergence of a stream is smaller: a point's counts from when the contact reaches it.
+    The divergence of a stream is another one, even negative: each point's counts from when the contact reaches it.
     Of one period only half is kept, played forwards and backwards.
     """
 
@@ -1555,7 +1555,7 @@ canvas { display: block; width: 100%; border-radius: 3px; }
 .legend { margin-left: auto; font-weight: 400; color: var(--soft); }
 .legend i { display: inline-block; width: 10px; height: 10px; border-radius: 2px; margin: 0 4px 0 10px; }
 .legend .bar { width: 90px; background: linear-gradient(90deg, #2166ac, #eee, #b2182b); }
-dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(170px, 1fr)); gap: 4px 16px; margin: 0; }
+dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr)); gap: 4px 16px; margin: 0; }
 dt { color: var(--soft); font-size: 12px; } dd { margin: 0; font-size: 18px; font-variant-numeric: tabular-nums; }
 dd small { font-size: 12px; color: var(--soft); } dd.bad { color: var(--red); }
 @media (max-width: 760px) { main { grid-template-columns: 1fr; } }
@@ -1894,12 +1894,12 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
         help="factory() gives a callable that returns the next frame, None at the end",
     )
     add("--scene", type=Path, help="scene file; default: scene.toml of the bundle, the synthetic source needs none")
-    add("--shape", type=int, nargs=2, metavar=("HEIGHT", "WIDTH"), help="of the frames of a raw file")
+    add("--shape", type=_count, nargs=2, metavar=("HEIGHT", "WIDTH"), help="of the frames of a raw file")
     add("--dtype", default="uint8", help="of the frames of a raw file, such as '<u2'; default uint8")
     add("--rate", type=_positive, help="play a recording at so many frames a second, as a camera would give them")
-    add("--frames", type=int, help="end after so many frames")
+    add("--frames", type=_count, help="end after so many frames")
     add("--policy", choices=("every", "latest"), help="every frame (default for files), or the newest (for cameras)")
-    add("--queue", type=int, default=Settings.queue, help="frames that wait at most under the policy `every`")
+    add("--queue", type=_count, default=Settings.queue, help="frames that wait at most under the policy `every`")
     add("--provider", choices=PROVIDERS, help="execution provider; default: the first that works, in this order")
     add("--threads", type=int, default=0, help="threads inside an operator; default one a core")
     add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
@@ -1913,6 +1913,13 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
 def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
 

@@ -9,8 +9,9 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from torch import Tensor
 
-from fingerflow import export
+from fingerflow import export, player
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.stream.graphs import build
@@ -116,6 +117,88 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
     assert 0 < covered.sum() < tracked.sum() + 1
     np.testing.assert_allclose(np.nan_to_num(second["divergence"]), 0, atol=1e-4)
     assert np.isfinite(second["next_reference"]).all(-1).sum() == covered.sum()
+
+
+SCENE = """
+[views]
+contact = {rows = [0, 96], columns = [120, 240]}
+topography = {rows = [0, 96], columns = [0, 120]}
+[calibration]
+mm_per_px = 0.1
+topography_to_contact = [[0.999, 0.002, 0.4], [-0.002, 0.999, -0.3]]
+[stream]
+rekey_frames = 12
+"""
+
+
+def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]], tmp_path: Path) -> None:
+    """Every frame of a synthetic stream, with threshold and key frames, and torch's own states fed back to torch."""
+    scene_file = tmp_path / "scene.toml"
+    scene_file.write_text(SCENE)
+    options = ["--source", "synthetic", "--scene", str(scene_file), "--frames", "40", "--output", str(tmp_path / "out")]
+    settings = ["--page", "off", "--provider", "cpu", "--threads", "1", "--no-spin"]
+    assert player.main([str(bundle[0]), *options, *settings]) == 0
+    records, _, events = player.read_results(tmp_path / "out")
+    assert len(records) == 40
+    keyed = {event["frame"] for event in events if event["event"] == "key_frame"}
+    chosen = {event["frame"] for event in events if event["event"] == "restart"}
+    assert min(keyed) <= 12
+    assert 0 in chosen
+
+    scene = player.load_scene(scene_file)
+    drawn = player.Synthetic(scene, np.dtype(np.uint8), 8)
+    graphs = build(load_recipe(bundle[0].parent / "recipe.toml"))
+
+    def tensor(picture: np.ndarray) -> Tensor:
+        return torch.from_numpy(picture[None, None].copy())
+
+    known: dict[str, Tensor] = {
+        "background": tensor(scene.contact.crop(drawn.background)),
+        "threshold": torch.full((1,), torch.nan),
+        "mask": torch.ones(1, 1, 96, 120, dtype=torch.bool),
+        "topography_to_contact": torch.tensor(scene.topography_to_contact, dtype=torch.float32),
+    }
+    known["dark"] = torch.zeros_like(known["background"])
+
+    def run(name: str) -> dict[str, Tensor]:
+        graph = graphs[name]  # type: ignore[index]
+        with torch.inference_mode():
+            return dict(zip(graph.outputs, graph.module(*(known[one] for one in graph.inputs)), strict=True))
+
+    def choose() -> None:
+        known["points"] = known["prediction"] = run("detect")["points"]
+        known["reference"] = torch.full_like(known["points"], torch.nan)
+        known.update(run("key"))
+
+    measured = []
+    for number, record in enumerate(records):
+        picture = drawn.read()
+        known["topography_view"] = tensor(scene.topography.crop(picture))
+        known["contact_view"] = tensor(scene.contact.crop(picture))
+        if number == 0:
+            known |= run("background")
+            choose()
+        if not measured and (threshold := run("contact")["threshold"]).isfinite():
+            measured.append((number, threshold.item()))
+            known["threshold"] = threshold
+            known |= run("background")
+        results = run("frame")
+        np.testing.assert_array_equal(record["status"], results["status"][0])
+        np.testing.assert_allclose(record["points"], results["points"][0], rtol=0, atol=1e-3)
+        for name in ("real_area", "gross_area"):
+            np.testing.assert_allclose(record[f"{name}_mm2"], results[f"{name}_px"][0] * 0.1**2, rtol=1e-5)
+        np.testing.assert_allclose(record["divergence"], results["divergence"][0], rtol=0, atol=2e-4)
+        known |= {name.removeprefix("next_"): value for name, value in results.items() if name.startswith("next_")}
+        if number in keyed:
+            known["points"] = known["prediction"] = results["points"]
+            known |= run("key")
+        if number in chosen and number > 0:
+            choose()
+    found = [(event["frame"], event["threshold"]) for event in events if event["event"] == "threshold"]
+    assert found[0] == (measured[0][0], pytest.approx(measured[0][1], abs=1e-4))
+    assert np.isfinite(records["points"]).all(-1).sum(1).min() >= 10
+    assert records["real_area_mm2"][-1] > records["real_area_mm2"][0] > 0
+    assert np.isfinite(records["median_divergence"][-1])
 
 
 @pytest.mark.parametrize(

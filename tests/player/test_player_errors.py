@@ -190,7 +190,8 @@ def test_no_results_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_wrong_usage_ends_with_2(stream: Stream) -> None:
-    for wrong in (("--rate", "0"), ("--rate", "nan"), ("--page", "x:y"), ("--policy", "some")):
+    counts = (("--frames", "-3"), ("--queue", "0"), ("--shape", "0", "9"))
+    for wrong in (("--rate", "0"), ("--rate", "nan"), ("--page", "x:y"), ("--policy", "some"), *counts):
         with pytest.raises(SystemExit) as stop:
             stream.run(*wrong)
         assert stop.value.code == 2
