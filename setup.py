@@ -4,8 +4,10 @@ A plain C library that `fingerflow.kernels` opens with ctypes: no Python header,
 sources are compiled once an instruction set. Where no compiler is found the install goes on without the library.
 """
 
+import os
 import platform
 import runpy
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -80,15 +82,22 @@ class BuildKernels(build_ext):
         macros = [("FINGERFLOW_X86", "1")] if on_x86 else []
         includes = [str(KERNELS), str(folder)]
 
-        objects = self.compiler.compile(paths(PLAIN), str(folder), macros, includes, extra_postargs=flags)
+        jobs = [(path, folder, macros, flags) for path in paths(PLAIN)]
         for name, more in sets.items():
             if on_x86 or name == "baseline":
                 named = [*macros, ("FINGERFLOW_ISA", name)]
-                output = str(folder / name)
                 fused = [] if microsoft else ["-ffp-contract=fast"]
                 for stems, contract in ((EXACT, []), (ROUNDED, fused)):
-                    options = [*flags, *more, *contract]
-                    objects += self.compiler.compile(paths(stems), output, named, includes, extra_postargs=options)
+                    jobs += [(path, folder / name, named, [*flags, *more, *contract]) for path in paths(stems)]
+
+        def compiled(job: tuple[str, Path, list[tuple[str, str]], list[str]]) -> list[str]:
+            path, output, defined, options = job
+            return self.compiler.compile([path], str(output), defined, includes, extra_postargs=options)
+
+        for _, output, _, _ in jobs:  # the compiler makes them too, but not from several threads at once
+            (output / KERNELS).mkdir(parents=True, exist_ok=True)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            objects = [name for names in pool.map(compiled, jobs) for name in names]
         library = self.get_ext_fullpath(ext.name)
         Path(library).parent.mkdir(parents=True, exist_ok=True)
         self.compiler.link_shared_object(
