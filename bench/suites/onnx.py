@@ -130,7 +130,8 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads()
         session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
-    feed = {one.name: tensors[one.name].numpy() for one in session.get_inputs()}
+    # In one piece, as the graphs give them: a transposed view would be copied in every run.
+    feed = {one.name: np.ascontiguousarray(tensors[one.name].numpy()) for one in session.get_inputs()}
     outputs = [one.name for one in session.get_outputs()]
     return nodes, lambda: dict(zip(outputs, session.run(outputs, feed), strict=True))
 
