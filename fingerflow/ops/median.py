@@ -1,5 +1,7 @@
 """The exact median of every window, and the cheaper question whether it lies above a threshold."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -135,14 +137,31 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
     padded = frames[:, 0].index_select(1, y).index_select(2, x)
     phases = padded.reshape(batch, grid_y, rows, grid_x, columns).permute(2, 4, 0, 1, 3).reshape(rows * columns, -1)
 
+    medians = [
+        plane.reshape(batch, grid_y, grid_x)[:, :tiles_y, :tiles_x]
+        for plane in run_network(program, phases.unbind(), grid_x)
+    ]
+    tiled = torch.stack(medians).reshape(rows, columns, batch, tiles_y, tiles_x).permute(2, 3, 0, 4, 1)
+    return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width]
+
+
+def run_network(program: MedianProgram, phases: Sequence[Tensor], columns: int) -> list[Tensor]:
+    """The medians of a tile's pixels, in the order of `program.outputs`.
+
+    Args:
+        phases: one flat plane a pixel of a tile, all of one length: rows of `columns` tiles, frame after frame.
+
+    Returns:
+        Flat planes of that length; beyond the last window of a line or frame they hold nothing of meaning.
+    """
     # A shift of whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
     # only where no window begins. Planes are dropped after their last use, so that few are alive.
-    cells = batch * grid_y * grid_x
-    planes = dict(enumerate(phases.unbind()))
+    cells = phases[0].shape[0]
+    planes = dict(enumerate(phases))
     lengths = dict.fromkeys(planes, cells)
     pair = None
     for operation, result, left, right_plane, shift_y, shift_x, released in program.steps:
-        offset = shift_y * grid_x + shift_x
+        offset = shift_y * columns + shift_x
         if pair != (left, right_plane, offset):  # minimum and maximum of the same two mostly follow each other
             pair = (left, right_plane, offset)
             first, second = planes[left], planes[right_plane]
@@ -158,8 +177,6 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
 
     medians = []
     for plane, shift_y, shift_x in program.outputs:
-        offset = shift_y * grid_x + shift_x
-        flat = functional.pad(planes[plane][offset:], (0, cells - lengths[plane] + offset))
-        medians.append(flat.reshape(batch, grid_y, grid_x)[:, :tiles_y, :tiles_x])
-    tiled = torch.stack(medians).reshape(rows, columns, batch, tiles_y, tiles_x).permute(2, 3, 0, 4, 1)
-    return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width]
+        offset = shift_y * columns + shift_x
+        medians.append(functional.pad(planes[plane][offset:], (0, cells - lengths[plane] + offset)))
+    return medians

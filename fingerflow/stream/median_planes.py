@@ -4,9 +4,9 @@ import functools
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from fingerflow.ops.box_sum import box_sum
+from fingerflow.ops.median import run_network
 from fingerflow.ops.median_network import MedianProgram, tile_program
 
 
@@ -22,25 +22,10 @@ def median_of_rows(frames: Tensor, size: int) -> Tensor:
     tiles = -(-height // rows)
     grid_y, grid_x = tiles + down, width + right
     padded = _repeat_border(frames[:, 0], half, grid_y * rows - height - half, right - half)
-    cells = batch * grid_y * grid_x
-    planes = {phase: padded[:, phase::rows].reshape(-1) for phase in range(rows)}
-    lengths = dict.fromkeys(planes, cells)
-    for operation, result, first, second, shift_y, shift_x, released in program.steps:
-        offset = shift_y * grid_x + shift_x
-        length = min(lengths[first], lengths[second] - offset)
-        one, other = planes[first], planes[second]
-        one = one if length == lengths[first] else one[:length]
-        other = other if length == lengths[second] else other[offset : offset + length]
-        planes[result] = torch.minimum(one, other) if operation == "minimum" else torch.maximum(one, other)
-        lengths[result] = length
-        for plane in released:
-            del planes[plane]
-    medians = []
-    for plane, shift_y, shift_x in program.outputs:
-        offset = shift_y * grid_x + shift_x
-        flat = planes[plane][offset:]
-        flat = functional.pad(flat, (0, cells - lengths[plane] + offset))
-        medians.append(flat.reshape(batch, grid_y, grid_x)[:, :tiles, :width])
+    phases = [padded[:, phase::rows].reshape(-1) for phase in range(rows)]
+    medians = [
+        plane.reshape(batch, grid_y, grid_x)[:, :tiles, :width] for plane in run_network(program, phases, grid_x)
+    ]
     woven = torch.stack(medians, dim=2).reshape(batch, 1, tiles * rows, width)
     return woven[:, :, :height]
 
