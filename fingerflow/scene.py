@@ -11,7 +11,6 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    Strict,
     ValidationError,
     ValidationInfo,
     field_validator,
@@ -20,6 +19,7 @@ from pydantic import (
 
 from fingerflow.calibration import Calibration as RigCalibration
 from fingerflow.errors import FingerflowError
+from fingerflow.strict import Number, Odd, Switch, Whole
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
@@ -42,18 +42,8 @@ def _existing(path: Path, info: ValidationInfo) -> Path:
     return found
 
 
-def _odd(value: int) -> int:
-    if value % 2 == 0:
-        raise ValueError(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
-    return value
-
-
-# Strict: the text "700" and true are no numbers, 0.5 is no whole one; a whole number is a number.
-Whole = Annotated[int, Strict()]
-Number = Annotated[float, Strict()]
-Switch = Annotated[bool, Strict()]
 ExistingPath = Annotated[Path, AfterValidator(_existing)]
-OddSide = Annotated[Whole, Field(ge=3), AfterValidator(_odd)]
+OddSide = Annotated[Odd, Field(ge=3)]
 Positive = Annotated[Number, Field(gt=0)]
 PixelRange = tuple[Whole, Whole]
 Row = tuple[Number, Number, Number]

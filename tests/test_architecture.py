@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 # What each room may import of the others; itself always. A new file or folder takes its place here.
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
+    "strict": set(),
     "toml_string": set(),
     "views": {"errors"},
     "whole_file": {"errors"},
@@ -21,12 +22,12 @@ ARROWS: dict[str, set[str]] = {
     "models": {"errors"},
     "recordings": {"errors"},
     "calibration": {"errors", "toml_string", "views"},
-    "scene": {"calibration", "errors", "toml_string", "views"},
+    "scene": {"calibration", "errors", "strict", "toml_string", "views"},
     "stages": {"errors", "graphs", "ops", "recordings", "scene", "views"},
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "whole_file"},
     "pipeline": {"errors", "plan", "result", "scene", "stages"},
-    "stream": {"errors", "ops"},
+    "stream": {"errors", "ops", "strict"},
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},

@@ -4,25 +4,14 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
+from fingerflow.strict import Number, Odd, Switch, Whole
 
 GraphName = Literal["background", "contact", "detect", "key", "track", "fields", "frame"]
 GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "track", "fields", "frame")
 _LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
-
-
-def _odd(value: int) -> int:
-    if value % 2 == 0:
-        raise ValueError(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
-    return value
-
-
-Whole = Annotated[int, Strict()]
-Number = Annotated[float, Strict()]
-Switch = Annotated[bool, Strict()]
-Odd = Annotated[Whole, AfterValidator(_odd)]
 
 
 class _Table(BaseModel):
