@@ -17,13 +17,13 @@ from fingerflow.ops.windows import sample_windows
 
 # A window has texture in every direction if its weaker gradient energy is this many times what noise alone would give
 # it.
-_TEXTURE_TO_NOISE = 2.0
+TEXTURE_TO_NOISE = 2.0
 # What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient, by order. For
 # order 3 it
 # depends on the fractional position by 2 % and less, for order 1 by 20 %.
-_VALUE_NOISE = {1: 0.115, 3: 0.0907}
-_GRADIENT_NOISE = {1: 0.0854, 3: 0.0488}
-_CONVERGED = 1e-2  # px, the last step; exact Newton steps leave far less unless there is no root
+VALUE_NOISE = {1: 0.115, 3: 0.0907}
+GRADIENT_NOISE = {1: 0.0854, 3: 0.0488}
+CONVERGED = 1e-2  # px, the last step; exact Newton steps leave far less unless there is no root
 _ROUNDS = 5  # tables a point may use up before it counts as not found
 _REACH = 1  # px the estimate may move within one table
 
@@ -321,7 +321,7 @@ class _Pair(NamedTuple):
                 _REACH,
                 _ROUNDS,
             )
-            converged = match.inside & (match.step < _CONVERGED)
+            converged = match.inside & (match.step < CONVERGED)
             return torch.where(match.points.isfinite(), match.points, guess), converged
 
     def _with_derivative(self, found: Tensor, template: Tensor, gradient: Tensor) -> Tensor:
@@ -345,9 +345,9 @@ class _Pair(NamedTuple):
         squares = (matched - reference).square().sum((-1, -2))
         if self.gain_offset:
             squares = bb - ab.square() / aa.clamp_min(torch.finfo(aa.dtype).tiny)
-        variance = squares / (samples - 4) / (2 * _VALUE_NOISE[self.order])
+        variance = squares / (samples - 4) / (2 * VALUE_NOISE[self.order])
         # The correlation that the two would have without noise: its energy is taken off both.
-        noise_energy = samples * self.noise.square() * _VALUE_NOISE[self.order]
+        noise_energy = samples * self.noise.square() * VALUE_NOISE[self.order]
         energy = (aa - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
         return variance.clamp_min(self.rounding), 1 - ab * ab.clamp_min(0) / energy
 
@@ -356,9 +356,9 @@ class _Pair(NamedTuple):
         window holds more structure in its weaker direction than noise would put there."""
         mean = (hessian[:, 0, 0] + hessian[:, 1, 1]) / 2
         spread = (((hessian[:, 0, 0] - hessian[:, 1, 1]) / 2).square() + hessian[:, 0, 1].square()).sqrt()
-        noise_energy = self.window**2 * self.noise.square().clamp_min(self.rounding) * _GRADIENT_NOISE[self.order]
+        noise_energy = self.window**2 * self.noise.square().clamp_min(self.rounding) * GRADIENT_NOISE[self.order]
         # Without any noise, rounding is what gives a grating a second direction.
-        textured = mean - spread > torch.maximum(_TEXTURE_TO_NOISE * noise_energy, 1e-4 * mean)
+        textured = mean - spread > torch.maximum(TEXTURE_TO_NOISE * noise_energy, 1e-4 * mean)
         return 2 * variance[:, None, None] * _inverse_2x2(hessian), textured
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.tracking import TrackStatus
+from fingerflow.ops.tracking import CONVERGED, GRADIENT_NOISE, TEXTURE_TO_NOISE, VALUE_NOISE, TrackStatus
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.spline_features import feature_slopes, features
@@ -13,10 +13,8 @@ from fingerflow.stream.windows import Windows
 
 _GAUSS_NEWTON_STEPS = 2  # safe far from the root: each leaves a fifth of the error
 _NEWTON_STEPS = 2  # quadratic near it: 0.04 px become 4e-4 and 4e-8
-_CONVERGED = 1e-2  # px, the last step, as `ops.tracking` has it
 _MISMATCH_LIMIT = 0.05
-# Of white pixel noise in the spline's value and gradient, and structure over noise, as `ops.tracking` has them.
-_VALUE_NOISE, _GRADIENT_NOISE, _TEXTURE_TO_NOISE = 0.0907, 0.0488, 2.0
+_VALUE_NOISE, _GRADIENT_NOISE = VALUE_NOISE[3], GRADIENT_NOISE[3]
 _TINY = 1e-20
 
 
@@ -78,7 +76,7 @@ class TrackStep(nn.Module):
         shift, step = self._solve(
             table.permute(1, 2, 0), products[3:5], preconditioner, _components_first(guess - center)
         )
-        converged = (shift.abs().amax(1) < windows.reach) & (step < _CONVERGED)  # (1, P)
+        converged = (shift.abs().amax(1) < windows.reach) & (step < CONVERGED)  # (1, P)
         found = center + shift.permute(0, 2, 1).reshape(center.shape)
 
         sampled = windows.sample(patches, shift)
@@ -103,7 +101,7 @@ class TrackStep(nn.Module):
             begin = (fraction + _components_first(found - guess)).clamp(-windows.reach, windows.reach)
             back, back_step = self._solve(back_table.permute(2, 1, 0), product, preconditioner, begin)
             away = (back - fraction).square().sum((0, 1))
-            returned = (back.abs().amax(1) < windows.reach) & (back_step < _CONVERGED) & converged
+            returned = (back.abs().amax(1) < windows.reach) & (back_step < CONVERGED) & converged
         else:
             away = (preconditioner * product[None]).sum(1).square().sum(0)
             returned = converged
@@ -111,7 +109,7 @@ class TrackStep(nn.Module):
 
         mean, half = (xx + yy) / 2, (xx - yy) / 2
         spread = (half * half + xy * xy).sqrt()
-        floor = noise.clamp_min(rounding) * (_TEXTURE_TO_NOISE * samples * _GRADIENT_NOISE)
+        floor = noise.clamp_min(rounding) * (TEXTURE_TO_NOISE * samples * _GRADIENT_NOISE)
         textured = regular & (mean - spread > torch.maximum(floor, 1e-4 * mean))
         within = self._contains(start, topography_view) & self._contains(found, topography_view)
         status = torch.zeros_like(given, dtype=torch.uint8)
