@@ -39,6 +39,7 @@ EXACT = [
     "corners_rows",
     "dense_region_rows",
     "ellipse_rows",
+    "halve_rows",
     "illumination_rows",
     "median_above_rows",
     "median_band",

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 10  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 11  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -486,6 +486,13 @@ def local_gradients(
     return FittedPlanes(value, gradient, None if noise is None else covariance, counts, offset)
 
 
+def halve(frames: Tensor) -> Tensor:
+    """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
+    halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
+    _per_frame("fingerflow_halve", frames, halved)
+    return halved
+
+
 def search_windows(
     templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, size: int, reach: int
 ) -> Tensor:
@@ -593,6 +600,7 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_dense_region.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_mask_moments.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_fit_ellipse.argtypes = [pointer, pointer, *extent, number]
+    library.fingerflow_halve.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_search_windows.argtypes = [
         *[pointer] * 2,
         *[count] * 2,

@@ -41,6 +41,11 @@ FINGERFLOW_EXPORT int fingerflow_track_points(const fingerflow_image* previous, 
                                               float mismatch_limit, float* points, float* error, float* covariance,
                                               unsigned char* status, int threads);
 
+// Means of 2 x 2 pixels of frames of a kind of pixels.h: (batch, height / 2, width / 2), contiguous, as the search takes them.
+FINGERFLOW_EXPORT int fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height,
+                                       std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
+                                       int threads);
+
 // Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/search.py describes: images
 // (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
 FINGERFLOW_EXPORT int fingerflow_search_windows(const float* templates, const float* images, std::int64_t height,

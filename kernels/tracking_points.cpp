@@ -21,7 +21,8 @@ constexpr int kSteps = 9;                     // on one table
 // smaller one of those, which squares the error, nothing is left to gain.
 constexpr float kNewtonNear = 0.05f, kSettled = 1e-3f;
 constexpr float kSettledGaussNewton = 1e-5f;
-constexpr float kConverged = 1e-2f;           // px
+constexpr float kConverged = 1e-2f;           // px; an exact Newton step of that length leaves some 1e-5
+constexpr int kReturnSteps = 6;               // of Newton on the way back of a deformed window
 constexpr float kTextureToNoise = 2.0f;
 constexpr float kTiny = 1.17549435e-38f;  // the least normal number
 constexpr float kValueNoise = 0.0907f, kGradientNoise = 0.0488f;
@@ -116,8 +117,7 @@ public:
             return piece;
         };
         template_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
-        // Once the template was found its gradient is not needed any more, and what a point needs fits the nearest cache.
-        matched_ = {take(layout_.buffer()), template_.along_x, template_.along_y};
+        matched_ = {take(layout_.buffer()), take(layout_.buffer()), take(layout_.buffer())};
         for (Patch& patch : patches_) patch = {take(layout_.patch_buffer()), {0, 0}, false};
         rows_ = take(layout_.rows());
         row_slopes_ = take(layout_.rows());
@@ -125,7 +125,6 @@ public:
         for (int k = 0; k < layout_.values(); ++k)
             inside_[k] = k < layout_.window * layout_.stride && k % layout_.stride < layout_.window ? -1 : 0;
         if (pair.warp != nullptr) {
-            reference_ = take(layout_.buffer());
             wide_ = memory;
             memory += whole_floats(layout_.wide_buffer());
         }
@@ -134,7 +133,7 @@ public:
 
     static std::int64_t floats(int window) {
         const Layout layout(window);
-        return 5 * whole_floats(layout.buffer()) + 2 * whole_floats(layout.patch_buffer()) + 2 * whole_floats(layout.rows()) +
+        return 6 * whole_floats(layout.buffer()) + 2 * whole_floats(layout.patch_buffer()) + 2 * whole_floats(layout.rows()) +
                layout.values() + whole_floats(layout.wide_buffer()) + layout.lines();
     }
 
@@ -154,32 +153,30 @@ public:
         image_ = pair_.image_index[point];
         patches_[0].filled = patches_[1].filled = false;
         level_ = pixel(start);
-        const float* reference = template_.value;
-        if (warped) {
-            sample(0, start, {reference_, template_.along_x, template_.along_y});
-            sample_warped(0, start, inverse_warp, template_);
-            reference = reference_;
-        } else {
-            sample(0, start, template_);
-        }
+        if (warped) sample_warped(0, start, inverse_warp, template_);
+        else sample(0, start, template_);
         const Equations forward = equations(template_);
         const Matrix& hessian = forward.hessian;
         bool converged = false;
         const Vector found = solve(1, guess, template_, forward, &converged);
 
-        if (warped) sample_warped(1, found, warp, matched_);
-        else sample(1, found, matched_);
-        const float matched_mean = total(matched_.value) / samples(), reference_mean = warped ? total(reference) / samples() : forward.mean;
+        // In the current image windows are squares; only the template is deformed.
+        sample(1, found, matched_);
+        const float matched_mean = total(matched_.value) / samples();
         float variance, unexplained;
-        compare(reference, matched_.value, reference_mean, matched_mean, pair_.noise[point], &variance, &unexplained);
-        const Equations backward = equations(matched_);
-        const Vector back_guess = pair_.back_guess != nullptr
-                                      ? at(pair_.back_guess)
-                                      : Vector{found.x - (guess.x - start.x), found.y - (guess.y - start.y)};
-        bool back_converged = false;
-        const Vector back = solve(0, back_guess, matched_, backward, &back_converged);
-        const float away_x = back.x - start.x, away_y = back.y - start.y;
-        const float error = back_converged ? sqrtf(away_x * away_x + away_y * away_y) : INFINITY;
+        compare(forward.mean, matched_mean, pair_.noise[point], &variance, &unexplained);
+        float error = NAN;
+        if (converged) {
+            const Equations backward = equations(matched_);
+            const Vector* back_guess = nullptr;
+            Vector searched;
+            if (pair_.back_guess != nullptr) {
+                searched = at(pair_.back_guess);
+                back_guess = &searched;
+            }
+            const Vector moved{found.x - guess.x, found.y - guess.y};
+            error = warped ? return_warped(start, back_guess, inverse_warp) : return_straight(start, back_guess, moved, backward);
+        }
 
         const float middle = (hessian.xx + hessian.yy) / 2, apart = (hessian.xx - hessian.yy) / 2;
         const float spread = sqrtf(apart * apart + hessian.xy * hessian.xy);
@@ -199,10 +196,64 @@ public:
         const Matrix inverted = inverse(hessian);
         const float scale = status == kTracked ? 2 * variance : NAN;
         const Matrix covariance{scale * inverted.xx, scale * inverted.xy, scale * inverted.yx, scale * inverted.yy};
-        write(point, status == kTracked ? found : Vector{NAN, NAN}, is_finite(error) ? error : NAN, covariance, status);
+        write(point, status == kTracked ? found : Vector{NAN, NAN}, error, covariance, status);
     }
 
 private:
+    // Distance from the start at which the way back of the matched window ends; NaN where it ends nowhere.
+    float return_straight(Vector start, const Vector* searched, Vector moved, const Equations& of) {
+        if (searched == nullptr && fabsf(moved.x) < kReach && fabsf(moved.y) < kReach) {
+            // The template holds the image at the start: where one step from there is all that is left, no table is needed.
+            const Vector step = newton_step();
+            const float length = sqrtf(step.x * step.x + step.y * step.y);
+            if (length < kConverged) return length;
+        }
+        const Vector guess = searched != nullptr ? *searched : Vector{start.x + moved.x, start.y + moved.y};
+        bool converged = false;
+        const Vector back = solve(0, guess, matched_, of, &converged);
+        return converged ? distance(back, start) : NAN;
+    }
+
+    // The same by Newton's steps in the image deformed like the template, from the start or from where a search ended.
+    float return_warped(Vector start, const Vector* searched, const Matrix& inverse_warp) {
+        Vector place = searched != nullptr ? *searched : start;
+        if (searched != nullptr) sample_warped(0, place, inverse_warp, template_);
+        for (int iteration = 0; iteration < kReturnSteps; ++iteration) {
+            if (iteration > 0) sample_warped(0, place, inverse_warp, template_);
+            const Vector whole = newton_step(), step{clamped(whole.x, -1, 1), clamped(whole.y, -1, 1)};
+            if (!is_finite(whole)) return NAN;
+            place.x -= inverse_warp.xx * step.x + inverse_warp.xy * step.y;
+            place.y -= inverse_warp.yx * step.x + inverse_warp.yy * step.y;
+            if (step.x * step.x + step.y * step.y < kConverged * kConverged) return distance(place, start);
+        }
+        return NAN;
+    }
+
+    // From where the template was taken towards where it equals the matched window, weighted by that one's gradient.
+    Vector newton_step() const {
+        Floats of[whole_floats(6)] = {};
+        for (int k = 0; k < layout_.values(); k += kFloats) {
+            const Floats x = load(matched_.along_x + k), y = load(matched_.along_y + k);
+            const Floats slope_x = load(template_.along_x + k), slope_y = load(template_.along_y + k);
+            const Floats difference = load(template_.value + k) - load(matched_.value + k);
+            of[0] += x * slope_x;
+            of[1] += x * slope_y;
+            of[2] += y * slope_x;
+            of[3] += y * slope_y;
+            of[4] += x * difference;
+            of[5] += y * difference;
+        }
+        float sum_of[whole_floats(6)];
+        sums(of, sum_of);
+        const Matrix inverted = inverse({sum_of[0], sum_of[1], sum_of[2], sum_of[3]});
+        return {inverted.xx * sum_of[4] + inverted.xy * sum_of[5], inverted.yx * sum_of[4] + inverted.yy * sum_of[5]};
+    }
+
+    static float distance(Vector a, Vector b) {
+        const float x = a.x - b.x, y = a.y - b.y;
+        return sqrtf(x * x + y * y);
+    }
+
     void write(std::int64_t point, Vector place, float error, Matrix covariance, Status status) {
         pair_.points[2 * point] = place.x;
         pair_.points[2 * point + 1] = place.y;
@@ -636,11 +687,10 @@ private:
         return {is_finite(match.place.x) ? match.place.x : guess.x, is_finite(match.place.y) ? match.place.y : guess.y};
     }
 
-    void compare(const float* reference, const float* matched, float mean_a, float mean_b, float noise, float* variance,
-                 float* unexplained) const {
+    void compare(float mean_a, float mean_b, float noise, float* variance, float* unexplained) const {
         Floats of[whole_floats(4)] = {};
         for (int k = 0; k < layout_.values(); k += kFloats) {
-            const Floats a = load(reference + k), b = load(matched + k), difference = b - a;
+            const Floats a = load(template_.value + k), b = load(matched_.value + k), difference = b - a;
             const Floats above_a = kept(a - all(mean_a), inside_ + k), above_b = kept(b - all(mean_b), inside_ + k);
             of[0] += difference * difference;
             of[1] += above_a * above_a;
@@ -670,7 +720,6 @@ private:
     float* rows_ = nullptr;
     float* row_slopes_ = nullptr;
     std::int32_t* inside_ = nullptr;  // which of a window's values are samples, -1, and which only fill, 0
-    float* reference_ = nullptr;
     float* wide_ = nullptr;
     float* lines_ = nullptr;
 };

@@ -19,6 +19,7 @@ from fingerflow.ops.spline import spline_basis, spline_basis_derivative
 from fingerflow.ops.windows import cut_windows
 
 _GAUSS_NEWTON_STEPS = 6  # each leaves about a fifth of the error on ridge texture, from up to 2 px away
+_NEWTON_NEAR = 0.05  # px, the step of Gauss and Newton below which Newton's own is taken
 _NEWTON_STEPS = 3  # with the exact Jacobian of the table: quadratic, so rounding is all that is left
 
 
@@ -93,16 +94,17 @@ def solve_table(
         weights = spline_basis(distance, order)
         rows = (table * weights[:, 0, None, None, :]).sum(-1)  # (P, 2, K), contracted over x
         residual = (rows * weights[:, 1, None, :]).sum(-1) - template_product
-        if iteration < _GAUSS_NEWTON_STEPS:
-            step = (inverse_hessian * residual[:, None, :]).sum(-1)
-        else:
+        move = (inverse_hessian * residual[:, None, :]).sum(-1)
+        if iteration >= _GAUSS_NEWTON_STEPS:
             slopes = spline_basis_derivative(distance, order)
             jacobian_x = ((table * slopes[:, 0, None, None, :]).sum(-1) * weights[:, 1, None, :]).sum(-1)
             jacobian_y = (rows * slopes[:, 1, None, :]).sum(-1)
-            step = _solve_2x2(jacobian_x, jacobian_y, residual)
-            # Far from the root, or on the kinks of order 1, Newton may leap: never further than a pixel.
-            step = step.nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1)
-        moved = (shift - step).clamp(-reach, reach)
+            newton = _solve_2x2(jacobian_x, jacobian_y, residual)
+            # On the kinks of order 1 Newton may leap: never further than a pixel. Far from the root it leads away.
+            newton = newton.nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1)
+            near = move.square().sum(-1, keepdim=True) < _NEWTON_NEAR**2
+            move = torch.where(near, newton, move)
+        moved = (shift - move).clamp(-reach, reach)
         step = shift - moved
         shift = moved
     return shift, step.square().sum(-1).sqrt()

@@ -7,9 +7,9 @@ from torch import Tensor
 from fingerflow import kernels
 from fingerflow.ops.windows import cut_windows
 
-# The template of the search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
-# than one
-# of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them apart.
+# The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
+# than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them
+# apart. Within a few px there is no neighbouring ridge.
 _WIDENING = 3
 _CHUNK = 128  # points a pass, which bounds the memory of the transforms
 
@@ -33,7 +33,7 @@ def search_windows(
     could bridge 50 px contain none of them, and what remains there is the illumination, which does not move.
 
     Args:
-        template_images, images: (B, 1, H, W) floating.
+        template_images, images: (B, 1, H, W), 8 to 16 bit or floating.
         image_index: (P,) int64.
         points: (P, 2) px in ``template_images``.
         guess: (P, 2) px in ``images``.
@@ -44,9 +44,9 @@ def search_windows(
         (P, 2) px; ``guess`` where it is not finite or nothing correlates.
     """
     coarse_templates, coarse_images = _halved(template_images), _halved(images)
-    size, reach = 2 * (_WIDENING * window // 4) + 1, (radius + 1) // 2
+    size, reach = _template_size(window, radius), (radius + 1) // 2
     given = (coarse_templates, coarse_images, image_index, points, guess)
-    if images.dtype == torch.float32 and kernels.serve(*given):
+    if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
         return kernels.search_windows(*given, size, reach)
     found = [
         _search_coarse(coarse_templates, coarse_images, *part, size, reach)
@@ -55,9 +55,17 @@ def search_windows(
     return torch.cat(found) if found else guess
 
 
+def _template_size(window: int, radius: int) -> int:
+    """Odd side of the template at half resolution."""
+    return 2 * (min(_WIDENING * window, window + 2 * radius) // 4) + 1
+
+
 def _halved(images: Tensor) -> Tensor:
     """Means of 2 x 2 px, without the last row or column of odd sizes; several times as fast as torch's pooling."""
+    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
+        return kernels.halve(images)
     height, width = images.shape[-2] // 2 * 2, images.shape[-1] // 2 * 2
+    images = images if images.is_floating_point() else images.float()
     rows = images[..., 0:height:2, :width] + images[..., 1:height:2, :width]
     return (rows[..., 0::2] + rows[..., 1::2]) / 4
 

@@ -23,8 +23,10 @@ TEXTURE_TO_NOISE = 2.0
 # depends on the fractional position by 2 % and less, for order 1 by 20 %.
 VALUE_NOISE = {1: 0.115, 3: 0.0907}
 GRADIENT_NOISE = {1: 0.0854, 3: 0.0488}
-CONVERGED = 1e-2  # px, the last step; exact Newton steps leave far less unless there is no root
+# px, the last step: an exact Newton step of that length leaves some 1e-5 px unless there is no root.
+CONVERGED = 1e-2
 _ROUNDS = 5  # tables a point may use up before it counts as not found
+_RETURN_STEPS = 6  # of Newton on the way back of a deformed window
 _REACH = 1  # px the estimate may move within one table
 
 
@@ -119,9 +121,9 @@ def track_points(
         if lost.numel():
             with torch.no_grad():
                 where = (image_index[lost], start[lost], guess[lost])
-                ahead = search_windows(*images.coefficients, *where, window, search)
+                ahead = search_windows(images.previous, images.current, *where, window, search)
                 # Searched for backward too: the way back must not know the way there.
-                back = search_windows(*images.coefficients[::-1], where[0], ahead, start[lost], window, search)
+                back = search_windows(images.current, images.previous, where[0], ahead, start[lost], window, search)
             again = problem.subset(lost).track(
                 start[lost], ahead, back, None if deformation is None else deformation[lost], *limits
             )
@@ -232,19 +234,21 @@ class _Pair(NamedTuple):
         template, slope = self._sample(0, start, inverse_warp)
         gradient, hessian = self._normal_equations(template, slope)
         found, converged = self._solve(1, guess, template, gradient, hessian)
-        # Seen from where it was found: the image to compare with, and the template of the way back.
-        matched, back_slope = self._sample(1, found, warp)
+        # In the current image windows are squares; only the template is deformed.
+        matched, back_slope = self._sample(1, found, None)
         points = found
         if template.requires_grad or matched.requires_grad:
             points = self._with_derivative(found, template, gradient)
         with torch.no_grad():
-            reference = template if warp is None else self._sample(0, start, None)[0]
             back_gradient, back_hessian = self._normal_equations(matched, back_slope)
-            if back_guess is None:
-                back_guess = found - (guess - start)
-            back, back_converged = self._solve(0, back_guess, matched, back_gradient, back_hessian)
-            error = torch.where(back_converged, (back - start).square().sum(-1).sqrt(), torch.inf)
-            variance, unexplained = self._compare(reference, matched)
+            if inverse_warp is not None:
+                back, returned = self._return_warped(start, back_guess, matched, back_gradient, inverse_warp)
+            else:
+                if back_guess is None:
+                    back_guess = found - (guess - start)
+                back, returned = self._solve(0, back_guess, matched, back_gradient, back_hessian)
+            error = torch.where(converged & returned, (back - start).square().sum(-1).sqrt(), torch.nan)
+            variance, unexplained = self._compare(template, matched)
             covariance, textured = self._uncertainty(hessian, variance)
             finite = given & (template.isfinite() & matched.isfinite()).flatten(1).all(-1)
             status = torch.full_like(self.image_index, int(TrackStatus.TRACKED))
@@ -260,7 +264,7 @@ class _Pair(NamedTuple):
                 status = torch.where(applies, int(reason), status)
             tracked = status == TrackStatus.TRACKED
             covariance = torch.where(tracked[:, None, None], covariance, torch.nan)
-            error = torch.where(given & error.isfinite(), error, torch.nan)
+            error = torch.where(given, error, torch.nan)
         return Tracks(torch.where(tracked[:, None], points, torch.nan), error, covariance, status.to(torch.uint8))
 
     def _compiled(self, *points: Tensor | None) -> bool:
@@ -323,6 +327,30 @@ class _Pair(NamedTuple):
             )
             converged = match.inside & (match.step < CONVERGED)
             return torch.where(match.points.isfinite(), match.points, guess), converged
+
+    def _return_warped(
+        self, start: Tensor, guess: Tensor | None, matched: Tensor, gradient: Tensor, inverse_warp: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Where in the first image, deformed like the template, the equations of the way back hold, and whether they
+        do: by Newton's steps from the start, or from ``guess``. A deformed image has no table."""
+        place = (start if guess is None else guess).clone()
+        returned = torch.zeros_like(place[:, 0], dtype=torch.bool)
+        left = torch.arange(len(place), device=place.device)
+        for _ in range(_RETURN_STEPS):
+            one = self.subset(left)
+            image, slope = one._sample(0, place[left], inverse_warp[left])
+            residual = (gradient[left] * (image - matched[left])[:, None]).sum((-1, -2))
+            jacobian = gradient[left].flatten(2) @ slope.flatten(2).transpose(1, 2)
+            step = (_inverse_2x2(jacobian) * residual[:, None, :]).sum(-1)
+            goes_on = step.isfinite().all(-1)  # it has no root where it is singular
+            step = torch.where(goes_on[:, None], step.clamp(-1, 1), 0.0)
+            place[left] -= (inverse_warp[left] * step[:, None, :]).sum(-1)
+            near = step.square().sum(-1).sqrt() < CONVERGED
+            returned[left[goes_on & near]] = True
+            left = left[goes_on & ~near]
+            if left.numel() == 0:
+                break
+        return place, returned
 
     def _with_derivative(self, found: Tensor, template: Tensor, gradient: Tensor) -> Tensor:
         """The same points, with their derivative: a Newton step from the root, which moves nothing.

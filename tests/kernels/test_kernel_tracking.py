@@ -89,6 +89,23 @@ def test_warp_and_prediction(far: float, instruction_set: int) -> None:
     same(track_points(*images, points, **settings), portable(*images, points, **settings))  # type: ignore[arg-type]
 
 
+def test_motion_of_several_tables() -> None:
+    images = skin((0, 0)), skin((4.4, -1.2), seed=1)
+    found, expected = track_points(*images, starts()), portable(*images, starts())
+    assert (expected.status == TrackStatus.TRACKED).float().mean() > 0.5
+    same(found, expected)
+
+
+def test_search_with_a_warp() -> None:
+    """The way back of a searched point begins where its own search ended."""
+    images, points = (skin((0, 0)), skin((9.3, -6.6), seed=1)), starts()
+    warp = torch.tensor([[1.01, 0.01], [-0.01, 0.99]]).expand(1, points.shape[1], 2, 2)
+    found = track_points(*images, points, warp=warp, search=12)
+    expected = portable(*images, points, warp=warp, search=12)
+    assert (expected.status == TrackStatus.TRACKED).float().mean() > 0.8
+    same(found, expected)
+
+
 def test_search() -> None:
     images = skin((0, 0)), skin((9.3, -6.6), seed=1)
     found, expected = track_points(*images, starts(), search=12), portable(*images, starts(), search=12)

@@ -1,0 +1,33 @@
+#include "halve_rows.h"
+
+#include "lanes.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+// The order of the sums is that of the portable op.
+template <class Pixel>
+void halve(const Pixel* frame, const Frames& frames, std::int64_t top, std::int64_t bottom, float* halved) {
+    const std::int64_t columns = frames.width / 2;
+    for (std::int64_t y = top; y < bottom; ++y) {
+        const Pixel* FINGERFLOW_RESTRICT upper = frame + 2 * y * frames.row_stride;
+        const Pixel* FINGERFLOW_RESTRICT lower = upper + frames.row_stride;
+        float* FINGERFLOW_RESTRICT to = halved + y * columns;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < columns; ++x) {
+            const float left = static_cast<float>(upper[2 * x]) + static_cast<float>(lower[2 * x]);
+            to[x] = (left + (static_cast<float>(upper[2 * x + 1]) + static_cast<float>(lower[2 * x + 1]))) / 4;
+        }
+    }
+}
+
+}  // namespace
+
+void halve_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, float* halved) {
+    const auto rows = [&](const auto* data) { halve(data + frame * frames.frame_stride, frames, top, bottom, halved); };
+    FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, rows)
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
