@@ -12,13 +12,15 @@ int fingerflow_mean_response(const void* frames, double* means, std::int64_t bat
                              int threads) try {
     using namespace fingerflow;
     const Frames given{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)};
-    const std::int64_t rows = 32, pieces = (height - 2 + rows - 1) / rows;
+    // As fingerflow/ops/noise.py has it: every fourth row of a high frame.
+    const std::int64_t step = std::max<std::int64_t>(1, std::min<std::int64_t>(4, height / 64));
+    const std::int64_t rows = 32 * step, pieces = (height - 2 + rows - 1) / rows;
     const auto respond = FINGERFLOW_PICK(noise_rows);
     std::vector<Responses> found(static_cast<std::size_t>(batch * pieces), Responses{0, 0});
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
         const std::int64_t top = 1 + piece % pieces * rows;
         const auto line = static_cast<float*>(workspace(static_cast<std::size_t>(4 * width)));
-        respond(given, piece / pieces, top, std::min(height - 1, top + rows), line, &found[static_cast<std::size_t>(piece)]);
+        respond(given, piece / pieces, top, std::min(height - 1, top + rows), step, line, &found[static_cast<std::size_t>(piece)]);
     });
     for (std::int64_t frame = 0; frame < batch; ++frame) {
         double sum = 0;

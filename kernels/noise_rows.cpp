@@ -55,13 +55,14 @@ Sum response(Number before, Number here, Number behind) {
 }
 
 template <class Pixel>
-void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::int64_t bottom, void* memory, Responses* responses) {
+void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::int64_t bottom, std::int64_t step, void* memory,
+             Responses* responses) {
     using Response = typename Exact<Pixel>::Response;
     using Sum = typename Exact<Pixel>::Sum;
     constexpr int kSums = 32, kTotals = 8;  // side by side: vectors, and short sums
     Response* FINGERFLOW_RESTRICT line = static_cast<Response*>(memory);
     const std::int64_t width = frames.width, responded = width - 2;
-    for (std::int64_t y = top; y < bottom; ++y) {
+    for (std::int64_t y = top; y < bottom; y += step) {
         const Pixel* FINGERFLOW_RESTRICT above = frame + (y - 1) * frames.row_stride;
         const Pixel* FINGERFLOW_RESTRICT here = above + frames.row_stride;
         const Pixel* FINGERFLOW_RESTRICT below = here + frames.row_stride;
@@ -72,7 +73,7 @@ void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::in
         std::int64_t x = 0;
         while (x + kSums <= responded) {
             Sum sums[kSums] = {};
-            for (std::int64_t step = 0; step < Exact<Pixel>::kSteps && x + kSums <= responded; ++step, x += kSums)
+            for (std::int64_t added = 0; added < Exact<Pixel>::kSteps && x + kSums <= responded; ++added, x += kSums)
                 for (int k = 0; k < kSums; ++k)
                     sums[k] = static_cast<Sum>(sums[k] + response<Sum>(line[x + k], line[x + k + 1], line[x + k + 2]));
             const std::int64_t last = responded - kSums, seen = x - last;  // the last ones again, without those seen already
@@ -94,10 +95,10 @@ void respond(const Pixel* frame, const Frames& frames, std::int64_t top, std::in
 
 }  // namespace
 
-void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, void* line,
-                Responses* responses) {
+void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, std::int64_t step,
+                void* line, Responses* responses) {
     const auto rows = [&](const auto* data) {
-        respond(data + frame * frames.frame_stride, frames, top, bottom, line, responses);
+        respond(data + frame * frames.frame_stride, frames, top, bottom, step, line, responses);
     };
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, rows)
 }

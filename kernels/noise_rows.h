@@ -13,9 +13,9 @@ struct Responses {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // `line` holds 4 width bytes; the masks whose middle lies on rows from `top` to before `bottom`.
-    void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, void* line,
-                    Responses* responses);
+    // `line` holds 4 width bytes; the masks whose middle lies on every `step`-th row from `top` to before `bottom`.
+    void noise_rows(const Frames& frames, std::int64_t frame, std::int64_t top, std::int64_t bottom, std::int64_t step,
+                    void* line, Responses* responses);
 )
 // clang-format on
 

@@ -13,7 +13,8 @@ def estimate_noise(images: Tensor) -> Tensor:
 
     The mean absolute response of the mask [1 -2 1]^T [1 -2 1], which cancels any image that is locally a sum of a
     function of x and a function of y (Immerkaer, "Fast noise variance estimation", CVIU 1996, eq. 4). Fine texture adds
-    to it: the value is an upper bound that is close where structures are wider than about 8 px.
+    to it: the value is an upper bound that is close where structures are wider than about 8 px. Every fourth row of an
+    image of 256 rows or more counts, fewer are skipped in a lower one: 80,000 responses of 512 x 640 px leave 0.4 %.
 
     Args:
         images: (B, 1, H, W), any real dtype, H and W at least 3.
@@ -24,8 +25,14 @@ def estimate_noise(images: Tensor) -> Tensor:
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
-    x = x[..., :-2, :] - 2 * x[..., 1:-1, :] + x[..., 2:, :]
+    step = row_step(x.shape[-2])
+    x = x[..., :-2:step, :] - 2 * x[..., 1:-1:step, :] + x[..., 2::step, :]
     x = x[..., :-2] - 2 * x[..., 1:-1] + x[..., 2:]
     response = x.abs()
     response = torch.where(response.isfinite(), response, torch.nan)
     return math.sqrt(math.pi / 2) / 6 * response.nanmean((1, 2, 3))
+
+
+def row_step(height: int) -> int:
+    """Rows from one that counts to the next."""
+    return max(1, min(4, height // 64))

@@ -66,3 +66,10 @@ def test_derivatives_are_kept() -> None:
     images = frames((1, 20, 20), torch.float32).requires_grad_()
     (spline_coefficients(images).sum() + estimate_noise(images).sum()).backward()
     assert images.grad is not None
+
+
+@pytest.mark.parametrize("height", [63, 130, 200, 300])
+def test_noise_of_high_frames_from_some_of_their_rows(height: int) -> None:
+    noisy = 100 + 3 * torch.randn(1, 1, height, 400, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(estimate_noise(noisy), portable(estimate_noise, noisy), rtol=1e-5, atol=0)
+    assert abs(estimate_noise(noisy).item() / 3 - 1) < 0.03
