@@ -21,8 +21,8 @@ TRACKERS = {
     "opencv, 1 level": partial(track_opencv, levels=0, limit=0.5),
     "opencv, 4 levels": partial(track_opencv, levels=3, limit=0.5),
     "fingerflow": partial(track_fingerflow, limit=0.5),
-    "fingerflow, search 64 px": partial(track_fingerflow, search=64, limit=0.5),
 }
+SEARCH = {3: 8, 5: 8, 50: 64}  # px in which points are searched for, by how far they moved
 WRONG = 0.5  # px
 
 
@@ -32,7 +32,8 @@ def run(quick: bool) -> list[Row]:
     # Far enough inside for the window and its motion to stay in the frame.
     points = choose_points(shape, 100 if quick else 700, border=64)
     rows: list[Row] = []
-    for distance in (5, 50):
+    for distance, search in SEARCH.items():
+        trackers = {**TRACKERS, f"fingerflow, search {search} px": partial(track_fingerflow, search=search, limit=0.5)}
         angles = (0.3,) if quick else (0.3, 1.9, 3.4, 5.0)
         motions = [(distance * math.cos(angle), distance * math.sin(angle)) for angle in angles]
         pairs = [
@@ -40,11 +41,11 @@ def run(quick: bool) -> list[Row]:
             for n, m in enumerate(motions)
         ]
         times = time_in_turns(
-            {name: partial(track, *pairs[0], points) for name, track in TRACKERS.items()},
+            {name: partial(track, *pairs[0], points) for name, track in trackers.items()},
             "opencv, 4 levels",
             rounds=2 if quick else 5,
         )
-        for name, track in TRACKERS.items():
+        for name, track in trackers.items():
             found = [track(*pair, points) for pair in pairs]
             errors = torch.cat([(f.points - points - torch.tensor(m))[0] for f, m in zip(found, motions, strict=True)])
             accepted = torch.cat([f.accepted for f in found])
