@@ -15,6 +15,7 @@ namespace {
 
 constexpr int kReach = 1;                     // px the estimate may move within one table
 constexpr int kPositions = 2 * kReach + 3;    // integer positions in a table, each way
+constexpr float kLeap = 4.0f;                 // px that a first step may lead, out of its table
 constexpr int kRounds = 5;                    // tables a point may use up
 constexpr int kSteps = 9;                     // on one table
 // px; after a smaller step of Gauss and Newton, which leaves about a fifth of the error, Newton's own steps are safe; after a
@@ -652,6 +653,12 @@ private:
             } else {
                 move = {inverse_hessian.xx * residual.x + inverse_hessian.xy * residual.y,
                         inverse_hessian.yx * residual.x + inverse_hessian.yy * residual.y};
+            }
+            if (iteration == 0 && !(fabsf(shift->x - move.x) <= kReach && fabsf(shift->y - move.y) <= kReach)) {
+                // The next table begins where this step leads, not at this one's edge.
+                *shift = {shift->x - clamped(move.x, -kLeap, kLeap), shift->y - clamped(move.y, -kLeap, kLeap)};
+                *step = kLeap;
+                return;
             }
             const Vector moved{clamped(shift->x - move.x, -kReach, kReach), clamped(shift->y - move.y, -kReach, kReach)};
             const float step_x = shift->x - moved.x, step_y = shift->y - moved.y;

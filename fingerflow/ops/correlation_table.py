@@ -19,6 +19,7 @@ from fingerflow.ops.spline import spline_basis, spline_basis_derivative
 from fingerflow.ops.windows import cut_windows
 
 _GAUSS_NEWTON_STEPS = 6  # each leaves about a fifth of the error on ridge texture, from up to 2 px away
+_LEAP = 4.0  # px that the first step may lead
 _NEWTON_NEAR = 0.05  # px, the step of Gauss and Newton below which Newton's own is taken
 _NEWTON_STEPS = 3  # with the exact Jacobian of the table: quadratic, so rounding is all that is left
 
@@ -82,12 +83,13 @@ def solve_table(
         start: (P, 2) px from the table's centre.
 
     Returns:
-        (P, 2) px from the table's centre, kept within its reach, and the length of the last step (P,).
+        (P, 2) px from the table's centre, within its reach or where the first step led beyond it, and the length of
+        the last step (P,).
     """
     positions = table.shape[-1]
     reach = (positions - 3) // 2
     taps = torch.arange(-reach - 1, reach + 2, device=table.device, dtype=table.dtype)
-    shift = start
+    shift = leap = start
     step = torch.zeros_like(start)
     for iteration in range(_GAUSS_NEWTON_STEPS + _NEWTON_STEPS):
         distance = shift[:, :, None] - taps
@@ -95,6 +97,8 @@ def solve_table(
         rows = (table * weights[:, 0, None, None, :]).sum(-1)  # (P, 2, K), contracted over x
         residual = (rows * weights[:, 1, None, :]).sum(-1) - template_product
         move = (inverse_hessian * residual[:, None, :]).sum(-1)
+        if iteration == 0:
+            leap = start - move.clamp(-_LEAP, _LEAP)
         if iteration >= _GAUSS_NEWTON_STEPS:
             slopes = spline_basis_derivative(distance, order)
             jacobian_x = ((table * slopes[:, 0, None, None, :]).sum(-1) * weights[:, 1, None, :]).sum(-1)
@@ -107,7 +111,9 @@ def solve_table(
         moved = (shift - move).clamp(-reach, reach)
         step = shift - moved
         shift = moved
-    return shift, step.square().sum(-1).sqrt()
+    # Where the first step leads out of the table, the next table begins there, not at this one's edge.
+    leaps = ~(leap.abs() <= reach).all(-1)
+    return torch.where(leaps[:, None], leap, shift), torch.where(leaps, _LEAP, step.square().sum(-1).sqrt())
 
 
 def find_templates(

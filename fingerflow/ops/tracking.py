@@ -15,12 +15,10 @@ from fingerflow.ops.search import search_windows
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.windows import sample_windows
 
-# A window has texture in every direction if its weaker gradient energy is this many times what noise alone would give
-# it.
+# A window has texture in every direction if its weaker gradient energy is this many times what noise alone gives it.
 TEXTURE_TO_NOISE = 2.0
 # What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient, by order. For
-# order 3 it
-# depends on the fractional position by 2 % and less, for order 1 by 20 %.
+# order 3 it depends on the fractional position by 2 % and less, for order 1 by 20 %.
 VALUE_NOISE = {1: 0.115, 3: 0.0907}
 GRADIENT_NOISE = {1: 0.0854, 3: 0.0488}
 # px, the last step: an exact Newton step of that length leaves some 1e-5 px unless there is no root.
@@ -49,7 +47,7 @@ class Tracks(NamedTuple):
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
         error: (B, N) px, forward-backward distance; NaN where it could not be computed.
         covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor;
-        NaN as ``points``.
+            NaN as ``points``.
         status: (B, N) uint8, a :class:`TrackStatus`.
     """
 
@@ -76,10 +74,10 @@ def track_points(
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
     The estimate solves sum_w g (S_current(y + w) - S_previous(p + w)) = 0 for y: Lucas & Kanade (1981) with the
-    template's
-    gradient g, evaluated through correlation tables. Gradients flow to the images and to ``points`` through
-    ``points`` of
-    the result (implicit differentiation, first order); error, covariance and status carry none.
+    template's gradient g, evaluated through correlation tables. The way back solves the same from where the point was
+    found. With a warp F the previous image is sampled at p + F^-1 w, both ways. Gradients flow to the images and to
+    ``points`` through ``points`` of the result (implicit differentiation, first order); error, covariance and status
+    carry none.
 
     Args:
         previous: (B, 1, H, W), 8 to 16 bit or floating.
@@ -91,12 +89,11 @@ def track_points(
         order: of the spline, 3 or 1 (faster to evaluate, less accurate).
         gain_offset: solve for brightness gain and offset of each window too.
         search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in
-        x and
-            y, and only they; 0 never searches. The prediction alone reaches about 2 px, or a third of the texture's
+            x and y, and only they; 0 never searches. The prediction alone reaches about a third of the texture's
             period.
         forward_backward_limit: px, points beyond it are flagged.
         mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
-        unexplained.
+            unexplained.
 
     Raises:
         ValueError: shapes that do not fit, an even window, an unknown order.
