@@ -22,12 +22,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow.ops.contact_classes import contact_classes
 from fingerflow.ops.corners import detect_corners
 from fingerflow.ops.ellipse import mask_moments
-from fingerflow.ops.illumination import normalize_illumination
 from fingerflow.ops.median import median_filter
 from fingerflow.ops.otsu import otsu_threshold
 from fingerflow.synthetic import Camera, Press
@@ -118,27 +118,12 @@ def _otsu(frame: Tensor) -> Operation:
 
 
 def _contact(frame: Tensor, empty: Tensor) -> Operation:
-    pixels, reference = frame[0, 0].numpy(), empty[0, 0].numpy().astype(np.float32)
-    lit = (normalize_illumination(frame, empty).valid[0, 0]).numpy()
-    unlit, lit_byte = ~lit, lit.astype(np.uint8)
-
-    def with_opencv() -> Tensor:
-        quotient = cv2.divide(pixels, reference, dtype=cv2.CV_32F)
-        quotient[unlit] = 1
-        # round(255 (1 - quotient + 0.25) / 1.25), saturating
-        levels = cv2.addWeighted(quotient, -204, quotient, 0, 255, dtype=cv2.CV_8U)
-        smooth = cv2.medianBlur(levels, 9)
-        threshold, _ = cv2.thresholdWithMask(smooth, np.zeros_like(smooth), lit_byte, 0, 1, cv2.THRESH_OTSU)
-        _, contact = cv2.threshold(smooth, threshold, 255, cv2.THRESH_BINARY)
-        cv2.countNonZero(contact)
-        return torch.from_numpy(contact) > 0
-
     def with_fingerflow() -> Tensor:
         contact = contact_classes(frame, empty, median_px=9).touching
         mask_moments(contact)
         return contact[0, 0]
 
-    return Operation("contact path, 8 bit", {"opencv": with_opencv, OURS: with_fingerflow})
+    return Operation("contact path, 8 bit", {"opencv": opencv_contact(frame, empty, 9), OURS: with_fingerflow})
 
 
 def _corners(skin: Tensor, count: int) -> Operation:

@@ -15,13 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import onnx
 import onnxruntime
 import torch
 from torch import Tensor
 
+from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
@@ -60,7 +60,7 @@ def run(quick: bool) -> list[Row]:
     for settings in CONTACT[4:5] if quick else CONTACT:
         recipe = _recipe(contact=settings)
         nodes, ours = _session(recipe, "contact", known)
-        contact = _opencv_contact(known, recipe.contact.median_px)
+        contact = opencv_contact(known["contact_view"], known["background"], recipe.contact.median_px)
         times = time_in_turns({"opencv": contact, "onnx": ours}, "opencv", rounds)["onnx"]
         found = float(ours()["real_area_px"][0]) * scene.mm_per_px**2
         rows.append(_row("contact", settings, nodes, times.cells(), 100 * (found / area - 1)))
@@ -140,20 +140,3 @@ def _apply(graph: Any, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
     with torch.inference_mode():
         results: tuple[Tensor, ...] = graph.module(*(tensors[name] for name in graph.inputs))
     return results
-
-
-def _opencv_contact(known: dict[str, Tensor], size: int) -> Callable[[], int]:
-    frame = known["contact_view"][0, 0].numpy()
-    reference = known["background"][0, 0].numpy().astype(np.float32)
-    lit = (reference > 0.05 * np.quantile(reference, 0.99)).astype(np.uint8)
-    unlit = lit == 0
-
-    def contact() -> int:
-        quotient = cv2.divide(frame, reference, dtype=cv2.CV_32F)
-        quotient[unlit] = 1
-        levels = cv2.addWeighted(quotient, -204, quotient, 0, 255, dtype=cv2.CV_8U)
-        smooth = cv2.medianBlur(levels, size) if size > 1 else levels
-        threshold, _ = cv2.thresholdWithMask(smooth, np.zeros_like(smooth), lit, 0, 1, cv2.THRESH_OTSU)
-        return int(cv2.countNonZero(cv2.threshold(smooth, threshold, 255, cv2.THRESH_BINARY)[1]))
-
-    return contact
