@@ -33,7 +33,7 @@ UNITS = {
     "template_noise": "counts^2",
     "template_products": "counts^2/px^2, counts^2/px, counts^2",
     "template_gradients": "counts/px",
-    "template_rows": "counts",
+    "template_slopes": "counts/px, counts/px^2",
 }
 
 

@@ -41,14 +41,27 @@ def smoothed_spline_matrix(reach: int, precision: torch.dtype) -> Tensor:
 
 
 def features(shift: Tensor, reach: int) -> Tensor:
-    """(2 reach + 3, ...) of shifts (1, ...)."""
+    """(2 reach + 3, ...) of shifts (...)."""
     square = shift * shift
-    beyond = [(shift - knot if knot else shift).clamp_min(0) for knot in range(1 - reach, reach)]
-    return torch.cat((torch.ones_like(shift), shift, square, square * shift, *(x * x * x for x in beyond)))
+    cube = square * shift
+    # The cube keeps the sign: one operation where the knot is 0.
+    beyond = [(_cube(shift - knot) if knot else cube).clamp_min(0) for knot in range(1 - reach, reach)]
+    return torch.stack((torch.ones_like(shift), shift, square, cube, *beyond))
+
+
+def _cube(values: Tensor) -> Tensor:
+    return values * values * values
 
 
 def feature_slopes(shift: Tensor, reach: int) -> Tensor:
     """Their derivatives (2 reach + 3, ...)."""
     beyond = [(shift - knot if knot else shift).clamp_min(0) for knot in range(1 - reach, reach)]
     slopes = (torch.zeros_like(shift), torch.ones_like(shift), 2 * shift, 3 * (shift * shift))
-    return torch.cat((*slopes, *(3 * (x * x) for x in beyond)))
+    return torch.stack((*slopes, *(3 * (x * x) for x in beyond)))
+
+
+def feature_bends(shift: Tensor, reach: int) -> Tensor:
+    """Their second derivatives (2 reach + 3, ...)."""
+    beyond = [(shift - knot).clamp_min(0) for knot in range(1 - reach, reach)]
+    nothing = torch.zeros_like(shift)
+    return torch.stack((nothing, nothing, 2 + nothing, 6 * shift, *(6 * x for x in beyond)))

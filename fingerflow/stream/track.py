@@ -12,7 +12,8 @@ from fingerflow.stream.spline_features import feature_slopes, features
 from fingerflow.stream.windows import Windows
 
 _GAUSS_NEWTON_STEPS = 2  # safe far from the root: each leaves a fifth of the error
-_NEWTON_STEPS = 2  # quadratic near it: 0.04 px become 4e-4 and 4e-8
+_NEWTON_STEPS = 2  # by the slopes at the first of them: 0.04 px become 4e-4 and 1e-5
+_BACK_STEPS = 2  # after a linear one
 _MISMATCH_LIMIT = 0.05
 _VALUE_NOISE, _GRADIENT_NOISE = VALUE_NOISE[3], GRADIENT_NOISE[3]
 _TINY = 1e-20
@@ -34,8 +35,9 @@ class TrackStep(nn.Module):
     Args:
         window: odd side, px.
         reach: px from the whole pixel nearest to a prediction within which its point is found.
-        exact_return: find every point again in the key frame from where it was found. Otherwise one Gauss-Newton step
-            from the start tells how far it would end from there: the same to first order, at a fifth of the time.
+        exact_return: find every point again in the key frame from where it was found, by the key frame's slopes and
+            bends at the point: to second order, within 6e-5 px of the search on a press. Otherwise one
+            Gauss-Newton step from the start tells how far it would end from there: the same to first order.
         forward_backward_limit: px beyond which a point counts as lost.
     """
 
@@ -58,60 +60,59 @@ class TrackStep(nn.Module):
 
     def forward(self, topography_view: Tensor, prediction: Tensor, templates: Templates) -> StreamTracks:
         """(B, 1, H, W) view, (B, N, 2) px prediction; templates of `KeyStep`."""
-        windows, n, samples = self.windows, self.windows.size, self.windows.size**2
-        start, guess = templates.template_start, prediction.to(windows.precision)
-        template, level = templates.template_values.flatten(0, 1), templates.template_level.reshape(-1, 1, 1)
-        noise = templates.template_noise.flatten()
-        given = finite(start + guess).all(-1)
+        windows, samples, shape = self.windows, self.windows.size**2, prediction.shape[:2]
+        # Components before points from here on: runtimes are slow where the last axis is short.
+        start = templates.template_start.reshape(-1, 2).T
+        guess = prediction.to(windows.precision).reshape(-1, 2).T
+        given = finite((start + guess).sum(0))
         guess = torch.where(finite(guess), guess, 0.0)
         center = guess.round()
-        patches = windows.patches(topography_view, center) - level
-        table = windows.shifted_rows(patches) @ templates.template_gradients.flatten(0, 1)
+        along_y = windows.along_y(windows.patches(topography_view, center))
+        table = along_y @ templates.template_gradients.flatten(0, 1)
         products = templates.template_products.transpose(0, 1).flatten(1)  # (6, P)
         xx, xy, yy, tt = products[0], products[1], products[2], products[5]
         determinant = xx * yy - xy * xy
         regular = determinant > _TINY
         inverse = torch.stack((yy, -xy, -xy, xx)) / torch.where(regular, determinant, 1.0)  # (4, P)
         preconditioner = inverse.reshape(2, 2, -1)
-        shift, step = self._solve(
-            table.permute(1, 2, 0), products[3:5], preconditioner, _components_first(guess - center)
-        )
-        converged = (shift.abs().amax(1) < windows.reach) & (step < CONVERGED)  # (1, P)
-        found = center + shift.permute(0, 2, 1).reshape(center.shape)
+        shift, step = self._solve(table.permute(1, 2, 0), products[3:5], preconditioner, guess - center)
+        converged = (shift.abs().amax(0) < windows.reach) & (step < CONVERGED)  # (P)
+        found = center + shift
 
-        sampled = windows.sample(patches, shift)
-        matched, gradient = sampled[:, :n, :n], (sampled[:, :n, n:], sampled[:, n:, :n])
+        values, slopes = (make(shift, windows.reach).permute(1, 2, 0) for make in (features, feature_slopes))
+        lines, across = windows.at_y(along_y, values[1]), windows.at_x(values[0])
+        matched = (lines @ across).flatten(1)
+        by_x = (lines @ windows.at_x(slopes[0])).flatten(1)
+        by_y = (windows.at_y(along_y, slopes[1]) @ across).flatten(1)
+        template = templates.template_values.flatten(0, 1)
+        level, noise = templates.template_level.flatten(), templates.template_noise.flatten()
         difference = matched - template
-        squares, own = ((a * a).sum((1, 2)) for a in (difference, matched))
-        total = matched.sum((1, 2))
-        together = (tt + own - squares) / 2  # the template's mean is 0
+        squares, other = (difference * difference).sum(1), difference.sum(1)
+        along = (template * difference).sum(1) - level * other  # of the template less its level
+        # Sums of squares and products of the two windows, both less the template's level, from their difference.
+        own, together = squares + 2 * along + tt, along + tt
         noise_energy = noise * (samples * _VALUE_NOISE)
-        energy = (tt - noise_energy).clamp_min(0) * (own - total * total / samples - noise_energy).clamp_min(0)
+        energy = (tt - noise_energy).clamp_min(0) * (own - other * other / samples - noise_energy).clamp_min(0)
         explained = together * together.clamp_min(0)
         rounding = 0.0 if topography_view.is_floating_point() else 1 / 12
         variance = (squares / ((samples - 4) * 2 * _VALUE_NOISE)).clamp_min(rounding)
 
-        rest = matched if self.exact_return else difference
-        product = torch.stack([(slope * rest).sum((1, 2)) for slope in gradient])  # (2, P)
+        rest = torch.stack([(slope * difference).sum(1) for slope in (by_x, by_y)])  # (2, P)
         if self.exact_return:
-            back_table = windows.shifted_gradients(torch.stack(gradient, dim=1)) @ templates.template_rows.flatten(0, 1)
-            known = torch.where(finite(start), start, 0.0)
-            fraction = _components_first(known - known.round())
-            # As far to go as the way there was, but no further than the table reaches.
-            begin = (fraction + _components_first(found - guess)).clamp(-windows.reach, windows.reach)
-            back, back_step = self._solve(back_table.permute(2, 1, 0), product, preconditioner, begin)
-            away = (back - fraction).square().sum((0, 1))
-            returned = (back.abs().amax(1) < windows.reach) & (back_step < CONVERGED) & converged
+            bends = templates.template_slopes.flatten(0, 1)
+            terms = torch.stack([(bends @ slope[:, :, None]).squeeze(2).T for slope in (by_x, by_y)], dim=1)
+            back, back_step = self._way_back(terms, rest)
+            returned = (back.abs().amax(0) < windows.reach) & (back_step < CONVERGED) & converged
         else:
-            away = (preconditioner * product[None]).sum(1).square().sum(0)
+            back = (preconditioner * rest).sum(1)
             returned = converged
-        error = away.sqrt()
+        error = back.square().sum(0).sqrt()
 
         mean, half = (xx + yy) / 2, (xx - yy) / 2
         spread = (half * half + xy * xy).sqrt()
         floor = noise.clamp_min(rounding) * (TEXTURE_TO_NOISE * samples * _GRADIENT_NOISE)
         textured = regular & (mean - spread > torch.maximum(floor, 1e-4 * mean))
-        within = self._contains(start, topography_view) & self._contains(found, topography_view)
+        within = self._contains(torch.stack((start, found)), topography_view)
         status = torch.zeros_like(given, dtype=torch.uint8)
         # From the last reason to the first, so that the first that applies remains.
         for reason, fine in (
@@ -122,54 +123,69 @@ class TrackStep(nn.Module):
             (TrackStatus.LEFT_FRAME, within),
             (TrackStatus.NOT_FINITE, given),
         ):
-            status = torch.where(fine.reshape(given.shape), status, int(reason))
+            status = torch.where(fine, status, int(reason))
         tracked = status == 0
-        covariance = (2 * variance * inverse).T.reshape(*given.shape, 2, 2)
+        covariance = torch.where(tracked, 2 * variance * inverse, torch.nan)
         return StreamTracks(
-            torch.where(tracked[..., None], found, torch.nan),
-            torch.where(returned.reshape(given.shape) & given, error.reshape(given.shape), torch.nan),
-            torch.where(tracked[..., None, None], covariance, torch.nan),
-            status,
+            torch.where(tracked, found, torch.nan).T.reshape(*shape, 2),
+            torch.where(returned & given, error, torch.nan).reshape(shape),
+            covariance.T.reshape(*shape, 2, 2),
+            status.reshape(shape),
         )
 
     def _solve(self, table: Tensor, product: Tensor, preconditioner: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-        """The shift (1, 2, P) at which a table equals product (2, P), and the length (1, P) of the last step.
+        """The shift (2, P) at which a table equals product (2, P), and the length (P) of the last step.
 
-        The table is (taps along x, 2 taps along y, P), its second axis 2 k + c for component c at shift k; the
-        preconditioner (2, 2, P) is the inverse of the structure tensor.
+        The table is (taps, 2 taps, P) as `Windows.table_of` has it, the preconditioner (2, 2, P) the inverse of the
+        structure tensor.
         """
-        spline, reach, taps, count = self.windows.spline, self.windows.reach, self.windows.taps, shift.shape[2]
-        by_x = (spline.T @ table.flatten(1)).reshape(taps, taps, 2 * count)
-        poly = (spline.T @ by_x).reshape(taps, taps, 2, count)
-        step = shift
+        reach, taps = self.windows.reach, self.windows.taps
+        step, inverse = shift, preconditioner
         for number in range(_GAUSS_NEWTON_STEPS + _NEWTON_STEPS):
             functions = features(shift, reach)
-            x, y = functions[:, None, :1], functions[:, 1:]
-            rows = (poly * x).sum(0)  # (taps along y, 2, P)
-            residual = (rows * y).sum(0, keepdim=True) - product  # (1, 2, P)
-            if number < _GAUSS_NEWTON_STEPS:
-                step = (preconditioner * residual).sum(1)[None]
-            else:
+            x, y = functions[:, :1], functions[:, 1:]
+            rows = (table * y).sum(0).unflatten(0, (taps, 2))
+            residual = (rows * x).sum(0) - product
+            if number == _GAUSS_NEWTON_STEPS:
                 slopes = feature_slopes(shift, reach)
-                by_x = ((poly * slopes[:, None, :1]).sum(0) * y).sum(0, keepdim=True)
-                by_y = (rows * slopes[:, 1:]).sum(0, keepdim=True)
-                # Cramer's rule: the determinant, and those with a column replaced by the residual.
-                crossed = (torch.cat((by_x, residual, by_x)) * (self.turn @ torch.cat((by_y, by_y, residual)))).sum(1)
-                step = (crossed[1:] / crossed[:1])[None]
-            moved = (shift - step).clamp(-reach, reach)
+                columns = (table * slopes[:, 1:]).sum(0).unflatten(0, (taps, 2))
+                inverse = self._inverse((rows * slopes[:, :1]).sum(0), (columns * x).sum(0))
+            moved = (shift - (inverse * residual).sum(1)).clamp(-reach, reach)
             step, shift = shift - moved, moved
         # A singular Jacobian leaves NaN: no root.
         good = finite(shift)
-        return torch.where(good, shift, 0.0), torch.where(good, step, float(reach)).square().sum(1).sqrt()
+        return torch.where(good, shift, 0.0), torch.where(good, step, float(reach)).square().sum(0).sqrt()
+
+    def _way_back(self, terms: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the window found in the frame lies in the key frame, from the template's place (2, P), and the length
+        (P) of the last step.
+
+        `terms` (5, 2, P) are the sums of the found window's gradients times the template's derivatives
+        (`Templates.template_slopes`), and rest (2, P) those times the difference of the two windows.
+        """
+        x, y, xx, xy, yy = terms
+        back = self._inverse(x, y).mul(rest).sum(1)
+        step, inverse = back, None
+        for _ in range(_BACK_STEPS):
+            right, down = back[:1], back[1:]
+            of_x, of_y = xx * right + xy * down, yy * down
+            residual = (x + of_x) * right + (y + of_y) * down - rest
+            if inverse is None:
+                inverse = self._inverse(x + of_x + xx * right, y + xy * right + 2 * of_y)
+            step = (inverse * residual).sum(1)
+            back = back - step
+        good = finite(back)
+        reach = float(self.windows.reach)
+        return torch.where(good, back, reach), torch.where(good, step, reach).square().sum(0).sqrt()
+
+    def _inverse(self, x: Tensor, y: Tensor) -> Tensor:
+        """Inverses (2, 2, P) of matrices with columns x and y (2, P); not finite where they are singular."""
+        adjugate = self.turn @ torch.stack((y, -x))  # (2, 2, P): turned, the cross product with the other column
+        return adjugate / (adjugate[0] * x).sum(0)
 
     def _contains(self, points: Tensor, view: Tensor) -> Tensor:
-        """(B, N) whether window and table lie in the frame."""
+        """(P) whether window and table lie in the frame at all points (K, 2, P)."""
         height, width = view.shape[-2:]
-        least = self.windows.size // 2 + self.windows.margin
-        most = torch.tensor([width - 1 - least, height - 1 - least], dtype=points.dtype, device=points.device)
-        return ((points >= least) & (points <= most)).all(-1)
-
-
-def _components_first(points: Tensor) -> Tensor:
-    """(B, N, 2) to (1, 2, P)."""
-    return points.reshape(1, -1, 2).transpose(1, 2)
+        middle = torch.tensor([[(width - 1) / 2], [(height - 1) / 2]], dtype=points.dtype, device=points.device)
+        room = middle - (self.windows.size // 2 + self.windows.margin)
+        return ((points - middle).abs() - room).flatten(0, 1).amax(0) <= 0

@@ -37,7 +37,7 @@ def points(views: tuple[Tensor, Tensor]) -> Tensor:
 
 @pytest.mark.parametrize("reach", [1, 2, 3])
 def test_features_make_the_spline(reach: int) -> None:
-    shift = torch.linspace(-reach, reach, 401, dtype=torch.float64)[None]
+    shift = torch.linspace(-reach, reach, 401, dtype=torch.float64)
     place = torch.arange(-reach - 1, reach + 2, dtype=torch.float64)[:, None]
     matrix = spline_matrix(reach, torch.float64)
     torch.testing.assert_close(matrix @ features(shift, reach), spline_basis(shift - place, 3), rtol=0, atol=1e-13)
