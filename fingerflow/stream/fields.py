@@ -27,13 +27,12 @@ class FieldsStep(nn.Module):
 
     With positions x about their mean, 1 - |x_i - x_j|^2 / R^2 is a product of (x, y, |x|^2, 1) with its counterpart,
     and the moments of all fits are the product of the weights with the monomials of x and u: no pair of points is
-    visited by itself. An unfused runtime pays for every operation, so two components go through each together.
+    visited by itself.
 
     Args:
         gauge_px: diameter of the support, px of the positions.
     """
 
-    adjugate: Tensor
     measures: Tensor
     products: Tensor
 
@@ -41,54 +40,70 @@ class FieldsStep(nn.Module):
         super().__init__()
         self.gauge_px = gauge_px
         self.precision = precision
-        # Of matrices as rows (a, b, c, d): the adjugate (d, -b, -c, a); divergence, curl and the linear parts of exx,
-        # eyy, exy of a gradient (du/dx, du/dy, dv/dx, dv/dy); exx, eyy, exy of the products of its columns, halved.
-        adjugate = [[0, 0, 0, 1], [0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]]
-        measures = [[1, 0, 1, 0, 0], [0, -1, 0, 0, 0.5], [0, 1, 0, 0, 0.5], [1, 0, 0, 1, 0]]
-        products = [[0.5, 0, 0], [0, 0, 0.25], [0, 0, 0.25], [0, 0.5, 0]]
-        for name, rows in (("adjugate", adjugate), ("measures", measures), ("products", products)):
+        # From a gradient (du/dx, du/dy, dv/dx, dv/dy): divergence, curl and the linear parts of exx, eyy, exy; from its
+        # products of columns (u_x u_x, u_x u_y, u_y u_y, the same of v): the rest of exx, eyy, exy.
+        measures = [[1, 0, 0, 1], [0, -1, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1], [0, 0.5, 0.5, 0]]
+        products = [[0.5, 0, 0, 0.5, 0, 0], [0, 0, 0.5, 0, 0, 0.5], [0, 0.5, 0, 0, 0.5, 0]]
+        for name, rows in (("measures", measures), ("products", products)):
             self.register_buffer(name, torch.tensor(rows, dtype=precision))
 
     def forward(self, points: Tensor, reference: Tensor) -> StreamFields:
         """(B, N, 2) px each, positions now and at the onset of contact; NaN where there is none."""
-        now, then = points.to(self.precision), reference.to(self.precision)
+        return self.of_components(*(components_first(one.to(self.precision)) for one in (points, reference)))
+
+    def of_components(self, now: Tensor, then: Tensor) -> StreamFields:
+        """The same of (B, 2, N): runtimes are slow where the last axis is short."""
         moved = now - then
-        usable = finite(moved).all(-1, keepdim=True)
-        weight = usable.to(self.precision)
-        both = torch.where(usable, torch.cat((then, moved), dim=2), 0.0)
-        centred = (both - both.sum(1, keepdim=True) / weight.sum(1, keepdim=True).clamp_min(1)) * weight
-        place, moved = centred[..., :2], centred[..., 2:]
+        usable = finite(moved.sum(1, keepdim=True))
+        weight = usable.to(self.precision)  # (B, 1, N)
+        both = torch.where(usable, torch.cat((then, moved), dim=1), 0.0)
+        centred = (both - both.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)) * weight
+        place, moved = centred[:, :2], centred[:, 2:]
         radius = self.gauge_px / 2
         scaled = place / radius
-        norm = (scaled * scaled).sum(2, keepdim=True)
+        norm = (scaled * scaled).sum(1, keepdim=True)
         one = torch.ones_like(norm)
-        queries = torch.cat((2 * scaled, norm, one), dim=2)
-        support = torch.cat((scaled, -one, one - norm), dim=2)
-        near = (queries @ support.transpose(1, 2)).clamp_min(0)
-        points_near = (near > 0).to(self.precision) @ weight
-        # 1, x, y, the four products of x and y, u, v, and the four products of u and v with x and y.
-        squares = (place[..., :, None] * place[..., None, :]).flatten(2)
-        mixed = (moved[..., :, None] * place[..., None, :]).flatten(2)
-        monomials = torch.cat((one, place, squares, moved, mixed), dim=2) * weight
-        sums = (near * near) @ monomials
+        queries = torch.cat((2 * scaled, norm, one), dim=1)
+        support = torch.cat((scaled, -one, one - norm), dim=1)
+        near = (queries.transpose(1, 2) @ support).clamp_min(0)
+        points_near = weight @ (near > 0).to(self.precision)
+        # 1, x, y, the products xx, xy, yy, u, v, and ux, uy, vx, vy. Weights are the same both ways: columns serve.
+        squares, mixed = _squares(place), _mixed(moved, place)
+        monomials = torch.cat((one, place, squares, moved, mixed), dim=1) * weight
+        sums = monomials @ (near * near)
         determined = usable & (points_near > _LEAST_POINTS - 0.5)
-        mean = sums[..., 1:] / torch.where(determined, sums[..., :1], 1.0)
-        middle, motion = mean[..., :2], mean[..., 6:8]
-        spread = mean[..., 2:6] - (middle[..., :, None] * middle[..., None, :]).flatten(2)
-        cross = mean[..., 8:] - (motion[..., :, None] * middle[..., None, :]).flatten(2)
-        adjugate = spread @ self.adjugate
-        determinant = (spread * adjugate).sum(2, keepdim=True) / 2
-        half = (spread + adjugate)[..., :1] / 2  # of the trace
+        mean = sums / torch.where(determined, sums[:, :1], 1.0)
+        middle, motion = mean[:, 1:3], mean[:, 6:8]
+        spread = mean[:, 3:6] - _squares(middle)
+        cross = mean[:, 8:] - _mixed(motion, middle)  # ux, uy, vx, vy
+        xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
+        determinant = xx * yy - xy * xy
+        half = (xx + yy) / 2  # of the trace
         narrowest = half - (half * half - determinant).clamp_min(0).sqrt()
         determined = determined & (narrowest >= (_LEAST_SPREAD * radius) ** 2) & (determinant > _TINY)
-        product = (cross.unflatten(2, (2, 2, 1)) * adjugate.unflatten(2, (1, 2, 2))).sum(3)
-        gradient = product.flatten(2) / torch.where(determined, determinant, 1.0)
-        gradient = torch.where(determined, gradient, torch.nan)
-        linear = gradient @ self.measures
-        columns = gradient.unflatten(2, (2, 2))
-        quadratic = (columns[..., :, None] * columns[..., None, :]).sum(2).flatten(2) @ self.products
-        spreading = linear[..., 0]
-        return StreamFields(spreading, linear[..., 1], linear[..., 2:] + quadratic, _median(spreading))
+        by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of u and of v
+        slopes = torch.stack((by_x * yy - by_y * xy, by_y * xx - by_x * xy), dim=2).flatten(1, 2)
+        gradient = torch.where(determined, slopes / determinant, torch.nan)
+        linear = self.measures @ gradient
+        strain = linear[:, 2:] + self.products @ torch.cat(
+            (_squares(gradient[:, :2]), _squares(gradient[:, 2:])), dim=1
+        )
+        return StreamFields(linear[:, 0], linear[:, 1], strain.transpose(1, 2), _median(linear[:, 0]))
+
+
+def components_first(points: Tensor) -> Tensor:
+    """(B, N, 2) to (B, 2, N), not by a transposition, which ONNX Runtime moves behind all that follows."""
+    return torch.stack((points[..., 0], points[..., 1]), dim=1)
+
+
+def _squares(pair: Tensor) -> Tensor:
+    """(B, 3, N) products aa, ab, bb of pairs (B, 2, N)."""
+    return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
+
+
+def _mixed(pair: Tensor, other: Tensor) -> Tensor:
+    """(B, 4, N) products ac, ad, bc, bd of pairs (B, 2, N)."""
+    return torch.cat((pair[:, :1] * other, pair[:, 1:] * other), dim=1)
 
 
 def _median(values: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.stream.contact import ContactStep
-from fingerflow.stream.fields import FieldsStep
+from fingerflow.stream.fields import FieldsStep, components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.region import CELL
@@ -63,13 +63,19 @@ class FrameStep(nn.Module):
         valid pixels of `BackgroundStep`, and the templates of `KeyStep`."""
         contact = self.contact(contact_view, limit, valid)
         tracks = self.track(topography_view, prediction, templates)
-        matrix = topography_to_contact.to(tracks.points.dtype)
-        seen = torch.where(finite(tracks.points), tracks.points, -1e4)
-        under = seen @ matrix[:, :2].T + matrix[:, 2]
+        # Components before points, as in the parts.
+        points = components_first(tracks.points)
+        kind = points.dtype
+        tracked = (tracks.status == 0)[:, None]
+        matrix = topography_to_contact.to(kind)
+        # In cells; a point that is lost lies nowhere near.
+        under = matrix[:, :2] @ torch.where(tracked, points, -1e4) + matrix[:, 2:]
         covered = _interpolate(contact.excess, (under - (CELL - 1) / 2) / CELL) > 0
-        arriving = ~finite(reference) & (covered & finite(tracks.points).all(-1))[..., None]
-        next_reference = torch.where(arriving, tracks.points, reference.to(tracks.points.dtype))
-        fields = self.fields(tracks.points, next_reference)
+        earlier = components_first(reference.to(kind))
+        arriving = ~finite(earlier) & (covered[:, None] & tracked)
+        onset = torch.where(arriving, points, earlier)
+        fields = self.fields.of_components(points, onset)
+        expected = components_first(prediction.to(kind))
         variance = (tracks.covariance[..., 0, 0] + tracks.covariance[..., 1, 1]) / 2
         return FrameResult(
             contact.touching,
@@ -82,20 +88,20 @@ class FrameStep(nn.Module):
             tracks.error,
             variance.sqrt(),
             tracks.status,
-            torch.where(finite(tracks.points), tracks.points, prediction.to(tracks.points.dtype)),
-            next_reference,
+            torch.where(tracked, points, expected).transpose(1, 2),
+            onset.transpose(1, 2),
             *fields,
         )
 
 
 def _interpolate(cells: Tensor, place: Tensor) -> Tensor:
-    """Bilinear (B, N) of cells (B, 1, h, w) at (B, N, 2); the nearest cell's beyond the middle of the outermost."""
+    """Bilinear (B, N) of cells (B, 1, h, w) at (B, 2, N); the nearest cell's beyond the middle of the outermost."""
     height, width = cells.shape[-2:]
-    x, y = place[..., 0].clamp(0, width - 1), place[..., 1].clamp(0, height - 1)
+    x, y = place[:, 0].clamp(0, width - 1), place[:, 1].clamp(0, height - 1)
     left, top = x.floor().clamp(max=width - 2), y.floor().clamp(max=height - 2)
-    flat = cells.flatten(1)
-    first = (top * width + left).to(torch.int64)
-    right, down = x - left, y - top
-    upper = flat.gather(1, first) * (1 - right) + flat.gather(1, first + 1) * right
-    lower = flat.gather(1, first + width) * (1 - right) + flat.gather(1, first + width + 1) * right
-    return upper * (1 - down) + lower * down
+    first = (top * width + left)[:, None].to(torch.int64)
+    corners = torch.tensor([[0], [1], [width], [width + 1]], device=cells.device)
+    values = cells.flatten(1).gather(1, (first + corners).flatten(1)).unflatten(1, (4, -1))
+    right, down = (x - left)[:, None], (y - top)[:, None]
+    upper_lower = values[:, ::2] * (1 - right) + values[:, 1::2] * right
+    return upper_lower[:, 0] * (1 - down[:, 0]) + upper_lower[:, 1] * down[:, 0]

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.ops.tracking import CONVERGED, GRADIENT_NOISE, TEXTURE_TO_NOISE, VALUE_NOISE, TrackStatus
+from fingerflow.stream.fields import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.spline_features import feature_slopes, features
@@ -62,8 +63,8 @@ class TrackStep(nn.Module):
         """(B, 1, H, W) view, (B, N, 2) px prediction; templates of `KeyStep`."""
         windows, samples, shape = self.windows, self.windows.size**2, prediction.shape[:2]
         # Components before points from here on: runtimes are slow where the last axis is short.
-        start = templates.template_start.reshape(-1, 2).T
-        guess = prediction.to(windows.precision).reshape(-1, 2).T
+        start = components_first(templates.template_start).transpose(0, 1).flatten(1)  # (2, P)
+        guess = components_first(prediction.to(windows.precision)).transpose(0, 1).flatten(1)
         given = finite((start + guess).sum(0))
         guess = torch.where(finite(guess), guess, 0.0)
         center = guess.round()
