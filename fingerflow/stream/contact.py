@@ -50,13 +50,16 @@ class ContactStep(nn.Module):
             below = contact_view < limit
         else:
             below = contact_view.to(torch.float32) < limit.to(torch.float32)
+        if self.median_px == 1:  # nothing lies below the limit of a pixel that is not valid
+            return span(self.region, below)
         most = majority(below.to(self.median_type), self.median_px, self.region.precision)
         return span(self.region, torch.minimum(most, valid))
 
 
 def span(region: RegionStep, touching: Tensor) -> StreamContact:
-    """Areas and ellipse of touching pixels (B, 1, H, W), uint8."""
+    """Areas and ellipse of touching pixels (B, 1, H, W), bool or uint8."""
     found = region(touching)
+    touching = touching.to(torch.uint8)
     return StreamContact(
         touching, found.real_area_px, found.area_px, found.center, found.semi_axes, found.angle, found.excess
     )

@@ -52,7 +52,7 @@ class KeyStep(nn.Module):
         along_y = windows.along_y(patches - base)
         shift = known - center
         functions = [make(shift, windows.reach).transpose(0, 2) for make in (features, feature_slopes, feature_bends)]
-        lines = [windows.at_y(along_y, one[:, 1]) for one in functions]
+        lines = [windows.at_y(along_y, one[:, 1:])[:, 0] for one in functions]
         across = [windows.at_x(one[:, 0]) for one in functions]
         # By order of the derivative: along x first.
         orders = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))

@@ -80,11 +80,12 @@ class TrackStep(nn.Module):
         converged = (shift.abs().amax(0) < windows.reach) & (step < CONVERGED)  # (P)
         found = center + shift
 
-        values, slopes = (make(shift, windows.reach).permute(1, 2, 0) for make in (features, feature_slopes))
-        lines, across = windows.at_y(along_y, values[1]), windows.at_x(values[0])
-        matched = (lines @ across).flatten(1)
-        by_x = (lines @ windows.at_x(slopes[0])).flatten(1)
-        by_y = (windows.at_y(along_y, slopes[1]) @ across).flatten(1)
+        values, slopes = (make(shift, windows.reach) for make in (features, feature_slopes))
+        # Values and slopes along y in one product, which reads `along_y` once.
+        lines = windows.at_y(along_y, torch.stack((values[:, 1], slopes[:, 1])).permute(2, 0, 1))
+        across = windows.at_x(values[:, 0].T)
+        matched, by_y = ((lines.flatten(1, 2) @ across).unflatten(1, (2, -1))).flatten(2).unbind(1)
+        by_x = (lines[:, 0] @ windows.at_x(slopes[:, 0].T)).flatten(1)
         template = templates.template_values.flatten(0, 1)
         level, noise = templates.template_level.flatten(), templates.template_noise.flatten()
         difference = matched - template

@@ -65,8 +65,8 @@ class Windows(nn.Module):
         return (self.rows @ patches).reshape(-1, self.taps, self.size * self.side)
 
     def at_y(self, along_y: Tensor, functions: Tensor) -> Tensor:
-        """Lines (P, size, side) of `along_y` where the functions of the shift in y are (P, taps)."""
-        return (functions[:, None] @ along_y).reshape(-1, self.size, self.side)
+        """Lines (P, K, size, side) of `along_y` where the functions of the shift in y are (P, K, taps)."""
+        return (functions @ along_y).unflatten(2, (self.size, self.side))
 
     def at_x(self, functions: Tensor) -> Tensor:
         """Weights (P, side, size) of the pixels of a line for functions (P, taps) of the shift in x."""
