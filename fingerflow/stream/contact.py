@@ -51,15 +51,14 @@ class ContactStep(nn.Module):
         else:
             below = contact_view.to(torch.float32) < limit.to(torch.float32)
         if self.median_px == 1:  # nothing lies below the limit of a pixel that is not valid
-            return span(self.region, below)
+            return span(self.region, below.to(torch.uint8))
         most = majority(below.to(self.median_type), self.median_px, self.region.precision)
         return span(self.region, torch.minimum(most, valid))
 
 
 def span(region: RegionStep, touching: Tensor) -> StreamContact:
-    """Areas and ellipse of touching pixels (B, 1, H, W), bool or uint8."""
+    """Areas and ellipse of touching pixels (B, 1, H, W), uint8."""
     found = region(touching)
-    touching = touching.to(torch.uint8)
     return StreamContact(
         touching, found.real_area_px, found.area_px, found.center, found.semi_axes, found.angle, found.excess
     )

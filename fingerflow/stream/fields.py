@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.stream.finite import finite
+from fingerflow.stream.sums import sum_rows
 
 _LEAST_POINTS = 5
 _LEAST_SPREAD = 0.1  # of the support's radius in every direction, as `ops.local_gradients` asks
@@ -54,14 +55,14 @@ class FieldsStep(nn.Module):
     def of_components(self, now: Tensor, then: Tensor) -> StreamFields:
         """The same of (B, 2, N): runtimes are slow where the last axis is short."""
         moved = now - then
-        usable = finite(moved.sum(1, keepdim=True))
+        usable = finite(sum_rows(moved))[:, None]
         weight = usable.to(self.precision)  # (B, 1, N)
         both = torch.where(usable, torch.cat((then, moved), dim=1), 0.0)
         centred = (both - both.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)) * weight
         place, moved = centred[:, :2], centred[:, 2:]
         radius = self.gauge_px / 2
         scaled = place / radius
-        norm = (scaled * scaled).sum(1, keepdim=True)
+        norm = sum_rows(scaled * scaled)[:, None]
         one = torch.ones_like(norm)
         queries = torch.cat((2 * scaled, norm, one), dim=1)
         support = torch.cat((scaled, -one, one - norm), dim=1)

@@ -10,6 +10,7 @@ from fingerflow.stream.fields import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.spline_features import feature_slopes, features
+from fingerflow.stream.sums import sum_first, sum_rows
 from fingerflow.stream.windows import Windows
 
 _GAUSS_NEWTON_STEPS = 2  # safe far from the root: each leaves a fifth of the error
@@ -65,7 +66,7 @@ class TrackStep(nn.Module):
         # Components before points from here on: runtimes are slow where the last axis is short.
         start = components_first(templates.template_start).transpose(0, 1).flatten(1)  # (2, P)
         guess = components_first(prediction.to(windows.precision)).transpose(0, 1).flatten(1)
-        given = finite((start + guess).sum(0))
+        given = finite(sum_first(start + guess))
         guess = torch.where(finite(guess), guess, 0.0)
         center = guess.round()
         along_y = windows.along_y(windows.patches(topography_view, center))
@@ -106,9 +107,9 @@ class TrackStep(nn.Module):
             back, back_step = self._way_back(terms, rest)
             returned = (back.abs().amax(0) < windows.reach) & (back_step < CONVERGED) & converged
         else:
-            back = (preconditioner * rest).sum(1)
+            back = sum_rows(preconditioner * rest)
             returned = converged
-        error = back.square().sum(0).sqrt()
+        error = _length(back)
 
         mean, half = (xx + yy) / 2, (xx - yy) / 2
         spread = (half * half + xy * xy).sqrt()
@@ -146,17 +147,17 @@ class TrackStep(nn.Module):
         for number in range(_GAUSS_NEWTON_STEPS + _NEWTON_STEPS):
             functions = features(shift, reach)
             x, y = functions[:, :1], functions[:, 1:]
-            rows = (table * y).sum(0).unflatten(0, (taps, 2))
-            residual = (rows * x).sum(0) - product
+            rows = sum_first(table * y).unflatten(0, (taps, 2))
+            residual = sum_first(rows * x) - product
             if number == _GAUSS_NEWTON_STEPS:
                 slopes = feature_slopes(shift, reach)
-                columns = (table * slopes[:, 1:]).sum(0).unflatten(0, (taps, 2))
-                inverse = self._inverse((rows * slopes[:, :1]).sum(0), (columns * x).sum(0))
-            moved = (shift - (inverse * residual).sum(1)).clamp(-reach, reach)
+                columns = sum_first(table * slopes[:, 1:]).unflatten(0, (taps, 2))
+                inverse = self._inverse(sum_first(rows * slopes[:, :1]), sum_first(columns * x))
+            moved = (shift - sum_rows(inverse * residual)).clamp(-reach, reach)
             step, shift = shift - moved, moved
         # A singular Jacobian leaves NaN: no root.
         good = finite(shift)
-        return torch.where(good, shift, 0.0), torch.where(good, step, float(reach)).square().sum(0).sqrt()
+        return torch.where(good, shift, 0.0), _length(torch.where(good, step, float(reach)))
 
     def _way_back(self, terms: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Where the window found in the frame lies in the key frame, from the template's place (2, P), and the length
@@ -166,7 +167,7 @@ class TrackStep(nn.Module):
         (`Templates.template_slopes`), and rest (2, P) those times the difference of the two windows.
         """
         x, y, xx, xy, yy = terms
-        back = self._inverse(x, y).mul(rest).sum(1)
+        back = sum_rows(self._inverse(x, y) * rest)
         step, inverse = back, None
         for _ in range(_BACK_STEPS):
             right, down = back[:1], back[1:]
@@ -174,16 +175,16 @@ class TrackStep(nn.Module):
             residual = (x + of_x) * right + (y + of_y) * down - rest
             if inverse is None:
                 inverse = self._inverse(x + of_x + xx * right, y + xy * right + 2 * of_y)
-            step = (inverse * residual).sum(1)
+            step = sum_rows(inverse * residual)
             back = back - step
         good = finite(back)
         reach = float(self.windows.reach)
-        return torch.where(good, back, reach), torch.where(good, step, reach).square().sum(0).sqrt()
+        return torch.where(good, back, reach), _length(torch.where(good, step, reach))
 
     def _inverse(self, x: Tensor, y: Tensor) -> Tensor:
         """Inverses (2, 2, P) of matrices with columns x and y (2, P); not finite where they are singular."""
         adjugate = self.turn @ torch.stack((y, -x))  # (2, 2, P): turned, the cross product with the other column
-        return adjugate / (adjugate[0] * x).sum(0)
+        return adjugate / sum_first(adjugate[0] * x)
 
     def _contains(self, points: Tensor, view: Tensor) -> Tensor:
         """(P) whether window and table lie in the frame at all points (K, 2, P)."""
@@ -191,3 +192,8 @@ class TrackStep(nn.Module):
         middle = torch.tensor([[(width - 1) / 2], [(height - 1) / 2]], dtype=points.dtype, device=points.device)
         room = middle - (self.windows.size // 2 + self.windows.margin)
         return ((points - middle).abs() - room).flatten(0, 1).amax(0) <= 0
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """(P) of (2, P)."""
+    return sum_first(vectors * vectors).sqrt()
