@@ -13,7 +13,7 @@ from fingerflow.ops.tracking import TrackStatus, track_points
 from fingerflow.stream.detect import DetectStep
 from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.key import KeyStep
-from fingerflow.stream.spline_features import feature_slopes, features, spline_matrix
+from fingerflow.stream.spline_features import feature_bends, feature_slopes, features, spline_matrix
 from fingerflow.stream.track import TrackStep
 from fingerflow.synthetic import Press
 
@@ -43,6 +43,9 @@ def test_features_make_the_spline(reach: int) -> None:
     torch.testing.assert_close(matrix @ features(shift, reach), spline_basis(shift - place, 3), rtol=0, atol=1e-13)
     slopes = spline_basis_derivative(shift - place, 3)
     torch.testing.assert_close(matrix @ feature_slopes(shift, reach), slopes, rtol=0, atol=1e-13)
+    step = 1e-6  # third derivatives jump at the knots: by 6 at most
+    bends = (feature_slopes(shift + step, reach) - feature_slopes(shift - step, reach)) / (2 * step)
+    torch.testing.assert_close(feature_bends(shift, reach), bends, rtol=0, atol=3 * step)
 
 
 @pytest.mark.parametrize(("window", "reach"), [(15, 1), (21, 1), (21, 2)])
