@@ -4,6 +4,7 @@
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
 Three threads pass frames on: capture, compute, sink; the main thread watches them and a fifth serves the live page.
+Frames that are computed side by side have a thread each besides.
 Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
 areas mm², axes mm, times s.
 """
@@ -28,6 +29,7 @@ import time
 import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -711,12 +713,18 @@ class _Tensor(NamedTuple):
 
 
 class Stepper:
-    """State of a stream and the step from one frame to the next.
+    """State of a stream, and what leads from one frame to the next.
 
     Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``), tensors that the
     graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
 
     Where the scene gives no threshold, nothing touches until `measure` has found one.
+
+    Several frames at a time need no more than their predictions: a frame begins from the states of the last one that
+    was finished. Where a point was when the contact reached it is kept from the first frame that says so.
+
+    Args:
+        parallel: frames computed side by side, each with a thread of its own if more than one.
 
     Attributes:
         outputs, states: of `frame`, by name; which of them are the next frame's inputs.
@@ -725,7 +733,7 @@ class Stepper:
         found, keyed: points found at the last restart, and given to the last key frame.
     """
 
-    def __init__(self, engine: Engine, scene: Scene, background: Array, dark: Array) -> None:
+    def __init__(self, engine: Engine, scene: Scene, background: Array, dark: Array, parallel: int = 1) -> None:
         self._bundle, self._engine = engine.bundle, engine
         self._sessions = {name: engine.frame if name == "frame" else engine.open(name) for name in GRAPHS}
         inputs = {name: self._tensors(name, "get_inputs") for name in GRAPHS}
@@ -745,15 +753,19 @@ class Stepper:
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
         self.states = {f"next_{name}" for name in states}
-        self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in range(2)]
+        # What a frame writes is not written again while the next ones are computed from it.
+        sides = range(2 * parallel)
+        self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in sides]
         self._results = [
             {name: np.zeros(t.shape, t.dtype) for name, t in self.outputs.items() if name not in self.states}
-            for _ in range(2)
+            for _ in sides
         ]
         constants = self._constants(inputs["frame"], {*states, *held})
-        # Two bindings: what one writes as next state the other reads as state.
-        self._bindings = [self._binding(side, constants) for side in range(2)]
-        self._side = 0
+        self._bindings = [self._binding(side, constants) for side in sides]
+        self._next, self._last = 0, len(sides) - 1  # side that is written next, and the last one that was finished
+        self.parallel = parallel
+        self._pool = ThreadPoolExecutor(parallel, "frame") if parallel > 1 else None
+        self._flying: deque[tuple[int, Future[None] | None]] = deque()
         self._glass = {"background": background[None, None], "dark": dark[None, None]}
         self._use_threshold()
 
@@ -763,14 +775,15 @@ class Stepper:
         self.restart(slot)
         if self.measures:
             self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
-        self.step(slot)
+        self.start(slot)
+        self.finish()
 
     def restart(self, slot: Slot) -> int:
         """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""
         given = {"topography_view": slot.views["topography_view"], "mask": self._mask}
         points = self._run("detect", given)["points"]
         self.found = int(np.isfinite(points).all(-1).sum())
-        for value in self._states[self._side].values():
+        for value in self._states[self._last].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
         self.key(slot, points)
@@ -779,7 +792,7 @@ class Stepper:
     def key(self, slot: Slot, points: Array) -> int:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
         self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
-        if (state := self._states[self._side].get("prediction")) is not None:
+        if (state := self._states[self._last].get("prediction")) is not None:
             state.update_inplace(np.ascontiguousarray(points, self._key_inputs["points"].dtype))
         self.keyed = int(np.isfinite(points).all(-1).sum())
         return self.keyed
@@ -795,14 +808,36 @@ class Stepper:
     def _use_threshold(self) -> None:
         self._run("background", {**self._glass, "threshold": np.array([self.threshold])})
 
-    def step(self, slot: Slot) -> dict[str, Array]:
-        """Outputs by name, (1, ...); valid until the step after the next one."""
-        binding = self._bindings[self._side]
-        for name, value in (slot.values | self._states[self._side]).items():
+    def start(self, slot: Slot) -> None:
+        """Begins a frame; `finish` gives its outputs, in the order in which frames began."""
+        side, frame = self._next, self._engine.frame
+        self._next = (side + 1) % len(self._bindings)
+        binding = self._bindings[side]
+        for name, value in (slot.values | self._states[self._last]).items():
             binding.bind_ortvalue_input(name, value)
-        self._engine.frame.run_with_iobinding(binding)
-        self._side = 1 - self._side
-        return self._results[1 - self._side]
+        if self._pool is None:
+            frame.run_with_iobinding(binding)
+            self._flying.append((side, None))
+        else:
+            self._flying.append((side, self._pool.submit(frame.run_with_iobinding, binding)))
+
+    def finish(self) -> dict[str, Array]:
+        """Outputs by name, (1, ...), of the frame that began first; valid until as many more have begun as `parallel`
+        says, and one."""
+        side, running = self._flying.popleft()
+        if running is not None:
+            running.result()
+            self._keep_first("reference", side)
+        self._last = side
+        return self._results[side]
+
+    def _keep_first(self, name: str, side: int) -> None:
+        """What the frame before knew already stays: this frame began without it."""
+        if name in self._states[side]:
+            before, state = (self._states[one][name].numpy() for one in (self._last, side))
+            known = np.isfinite(before)
+            if (known & (before != state)).any():
+                self._states[side][name].update_inplace(np.where(known, before, state))
 
     def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
         arguments = getattr(self._sessions[graph], side)()
@@ -845,7 +880,7 @@ class Stepper:
         binding = self._engine.frame.io_binding()
         for name, value in constants.items():
             binding.bind_ortvalue_input(name, value)
-        for name, value in self._states[1 - side].items():
+        for name, value in self._states[side].items():
             binding.bind_ortvalue_output(f"next_{name}", value)
         for name, array in self._results[side].items():
             binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
@@ -1119,6 +1154,14 @@ _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
 
 
+class _Computed(NamedTuple):
+    """A frame, its outputs, and the place of its record."""
+
+    slot: Slot
+    outputs: dict[str, Array]
+    place: int
+
+
 class Player:
     """One stream from source to results; `run` returns when it has ended.
 
@@ -1142,12 +1185,12 @@ class Player:
         self.provider = provider
         self._stepper, self._sink, self._layout = stepper, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, one computed, one drawn on the page; the others wait. Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3)]
+        # One slot is being filled, some computed, one drawn on the page; the others wait. Their number is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 2 + stepper.parallel)]
         self._free = Channel(len(slots), slots)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
-        self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)
+        self._room = np.zeros(_RECORDS_WAITING + 1 + stepper.parallel, layout.dtype)
         self.frames_in = self.processed = self.dropped = self.overruns = 0
         self.reconnects = self.stalls = self.restarts = self.keys = 0
         self.latencies, self._recent = Latencies(), Latencies()
@@ -1336,43 +1379,70 @@ class Player:
         unmeasured, measured = self._stepper.measures, -math.inf
         # A recording that waits is tried in every frame: that gives the same result each time.
         interval = _MEASURE_INTERVAL if self._source.live or self.settings.rate else 0.0
-        place = 0
-        while (slot := self._frames.get()) is not None:
-            if not self.restarts:
-                first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
-                self._restart(slot, "start")
-            if unmeasured and slot.arrival - measured >= interval:
-                measured, unmeasured = slot.arrival, not self._measure(slot)
-            outputs = self._stepper.step(slot)
-            record = self._room[place]
-            self._layout.fill(record, outputs)
-            self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
-            latency = time.perf_counter() - slot.arrival
-            record["frame"], record["time"], record["latency"] = slot.number, slot.arrival - first, latency
-            record["key_frame"], record["restart"] = key_frame, self.restarts
-            self.latencies.add(latency)
-            self._recent.add(latency)
-            self.processed += 1
+        begun: deque[Slot] = deque()
+        done: list[_Computed] = []
 
-            due = slot.arrival - restarted >= _RESTART_INTERVAL
-            lost = due and self.tracked < max(self._stepper.found / 2, 1)
-            if lost or self.restart_wanted.is_set():
-                cause = "lost" if lost else "page"
-                self.restart_wanted.clear()
-                restarted, key_frame = slot.arrival, slot.number
-                self._restart(slot, cause)
-                unmeasured = self._stepper.measures
-            elif 0 < self.tracked < share * self._stepper.keyed or slot.number - key_frame >= rekey_frames:
-                key_frame = slot.number
-                self._sink.event("key_frame", slot.number, points=self._stepper.key(slot, outputs["points"]))
-                self.keys += 1
+        def finish() -> _Computed:
+            slot = begun.popleft()
+            computed = _Computed(slot, self._stepper.finish(), self.processed % len(self._room))
+            self._fill(computed, first, key_frame)
+            return computed
 
-            drawn = LiveViews(slot, outputs.get("touching")) if self.live.is_due() else None
-            if drawn is None:
-                self._free.put(slot)
-            if not self._records.put((place, drawn)):
+        while True:
+            slot = self._frames.get(wait=not begun)
+            if slot is not None:
+                if not self.restarts:
+                    first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
+                    self._restart(slot, "start")
+                if unmeasured and slot.arrival - measured >= interval:
+                    done = [finish() for _ in list(begun)]  # they read what changes now
+                    measured, unmeasured = slot.arrival, not self._measure(slot)
+                self._stepper.start(slot)
+                begun.append(slot)
+            elif not begun:
                 return
-            place = (place + 1) % len(self._room)
+            if not done and (slot is None or len(begun) == self._stepper.parallel):
+                done = [finish()]
+            if done:
+                last, outputs, _ = done[-1]
+                due = last.arrival - restarted >= _RESTART_INTERVAL
+                lost = due and self.tracked < max(self._stepper.found / 2, 1)
+                rekey = 0 < self.tracked < share * self._stepper.keyed or last.number - key_frame >= rekey_frames
+                restart = lost or self.restart_wanted.is_set()
+                if restart or rekey:
+                    done += [finish() for _ in list(begun)]
+                if restart:
+                    cause = "lost" if lost else "page"
+                    self.restart_wanted.clear()
+                    restarted, key_frame = last.arrival, last.number
+                    self._restart(last, cause)
+                    unmeasured = self._stepper.measures
+                elif rekey:
+                    key_frame = last.number
+                    self._sink.event("key_frame", last.number, points=self._stepper.key(last, outputs["points"]))
+                    self.keys += 1
+            for computed in done:
+                if not self._hand_on(computed):
+                    return
+            done = []
+
+    def _fill(self, computed: _Computed, first: float, key_frame: int) -> None:
+        slot, outputs, place = computed
+        record = self._room[place]
+        self._layout.fill(record, outputs)
+        self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
+        latency = time.perf_counter() - slot.arrival
+        record["frame"], record["time"], record["latency"] = slot.number, slot.arrival - first, latency
+        record["key_frame"], record["restart"] = key_frame, self.restarts
+        self.latencies.add(latency)
+        self._recent.add(latency)
+        self.processed += 1
+
+    def _hand_on(self, computed: _Computed) -> bool:
+        drawn = LiveViews(computed.slot, computed.outputs.get("touching")) if self.live.is_due() else None
+        if drawn is None:
+            self._free.put(computed.slot)
+        return self._records.put((computed.place, drawn))
 
     def _restart(self, slot: Slot, cause: str) -> None:
         self._sink.event("restart", slot.number, cause=cause, points=self._stepper.restart(slot))
@@ -1756,8 +1826,10 @@ def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
 def _stream(options: argparse.Namespace) -> int:
     bundle = load_bundle(options.bundle)
     scene, name, open_source, background, dark = _inputs(options, bundle)
-    engine = Engine(bundle, options.provider, options.threads, options.spin)
-    stepper = Stepper(engine, scene, background, dark)
+    parallel = options.parallel_frames
+    threads = options.threads or (max(1, (os.cpu_count() or 1) // parallel) if parallel > 1 else 0)
+    engine = Engine(bundle, options.provider, threads, options.spin)
+    stepper = Stepper(engine, scene, background, dark, parallel)
     stepper.warm_up()
     properties = engine.frame.get_modelmeta().custom_metadata_map
     layout = RecordLayout(
@@ -1901,7 +1973,8 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
     add("--policy", choices=("every", "latest"), help="every frame (default for files), or the newest (for cameras)")
     add("--queue", type=_count, default=Settings.queue, help="frames that wait at most under the policy `every`")
     add("--provider", choices=PROVIDERS, help="execution provider; default: the first that works, in this order")
-    add("--threads", type=int, default=0, help="threads inside an operator; default one a core")
+    add("--threads", type=_count, default=0, help="threads inside an operator; default one a core")
+    add("--parallel-frames", type=_count, default=1, metavar="N", help="compute N frames side by side, on N cores")
     add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
     add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
     add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")

@@ -61,13 +61,13 @@ class Slow:
     """A graph that takes its time."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-        step = player.Stepper.step
+        start = player.Stepper.start
 
-        def slow(stepper: player.Stepper, slot: player.Slot) -> Any:
+        def slow(stepper: player.Stepper, slot: player.Slot) -> None:
             time.sleep(seconds)
-            return step(stepper, slot)
+            start(stepper, slot)
 
-        monkeypatch.setattr(player.Stepper, "step", slow)
+        monkeypatch.setattr(player.Stepper, "start", slow)
 
 
 def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,6 +92,23 @@ def test_the_policy_latest_takes_the_newest_frame(stream: Stream, monkeypatch: p
     assert (np.diff(numbers) > 0).all()
     assert numbers[-1] == 119
     assert summary["overruns"] == 0
+
+
+@pytest.mark.parametrize("parallel", ["2", "3"])
+def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str) -> None:
+    """Every frame in its order with its own result; a key frame or restart comes before all frames that begin later."""
+    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
+    found = [10, 10, 9, 8, 7, 7, 7, 7, 6, 6, 4, 10, 10, 10, 10, 10, 10, 10]
+    frames = [frame(found=number) for number in found]
+    ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", parallel)
+    records, events = ended.results.records, ended.results.events
+    np.testing.assert_array_equal(records["frame"], np.arange(len(found)))
+    np.testing.assert_array_equal(np.isfinite(records["points"][..., 0]).sum(1), found)
+    assert [(event["event"], event["frame"]) for event in events] == [("restart", 0), ("key_frame", 4), ("restart", 10)]
+    for column, number, frame_number in (("key_frame", 4, 4), ("restart", 2, 10)):
+        changed = int(np.argmax(records[column] == number))
+        assert frame_number < changed <= frame_number + int(parallel)
+        assert (records[column][changed:] >= number).all()
 
 
 def _darkened(level: int) -> Any:
