@@ -1,8 +1,9 @@
-"""The player on a synthetic camera: 60 s of two 512 x 640 views, on the processor, every frame computed and written.
+"""The player on a synthetic camera: two 512 x 640 views, on the processor, every frame computed and written.
 
-Each recipe of `export/` is played at 300 frames a second, as a camera would give them, and as fast as it goes. Latency
-runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were waiting.
-On cores that do other work latencies mean little.
+Each recipe of `export/` is played as fast as it goes, one frame after the other and two side by side (`--parallel-frames
+2`), and then two side by side for 60 s at the rate it is for, as a camera would give the frames. Latency runs from when
+the camera gives a frame to its result; `overruns` is how often a frame came while 32 were waiting. On cores that do
+other work latencies mean little.
 """
 
 from pathlib import Path
@@ -11,21 +12,23 @@ from bench.rows import Row
 from bench.streams import exported, play
 
 RECIPES = Path(__file__).parents[2] / "export"
-RATE = 300
+RATES = {"fast": 300, "exact": 100}
 
 
 def run(quick: bool) -> list[Row]:
-    """Two rows a recipe."""
+    """Three rows a recipe."""
     rows: list[Row] = []
     for path in sorted(RECIPES.glob("*.toml")):
         with exported(path.read_text(encoding="utf-8")) as bundle:
-            for pace in (RATE, None):
-                count = 2 * RATE if quick else 60 * RATE if pace else 10 * RATE
+            rate = RATES[path.stem]
+            for pace, parallel in ((None, 1), (None, 2), (rate, 2)):
+                count = 2 * rate if quick else 60 * rate if pace else 10 * rate
                 given = () if pace is None else ("--rate", str(pace))
-                summary = play(bundle, "--frames", str(count), *given)
+                summary = play(bundle, "--frames", str(count), "--parallel-frames", str(parallel), *given)
                 rows.append(
                     {
                         "recipe": path.stem,
+                        "side_by_side": parallel,
                         "asked_hz": pace,
                         "rate_hz": summary["rate_hz"],
                         "frames": summary["processed"],

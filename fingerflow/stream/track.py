@@ -38,8 +38,9 @@ class TrackStep(nn.Module):
         window: odd side, px.
         reach: px from the whole pixel nearest to a prediction within which its point is found.
         exact_return: find every point again in the key frame from where it was found, by the key frame's slopes and
-            bends at the point: to second order, within 6e-5 px of the search on a press. Otherwise one
-            Gauss-Newton step from the start tells how far it would end from there: the same to first order.
+            bends at the point: to second order, within 6e-5 px of the search on a press, where points return to
+            0.03 px; further off it is coarser, by some percent of a pixel near the limit. Otherwise one Gauss-Newton
+            step from the start tells how far it would end from there: the same to first order.
         forward_backward_limit: px beyond which a point counts as lost.
     """
 
