@@ -1,9 +1,9 @@
 """The player on a synthetic camera: two 512 x 640 views, on the processor, every frame computed and written.
 
-Each recipe of `export/` is played as fast as it goes, one frame after the other and two side by side (`--parallel-frames
-2`), and then two side by side for 60 s at the rate it is for, as a camera would give the frames. Latency runs from when
-the camera gives a frame to its result; `overruns` is how often a frame came while 32 were waiting. On cores that do
-other work latencies mean little.
+Each recipe of `export/` is played as fast as it goes, one frame after the other and two side by side (the option
+`--parallel-frames 2`), and then two side by side for 60 s at the rate it is for, as a camera would give the frames.
+Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
+waiting. On cores that do other work latencies mean little.
 """
 
 from pathlib import Path
