@@ -119,7 +119,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     axes.set_xscale("log")
     axes.set_xticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
     axes.minorticks_off()
-    axes.set_ylim(bottom=0.85)
+    axes.set_ylim(0.85, max(number(row, "over_bound") for row in rows) + 0.02)  # room for the labels
     threads = torch.get_num_threads()
     axes.set_xlabel(f"time per point, there and back, {threads} thread{'s' * (threads > 1)} (µs)")
     axes.set_ylabel("RMS error / Cramér–Rao bound")
