@@ -34,15 +34,20 @@ class ContactStep(nn.Module):
     Args:
         median_px: odd side of the median.
         median_type: type that carries the median: uint8, or one that the runtime has minima and comparisons of.
+        cell_px: of the gross region (`RegionStep`).
     """
 
     def __init__(
-        self, median_px: int = 3, median_type: torch.dtype = torch.uint8, precision: torch.dtype = torch.float32
+        self,
+        median_px: int = 3,
+        median_type: torch.dtype = torch.uint8,
+        precision: torch.dtype = torch.float32,
+        cell_px: int = 4,
     ) -> None:
         super().__init__()
         self.median_px = median_px
         self.median_type = median_type
-        self.region = RegionStep(precision)
+        self.region = RegionStep(precision, cell_px)
 
     def forward(self, contact_view: Tensor, limit: Tensor, valid: Tensor) -> StreamContact:
         """(B, 1, H, W) frames, the limit and the valid pixels of `BackgroundStep`."""

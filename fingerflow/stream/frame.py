@@ -9,7 +9,6 @@ from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.fields import FieldsStep, components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
-from fingerflow.stream.region import CELL
 from fingerflow.stream.track import TrackStep
 
 
@@ -68,9 +67,10 @@ class FrameStep(nn.Module):
         kind = points.dtype
         tracked = (tracks.status == 0)[:, None]
         matrix = topography_to_contact.to(kind)
+        cell = self.contact.region.cell
         # In cells; a point that is lost lies nowhere near.
         under = matrix[:, :2] @ torch.where(tracked, points, -1e4) + matrix[:, 2:]
-        covered = _interpolate(contact.excess, (under - (CELL - 1) / 2) / CELL) > 0
+        covered = _interpolate(contact.excess, (under - (cell - 1) / 2) / cell) > 0
         earlier = components_first(reference.to(kind))
         arriving = ~finite(earlier) & (covered[:, None] & tracked)
         onset = torch.where(arriving, points, earlier)

@@ -71,8 +71,8 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     contact, tracking = recipe.contact, recipe.tracking
     median_type = _TYPES[contact.median_type]
     scatter = contact.count_by == "scatter"
-    known = ContactStep(contact.median_px, median_type, kind)
-    measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind)
+    known = ContactStep(contact.median_px, median_type, kind, contact.cell_px)
+    measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
     table = (tracking.window_px, tracking.reach_px)
     track = TrackStep(*table, tracking.way_back == "table", tracking.forward_backward_limit_px, kind)
     fields = FieldsStep(recipe.fields.gauge_px, kind)

@@ -11,7 +11,7 @@ from fingerflow.stream.contact import span
 from fingerflow.stream.finite import finite
 from fingerflow.stream.levels import LEVELS, median_level, otsu_classes
 from fingerflow.stream.median_planes import median_of_rows
-from fingerflow.stream.region import CELL, RegionStep, enlarge
+from fingerflow.stream.region import RegionStep, enlarge
 
 # Contact takes at least a twentieth of the light; two halves of noise lie closer together (`graphs.ContactGraph`).
 _LEAST_LIGHT_LOST = 0.05
@@ -42,6 +42,7 @@ class MeasuredContactStep(nn.Module):
         median_type: type of the levels in the median: uint8, or one that the runtime has minima of.
         lattice_px: step of the lattice of pixels that are counted; 1 for all of them.
         scatter: count by scattering (fast on a processor) rather than by a product of digits.
+        cell_px: of the gross region (`RegionStep`).
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class MeasuredContactStep(nn.Module):
         lattice_px: int = 1,
         scatter: bool = True,
         precision: torch.dtype = torch.float32,
+        cell_px: int = 4,
     ) -> None:
         super().__init__()
         self.median_px = median_px
@@ -58,7 +60,7 @@ class MeasuredContactStep(nn.Module):
         self.lattice_px = lattice_px
         self.scatter = scatter
         self.precision = precision
-        self.region = RegionStep(precision)
+        self.region = RegionStep(precision, cell_px)
 
     def forward(self, contact_view: Tensor, gain: Tensor, offset: Tensor, valid: Tensor) -> MeasuredContact:
         """(B, 1, H, W) frames and the results of `BackgroundStep`."""
@@ -85,7 +87,7 @@ class MeasuredContactStep(nn.Module):
         touching = self._touching(smooth, valid, torch.where(apart, otsu, torch.nan))
         gross = (self.region(touching).excess > 0).to(self.precision)
         height, width = valid.shape[-2:]
-        inside = enlarge(gross, CELL)[..., :height, :width].to(valid.dtype)
+        inside = enlarge(gross, self.region.cell)[..., :height, :width].to(valid.dtype)
         weight = torch.minimum(weight, self._lattice(inside))
         both = self._histogram(some, weight)
         ridges = self._histogram(some, torch.minimum(weight, self._lattice(touching)))

@@ -34,6 +34,7 @@ class ContactRecipe(_Table):
     median_type: Literal["uint8", "float32", "float16"] = "uint8"
     lattice_px: Annotated[Whole, Field(ge=1, le=16)] = 1
     count_by: Literal["scatter", "product"] = "scatter"
+    cell_px: Literal[4, 8] = 4  # of the gross region
     touching: Switch = True  # whether `frame` gives the mask
 
 

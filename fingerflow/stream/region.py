@@ -1,4 +1,4 @@
-"""The region that micro-junctions span, on cells of 4 x 4 px, with soft borders."""
+"""The region that micro-junctions span, on cells of 4 or 8 px, with soft borders."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-CELL = 4  # px
-_BOX = 5  # cells: 20 px, two ridges and a little more
-_COARSE = 8  # cells a side of a block in which a component is followed
+_BOX = 20  # px, two ridges and a little more
+_BLOCK = 32  # px, a side of a block in which a component is followed
 _LEAST_DENSITY = 0.2  # share of a contact that touches at least, as in `graphs.ContactGraph`
 
 
@@ -16,8 +15,8 @@ class Region(NamedTuple):
     """Gross contact of B frames.
 
     `excess` (B, 1, h, w): density of the junctions over its limit, positive inside the region and smooth across its
-    border; cell (i, j) stands for pixel (4 j + 1.5, 4 i + 1.5). Area of the touching pixels and of the region (B,) px,
-    centre and semi axes (B, 2) px, angle (B,) rad.
+    border; of cells of c px, (i, j) stands for pixel (c j + (c - 1) / 2, c i + (c - 1) / 2). Area of the touching
+    pixels and of the region (B,) px, centre and semi axes (B, 2) px, angle (B,) rad.
     """
 
     excess: Tensor
@@ -29,27 +28,32 @@ class Region(NamedTuple):
 
 
 class RegionStep(nn.Module):
-    """As `ops.dense_region`, at a sixteenth of the places.
+    """As `ops.dense_region`, at a sixteenth of the places or less.
 
-    The density of junctions is smooth over 20 px, so cells of 4 px lose nothing of it. Where its border crosses a cell,
-    the cell counts by the part that lies inside, from the density's slope. Holes are filled where the region lies on
-    all four sides. Of several components the one around the densest place counts; they are told apart on blocks of 32
-    px.
+    The density of junctions is smooth over 20 px, so cells of 4 px lose nothing of it, and cells of 8 px little. Where
+    its border crosses a cell, the cell counts by the part that lies inside, from the density's slope. Holes are filled
+    where the region lies on all four sides. Of several components the one around the densest place counts; they are
+    told apart on blocks of 32 px.
+
+    Args:
+        cell: px, a divisor of 32.
     """
 
-    def __init__(self, precision: torch.dtype = torch.float32) -> None:
+    def __init__(self, precision: torch.dtype = torch.float32, cell: int = 4) -> None:
         super().__init__()
         self.precision = precision
+        self.cell = cell
 
     def forward(self, touching: Tensor) -> Region:
         """(B, 1, H, W) of 0 and 1 in any type."""
-        cells = _cells(touching.to(self.precision))
-        density = _smooth(cells)
+        cell = self.cell
+        cells = _cells(touching.to(self.precision), cell)
+        density = _smooth(cells, cell)
         inside = (density > 0.25).to(self.precision)
         for _ in range(2):
             inside = (density > _share(cells, inside) / 2).to(self.precision)
         # At a border that is curved outwards the density of the region itself is below one half.
-        own = _smooth(inside)
+        own = _smooth(inside, cell)
         around = functional.avg_pool2d(inside, 3, 1, 1)
         border = ((around - 0.5).abs() < 0.45).to(self.precision)
         level = ((own * border).sum((2, 3), keepdim=True) / border.sum((2, 3), keepdim=True).clamp_min(1)).clamp(
@@ -59,7 +63,7 @@ class RegionStep(nn.Module):
         limit = _share(cells, (density > limit).to(self.precision)) * level
         above = density - limit
         inside = (above > 0).to(self.precision)
-        filled = _enclosed(_main_component(inside, density))
+        filled = _enclosed(_main_component(inside, density, _BLOCK // cell))
         # The border cells, in which the region ends, count in part, also those just outside.
         near = functional.max_pool2d(filled, 3, 1, 1)
         part = (above / _slope(density).clamp_min(1e-6) + 0.5).clamp(0, 1)
@@ -68,29 +72,29 @@ class RegionStep(nn.Module):
         # exceed the limit, elsewhere it is not negative.
         coverage = torch.maximum(part * near, hole)
         excess = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
-        return Region(excess, cells.sum((1, 2, 3)) * CELL**2, *_moments(coverage))
+        return Region(excess, cells.sum((1, 2, 3)) * cell**2, *_moments(coverage, cell))
 
 
-def _cells(real: Tensor) -> Tensor:
-    """Means (B, 1, h, w) of squares of `CELL` px, zeros beyond the frame."""
+def _cells(real: Tensor, cell: int) -> Tensor:
+    """Means (B, 1, h, w) of squares of `cell` px, zeros beyond the frame."""
     height, width = real.shape[-2:]
-    if height % CELL or width % CELL:
-        real = functional.pad(real, (0, -width % CELL, 0, -height % CELL))
+    if height % cell or width % cell:
+        real = functional.pad(real, (0, -width % cell, 0, -height % cell))
     # Down first, in whole lines: half the time of a pooling.
-    lines = real.unflatten(2, (-1, CELL)).sum(3)
-    return lines.unflatten(3, (-1, CELL)).sum(4) / CELL**2
+    lines = real.unflatten(2, (-1, cell)).sum(3)
+    return lines.unflatten(3, (-1, cell)).sum(4) / cell**2
 
 
-def _smooth(cells: Tensor) -> Tensor:
+def _smooth(cells: Tensor, cell: int) -> Tensor:
     """Three box means; nothing touches beyond the frame."""
-    down, along = (_boxes(side).to(cells) for side in cells.shape[-2:])
+    down, along = (_boxes(side, _BOX / cell).to(cells) for side in cells.shape[-2:])
     return down @ cells @ along
 
 
-def _boxes(side: int) -> Tensor:
-    """(side, side): three box means of a line."""
-    place = torch.arange(side)
-    box = ((place[:, None] - place).abs() <= _BOX // 2).to(torch.float64) / _BOX
+def _boxes(side: int, width: float) -> Tensor:
+    """(side, side): three box means of a line, over `width` places; those at its ends count in part."""
+    place = torch.arange(side, dtype=torch.float64)
+    box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
     return box @ box @ box
 
 
@@ -114,19 +118,19 @@ def _differences(side: int) -> Tensor:
     return ((step == 1).to(torch.float64) - (step == -1).to(torch.float64)) / 2
 
 
-def _main_component(inside: Tensor, density: Tensor) -> Tensor:
-    """The cells connected to the densest one, by blocks: dilated step by step, as often as the longer side has
-    blocks."""
+def _main_component(inside: Tensor, density: Tensor, block: int) -> Tensor:
+    """The cells connected to the densest one, by blocks of so many a side: dilated step by step, as often as the longer
+    side has blocks."""
     height, width = inside.shape[-2:]
-    fit = (0, -width % _COARSE, 0, -height % _COARSE)
+    fit = (0, -width % block, 0, -height % block)
     dense = inside * density
     if any(fit):
         inside, dense = functional.pad(inside, fit), functional.pad(dense, fit)
-    blocks, densest = (functional.max_pool2d(cells, _COARSE) for cells in (inside, dense))
+    blocks, densest = (functional.max_pool2d(cells, block) for cells in (inside, dense))
     reached = (densest >= densest.amax((2, 3), keepdim=True)).to(inside.dtype) * blocks
     for _ in range(max(blocks.shape[-2:])):
         reached = torch.minimum(functional.max_pool2d(reached, 3, 1, 1), blocks)
-    return (inside * enlarge(reached, _COARSE))[..., :height, :width]
+    return (inside * enlarge(reached, block))[..., :height, :width]
 
 
 def enlarge(cells: Tensor, times: int) -> Tensor:
@@ -147,7 +151,7 @@ def _enclosed(inside: Tensor) -> Tensor:
     return (between[0] & between[1]).to(inside.dtype)
 
 
-def _moments(coverage: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Area, centre, semi axes and angle of the ellipse with the same moments (`ops.fit_ellipse`), px."""
     # About the middle of the frame, in cells, where float32 holds their squares.
     powers = []
@@ -163,16 +167,16 @@ def _moments(coverage: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     mean = torch.cat((moments[:, 0, 1:2], moments[:, 1, :1]), dim=1)
     square = torch.cat((moments[:, 0, 2:], moments[:, 2, :1]), dim=1) - mean * mean
     mixed = moments[:, 1, 1:2] - mean[:, :1] * mean[:, 1:]
-    # The places within a cell vary themselves, by (CELL^2 - 1) / 12 px^2 if they are pixel centres.
-    variance = square * CELL**2 + (CELL**2 - 1) / 12
-    middle, half = variance.mean(1, keepdim=True), (square[:, :1] - square[:, 1:]) * (CELL**2 / 2)
-    mixed = mixed * CELL**2
+    # The places within a cell vary themselves, by (cell^2 - 1) / 12 px^2 if they are pixel centres.
+    variance = square * cell**2 + (cell**2 - 1) / 12
+    middle, half = variance.mean(1, keepdim=True), (square[:, :1] - square[:, 1:]) * (cell**2 / 2)
+    mixed = mixed * cell**2
     spread = (half * half + mixed * mixed).sqrt()
     axes = 2 * torch.cat((middle + spread, (middle - spread).clamp_min(0)), dim=1).sqrt()
     angle = torch.atan2(mixed, half) / 2
-    center = (mean + torch.tensor(middles[::-1], dtype=mean.dtype, device=mean.device)) * CELL + (CELL - 1) / 2
+    center = (mean + torch.tensor(middles[::-1], dtype=mean.dtype, device=mean.device)) * cell + (cell - 1) / 2
     return (
-        torch.where(some, mass * CELL**2, 0.0).squeeze(1),
+        torch.where(some, mass * cell**2, 0.0).squeeze(1),
         torch.where(some, center, torch.nan),
         torch.where(some, axes, torch.nan),
         torch.where(some, angle, torch.nan).squeeze(1),

@@ -87,14 +87,15 @@ def test_without_contact_there_is_no_threshold(name: str, empty: Tensor) -> None
     assert ContactStep()(frames[name], limit, valid).touching.sum() == 0
 
 
-def test_region_of_an_ellipse_has_its_area_and_axes() -> None:
+@pytest.mark.parametrize("cell", [4, 8])
+def test_region_of_an_ellipse_has_its_area_and_axes(cell: int) -> None:
     y, x = torch.meshgrid(torch.arange(300.0), torch.arange(400.0), indexing="ij")
     right, down = x - 180.3, y - 140.7
     along, across = right * np.cos(0.3) + down * np.sin(0.3), down * np.cos(0.3) - right * np.sin(0.3)
     inside = (along / 120) ** 2 + (across / 80) ** 2 <= 1
     inside[120:160, 170:190] = False  # a hole belongs to the region
     inside[5:25, 370:395] = True  # dirt does not
-    region = RegionStep()(inside[None, None].to(torch.uint8))
+    region = RegionStep(cell=cell)(inside[None, None].to(torch.uint8))
     # A full region's density ends half a box from its border: the level is corrected for curvature, to 1 %.
     torch.testing.assert_close(region.area_px, torch.tensor([np.pi * 120 * 80], dtype=torch.float32), rtol=0.01, atol=0)
     torch.testing.assert_close(region.semi_axes, torch.tensor([[120.0, 80.0]]), rtol=0.01, atol=0)
