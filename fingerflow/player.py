@@ -630,13 +630,19 @@ class Channel(Generic[T]):
             self._changed.notify_all()
             return left
 
-    def get(self, wait: bool = True) -> T | None:
+    def get(self, waits: Callable[[], bool] = lambda: True) -> T | None:
+        """The oldest item; None where there is none and the channel is closed or `waits` says no (see `wake`)."""
         with self._changed:
-            while wait and not self._items and not self._closed:
+            while not self._items and not self._closed and waits():
                 self._changed.wait()
             item = self._items.popleft() if self._items else None
             self._changed.notify_all()
             return item
+
+    def wake(self) -> None:
+        """Whoever waits asks its `waits` again."""
+        with self._changed:
+            self._changed.notify_all()
 
     def close(self) -> None:
         with self._changed:
@@ -808,8 +814,9 @@ class Stepper:
     def _use_threshold(self) -> None:
         self._run("background", {**self._glass, "threshold": np.array([self.threshold])})
 
-    def start(self, slot: Slot) -> None:
-        """Begins a frame; `finish` gives its outputs, in the order in which frames began."""
+    def start(self, slot: Slot, done: Callable[[], None] = lambda: None) -> None:
+        """Begins a frame; `finish` gives its outputs, in the order in which frames began, without waiting once `done`
+        was called and `is_ready` says so."""
         side, frame = self._next, self._engine.frame
         self._next = (side + 1) % len(self._bindings)
         binding = self._bindings[side]
@@ -819,7 +826,13 @@ class Stepper:
             frame.run_with_iobinding(binding)
             self._flying.append((side, None))
         else:
-            self._flying.append((side, self._pool.submit(frame.run_with_iobinding, binding)))
+            running = self._pool.submit(frame.run_with_iobinding, binding)
+            self._flying.append((side, running))
+            running.add_done_callback(lambda _: done())
+
+    def is_ready(self) -> bool:
+        """Whether the frame that began first is computed."""
+        return bool(self._flying) and ((running := self._flying[0][1]) is None or running.done())
 
     def finish(self) -> dict[str, Array]:
         """Outputs by name, (1, ...), of the frame that began first; valid until as many more have begun as `parallel`
@@ -827,17 +840,21 @@ class Stepper:
         side, running = self._flying.popleft()
         if running is not None:
             running.result()
-            self._keep_first("reference", side)
+            self._learn(side)
         self._last = side
         return self._results[side]
 
-    def _keep_first(self, name: str, side: int) -> None:
-        """What the frame before knew already stays: this frame began without it."""
-        if name in self._states[side]:
-            before, state = (self._states[one][name].numpy() for one in (self._last, side))
-            known = np.isfinite(before)
-            if (known & (before != state)).any():
-                self._states[side][name].update_inplace(np.where(known, before, state))
+    def _learn(self, side: int) -> None:
+        """A frame began without what the one before found: onsets known there stay, and places of points lost here."""
+        for name, kept in (
+            ("reference", lambda before: np.isfinite(before)),
+            ("prediction", lambda before: np.isfinite(before) & ~np.isfinite(self._results[side]["points"])),
+        ):
+            if name in self._states[side]:
+                before, state = (self._states[one][name].numpy() for one in (self._last, side))
+                chosen = kept(before)
+                if (chosen & (before != state)).any():
+                    self._states[side][name].update_inplace(np.where(chosen, before, state))
 
     def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
         arguments = getattr(self._sessions[graph], side)()
@@ -1356,7 +1373,7 @@ class Player:
         self._stop.wait(delay)
 
     def _take(self, frame: Array, arrival: float, cannot_wait: bool) -> None:
-        slot = self._free.get(wait=False)
+        slot = self._free.get(lambda: False)
         if slot is None:
             self.overruns += cannot_wait
             slot = self._free.get()
@@ -1388,21 +1405,30 @@ class Player:
             self._fill(computed, first, key_frame)
             return computed
 
+        def drain() -> None:
+            try:
+                while begun:
+                    done.append(finish())
+            except BaseException:
+                for computed in done:
+                    self._hand_on(computed)
+                raise
+
         while True:
-            slot = self._frames.get(wait=not begun)
+            slot = self._frames.get(lambda: not (begun and self._stepper.is_ready()))
             if slot is not None:
                 if not self.restarts:
                     first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
                     self._restart(slot, "start")
                 if unmeasured and slot.arrival - measured >= interval:
-                    done = [finish() for _ in list(begun)]  # they read what changes now
+                    drain()  # they read what changes now
                     measured, unmeasured = slot.arrival, not self._measure(slot)
-                self._stepper.start(slot)
+                self._stepper.start(slot, self._frames.wake)
                 begun.append(slot)
             elif not begun:
                 return
             if not done and (slot is None or len(begun) == self._stepper.parallel):
-                done = [finish()]
+                done.append(finish())
             if done:
                 last, outputs, _ = done[-1]
                 due = last.arrival - restarted >= _RESTART_INTERVAL
@@ -1410,7 +1436,7 @@ class Player:
                 rekey = 0 < self.tracked < share * self._stepper.keyed or last.number - key_frame >= rekey_frames
                 restart = lost or self.restart_wanted.is_set()
                 if restart or rekey:
-                    done += [finish() for _ in list(begun)]
+                    drain()
                 if restart:
                     cause = "lost" if lost else "page"
                     self.restart_wanted.clear()
@@ -1424,7 +1450,7 @@ class Player:
             for computed in done:
                 if not self._hand_on(computed):
                     return
-            done = []
+            done.clear()
 
     def _fill(self, computed: _Computed, first: float, key_frame: int) -> None:
         slot, outputs, place = computed
@@ -1827,8 +1853,13 @@ def _stream(options: argparse.Namespace) -> int:
     bundle = load_bundle(options.bundle)
     scene, name, open_source, background, dark = _inputs(options, bundle)
     parallel = options.parallel_frames
-    threads = options.threads or (max(1, (os.cpu_count() or 1) // parallel) if parallel > 1 else 0)
+    # Frames side by side share the threads inside operators, beside the one that each has itself.
+    threads = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
     engine = Engine(bundle, options.provider, threads, options.spin)
+    if parallel > 1 and engine.provider == "directml":
+        raise PlayerError(
+            "--parallel-frames: DirectML computes one frame at a time; leave it out, or add --provider cpu"
+        )
     stepper = Stepper(engine, scene, background, dark, parallel)
     stepper.warm_up()
     properties = engine.frame.get_modelmeta().custom_metadata_map

@@ -15,6 +15,7 @@ namespace {
 
 constexpr int kReach = 1;                     // px the estimate may move within one table
 constexpr int kPositions = 2 * kReach + 3;    // integer positions in a table, each way
+constexpr float kMostGain = 8.0f;             // contrast of an image over that of the template
 constexpr float kLeap = 4.0f;                 // px that a first step may lead, out of its table
 constexpr int kRounds = 5;                    // tables a point may use up
 constexpr int kSteps = 9;                     // on one table
@@ -621,7 +622,7 @@ private:
     }
 
     // The root of b(y) = 0 near `shift`, within the reach of a table.
-    static void solve_table(const float* table, Vector constant, const Matrix& inverse_hessian, Vector* shift, float* step) {
+    static void solve_table(const float* table, Vector constant, Matrix inverse_hessian, Vector* shift, float* step) {
         bool newton = false;
         *step = 0;
         for (int iteration = 0; iteration < kSteps; ++iteration) {
@@ -643,14 +644,22 @@ private:
                 slope_y = slope_y + load4(line_y + i * kPositions) * down_slope[i];
             }
             const Vector residual{sum(value_x * across) - constant.x, sum(value_y * across) - constant.y};
+            Matrix jacobian{};
+            if (newton || iteration == 0)
+                jacobian = {sum(value_x * across_slope), sum(slope_x * across), sum(value_y * across_slope), sum(slope_y * across)};
             Vector move;
             if (newton) {
-                const Matrix jacobian{sum(value_x * across_slope), sum(slope_x * across), sum(value_y * across_slope), sum(slope_y * across)};
                 const Matrix inverted = inverse(jacobian);
                 // Far from the root, or on the kinks of order 1, Newton may leap: never further than a pixel.
                 move = {clamped(finite_or_zero(inverted.xx * residual.x + inverted.xy * residual.y), -1, 1),
                         clamped(finite_or_zero(inverted.yx * residual.x + inverted.yy * residual.y), -1, 1)};
             } else {
+                if (iteration == 0) {
+                    // An image of more contrast than the template has more slope: steps that do not know of it are too long.
+                    const Matrix& h = inverse_hessian;
+                    const float gain = clamped((h.xx * jacobian.xx + h.xy * jacobian.yx + h.yx * jacobian.xy + h.yy * jacobian.yy) / 2, 1, kMostGain);
+                    inverse_hessian = {h.xx / gain, h.xy / gain, h.yx / gain, h.yy / gain};
+                }
                 move = {inverse_hessian.xx * residual.x + inverse_hessian.xy * residual.y,
                         inverse_hessian.yx * residual.x + inverse_hessian.yy * residual.y};
             }

@@ -19,8 +19,9 @@ from fingerflow.ops.spline import spline_basis, spline_basis_derivative
 from fingerflow.ops.windows import cut_windows
 
 _GAUSS_NEWTON_STEPS = 6  # each leaves about a fifth of the error on ridge texture, from up to 2 px away
-_LEAP = 4.0  # px that the first step may lead
+_MOST_GAIN = 8.0  # contrast of an image over that of the template
 _NEWTON_NEAR = 0.05  # px, the step of Gauss and Newton below which Newton's own is taken
+_LEAP = 4.0  # px that the first step may lead
 _NEWTON_STEPS = 3  # with the exact Jacobian of the table: quadratic, so rounding is all that is left
 
 
@@ -96,18 +97,24 @@ def solve_table(
         weights = spline_basis(distance, order)
         rows = (table * weights[:, 0, None, None, :]).sum(-1)  # (P, 2, K), contracted over x
         residual = (rows * weights[:, 1, None, :]).sum(-1) - template_product
-        move = (inverse_hessian * residual[:, None, :]).sum(-1)
-        if iteration == 0:
-            leap = start - move.clamp(-_LEAP, _LEAP)
-        if iteration >= _GAUSS_NEWTON_STEPS:
+        newton = torch.zeros_like(residual)
+        if iteration == 0 or iteration >= _GAUSS_NEWTON_STEPS:
             slopes = spline_basis_derivative(distance, order)
             jacobian_x = ((table * slopes[:, 0, None, None, :]).sum(-1) * weights[:, 1, None, :]).sum(-1)
             jacobian_y = (rows * slopes[:, 1, None, :]).sum(-1)
             newton = _solve_2x2(jacobian_x, jacobian_y, residual)
+        if iteration == 0:
+            # An image of more contrast than the template has more slope: steps that do not know of it are too long.
+            gain = (inverse_hessian[:, 0] * jacobian_x + inverse_hessian[:, 1] * jacobian_y).sum(-1) / 2
+            gain = torch.where(gain > 1, gain, 1.0).clamp_max(_MOST_GAIN)
+            inverse_hessian = inverse_hessian / gain[:, None, None]
+        move = (inverse_hessian * residual[:, None, :]).sum(-1)
+        if iteration == 0:
+            leap = start - move.clamp(-_LEAP, _LEAP)
+        if iteration >= _GAUSS_NEWTON_STEPS:
             # On the kinks of order 1 Newton may leap: never further than a pixel. Far from the root it leads away.
-            newton = newton.nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1)
             near = move.square().sum(-1, keepdim=True) < _NEWTON_NEAR**2
-            move = torch.where(near, newton, move)
+            move = torch.where(near, newton.nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1), move)
         moved = (shift - move).clamp(-reach, reach)
         step = shift - moved
         shift = moved

@@ -146,6 +146,8 @@ def _check(
         )
     if min(previous.shape[-2:]) < 3:
         raise ValueError(f"images must be at least 3 x 3 px, not {tuple(previous.shape[-2:])}")
+    if warp is not None and order == 3 and min(previous.shape[-2:]) < 4:
+        raise ValueError(f"images must be at least 4 x 4 px for a warp, not {tuple(previous.shape[-2:])}")
     if points.ndim != 3 or points.shape[0] != previous.shape[0] or points.shape[2] != 2:
         raise ValueError(f"points must be (B, N, 2) with B = {previous.shape[0]}, not {tuple(points.shape)}")
     if not points.is_floating_point():

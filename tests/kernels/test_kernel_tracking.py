@@ -89,6 +89,19 @@ def test_warp_and_prediction(far: float, instruction_set: int) -> None:
     same(track_points(*images, points, **settings), portable(*images, points, **settings))  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("warped", [False, True])
+@pytest.mark.parametrize("gain", [0.45, 2.1])
+def test_contrast_that_changes(gain: float, warped: bool) -> None:
+    """Steps by the template's structure are 1 / gain too long: Newton's are not."""
+    first, second = skin((0, 0)), skin((0.3, -0.2), seed=1).float()
+    images = first.float(), gain * second
+    warp = torch.eye(2).expand(1, 60, 2, 2) if warped else None
+    given = {"gain_offset": True, "warp": warp}
+    found, expected = track_points(*images, starts(), **given), portable(*images, starts(), **given)  # type: ignore[arg-type]
+    assert (expected.status == TrackStatus.TRACKED).float().mean() > 0.9
+    same(found, expected)
+
+
 def test_motion_of_several_tables() -> None:
     images = skin((0, 0)), skin((4.4, -1.2), seed=1)
     found, expected = track_points(*images, starts()), portable(*images, starts())

@@ -63,9 +63,9 @@ class Slow:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
         start = player.Stepper.start
 
-        def slow(stepper: player.Stepper, slot: player.Slot) -> None:
+        def slow(*arguments: Any) -> None:
             time.sleep(seconds)
-            start(stepper, slot)
+            start(*arguments)
 
         monkeypatch.setattr(player.Stepper, "start", slow)
 
@@ -111,6 +111,21 @@ def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, pa
         changed = int(np.argmax(records[column] == number))
         assert frame_number < changed <= frame_number + int(parallel)
         assert (records[column][changed:] >= number).all()
+
+
+def test_latest_loses_less_with_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two graphs of 12 ms each follow 100 frames a second where one does not."""
+    run = player.ort.InferenceSession.run_with_iobinding
+
+    def slow(session: Any, binding: Any) -> None:
+        time.sleep(0.012)
+        run(session, binding)
+
+    monkeypatch.setattr(player.ort.InferenceSession, "run_with_iobinding", slow)
+    given = ("--source", "synthetic", "--rate", "100", "--frames", "100", "--policy", "latest")
+    one = stream.run(*given).summary["dropped"]
+    (stream.folder / "results").rename(stream.folder / "first")
+    assert stream.run(*given, "--parallel-frames", "2").summary["dropped"] < one / 2
 
 
 def _darkened(level: int) -> Any:
