@@ -45,6 +45,10 @@ bool is_finite(const Vector& value) { return is_finite(value.x) && is_finite(val
 
 bool is_finite(const Matrix& m) { return is_finite(m.xx) && is_finite(m.xy) && is_finite(m.yx) && is_finite(m.yy); }
 
+float length(const Vector& v) { return sqrtf(v.x * v.x + v.y * v.y); }
+Vector operator-(const Vector& a, const Vector& b) { return {a.x - b.x, a.y - b.y}; }
+Vector operator*(const Matrix& m, const Vector& v) { return {m.xx * v.x + m.xy * v.y, m.yx * v.x + m.yy * v.y}; }
+
 Matrix inverse(const Matrix& m) {
     const float determinant = m.xx * m.yy - m.xy * m.yx;
     return {m.yy / determinant, -m.xy / determinant, -m.yx / determinant, m.xx / determinant};
@@ -157,6 +161,7 @@ public:
         level_ = pixel(start);
         if (warped) sample_warped(0, start, inverse_warp, template_);
         else sample(0, start, template_);
+        if (pair_.gain_offset) take_out_gain_and_offset(template_);
         const Equations forward = equations(template_);
         const Matrix& hessian = forward.hessian;
         bool converged = false;
@@ -169,15 +174,11 @@ public:
         compare(forward.mean, matched_mean, pair_.noise[point], &variance, &unexplained);
         float error = NAN;
         if (converged) {
-            const Equations backward = equations(matched_);
-            const Vector* back_guess = nullptr;
-            Vector searched;
-            if (pair_.back_guess != nullptr) {
-                searched = at(pair_.back_guess);
-                back_guess = &searched;
-            }
-            const Vector moved{found.x - guess.x, found.y - guess.y};
-            error = warped ? return_warped(start, back_guess, inverse_warp) : return_straight(start, back_guess, moved, backward);
+            if (pair_.gain_offset) take_out_gain_and_offset(matched_);
+            const bool searched = pair_.back_guess != nullptr;
+            if (warped) error = return_warped(start, searched ? at(pair_.back_guess) : start, inverse_warp);
+            else if (searched) error = return_by_table(start, at(pair_.back_guess));
+            else error = return_straight(start, found - guess);
         }
 
         const float middle = (hessian.xx + hessian.yy) / 2, apart = (hessian.xx - hessian.yy) / 2;
@@ -202,31 +203,33 @@ public:
     }
 
 private:
-    // Distance from the start at which the way back of the matched window ends; NaN where it ends nowhere.
-    float return_straight(Vector start, const Vector* searched, Vector moved, const Equations& of) {
-        if (searched == nullptr && fabsf(moved.x) < kReach && fabsf(moved.y) < kReach) {
+    // Distance from the start at which the way back of the matched window ends, which begins as far from there as the way
+    // there did; NaN where it ends nowhere.
+    float return_straight(Vector start, Vector moved) {
+        if (fabsf(moved.x) < kReach && fabsf(moved.y) < kReach) {
             // The template holds the image at the start: where one step from there is all that is left, no table is needed.
-            const Vector step = newton_step();
-            const float length = sqrtf(step.x * step.x + step.y * step.y);
-            if (length < kConverged) return length;
+            const float left = length(newton_step());
+            if (left < kConverged) return left;
         }
-        const Vector guess = searched != nullptr ? *searched : Vector{start.x + moved.x, start.y + moved.y};
-        bool converged = false;
-        const Vector back = solve(0, guess, matched_, of, &converged);
-        return converged ? distance(back, start) : NAN;
+        return return_by_table(start, {start.x + moved.x, start.y + moved.y});
     }
 
-    // The same by Newton's steps in the image deformed like the template, from the start or from where a search ended.
-    float return_warped(Vector start, const Vector* searched, const Matrix& inverse_warp) {
-        Vector place = searched != nullptr ? *searched : start;
-        if (searched != nullptr) sample_warped(0, place, inverse_warp, template_);
-        for (int iteration = 0; iteration < kReturnSteps; ++iteration) {
-            if (iteration > 0) sample_warped(0, place, inverse_warp, template_);
+    // The same from a guess.
+    float return_by_table(Vector start, Vector guess) {
+        bool converged = false;
+        const Vector back = solve(0, guess, matched_, equations(matched_), &converged);
+        return converged ? length(back - start) : NAN;
+    }
+
+    // The same by Newton's steps in the image deformed like the template, which is still there from the way there.
+    float return_warped(Vector start, Vector place, const Matrix& inverse_warp) {
+        bool sampled = place.x == start.x && place.y == start.y;
+        for (int iteration = 0; iteration < kReturnSteps; ++iteration, sampled = false) {
+            if (!sampled) sample_warped(0, place, inverse_warp, template_);
             const Vector whole = newton_step(), step{clamped(whole.x, -1, 1), clamped(whole.y, -1, 1)};
             if (!is_finite(whole)) return NAN;
-            place.x -= inverse_warp.xx * step.x + inverse_warp.xy * step.y;
-            place.y -= inverse_warp.yx * step.x + inverse_warp.yy * step.y;
-            if (step.x * step.x + step.y * step.y < kConverged * kConverged) return distance(place, start);
+            place = place - inverse_warp * step;
+            if (length(step) < kConverged) return length(place - start);
         }
         return NAN;
     }
@@ -247,13 +250,7 @@ private:
         }
         float sum_of[whole_floats(6)];
         sums(of, sum_of);
-        const Matrix inverted = inverse({sum_of[0], sum_of[1], sum_of[2], sum_of[3]});
-        return {inverted.xx * sum_of[4] + inverted.xy * sum_of[5], inverted.yx * sum_of[4] + inverted.yy * sum_of[5]};
-    }
-
-    static float distance(Vector a, Vector b) {
-        const float x = a.x - b.x, y = a.y - b.y;
-        return sqrtf(x * x + y * y);
+        return inverse({sum_of[0], sum_of[1], sum_of[2], sum_of[3]}) * Vector{sum_of[4], sum_of[5]};
     }
 
     void write(std::int64_t point, Vector place, float error, Matrix covariance, Status status) {
@@ -528,9 +525,8 @@ private:
         return folded<kFloats>(result)[0];
     }
 
-    // What the equations need of a template, after a change of gain and offset was taken out of its gradient.
-    Equations equations(const Window& window) {
-        if (pair_.gain_offset) take_out_gain_and_offset(window);
+    // What the equations need of a template.
+    Equations equations(const Window& window) const {
         Floats of[whole_floats(6)] = {};
         for (int k = 0; k < layout_.values(); k += kFloats) {
             const Floats x = load(window.along_x + k), y = load(window.along_y + k), value = load(window.value + k);
@@ -546,6 +542,7 @@ private:
         return {sum_of[5] / samples(), {sum_of[0], sum_of[1], sum_of[1], sum_of[2]}, {sum_of[3], sum_of[4]}};
     }
 
+    // Of a template's gradient, so that the equations hold whatever gain and offset are.
     void take_out_gain_and_offset(const Window& window) {
         const float mean = total(window.value) / samples();
         const float mean_x = total(window.along_x) / samples(), mean_y = total(window.along_y) / samples();
@@ -649,10 +646,9 @@ private:
                 jacobian = {sum(value_x * across_slope), sum(slope_x * across), sum(value_y * across_slope), sum(slope_y * across)};
             Vector move;
             if (newton) {
-                const Matrix inverted = inverse(jacobian);
                 // Far from the root, or on the kinks of order 1, Newton may leap: never further than a pixel.
-                move = {clamped(finite_or_zero(inverted.xx * residual.x + inverted.xy * residual.y), -1, 1),
-                        clamped(finite_or_zero(inverted.yx * residual.x + inverted.yy * residual.y), -1, 1)};
+                const Vector whole = inverse(jacobian) * residual;
+                move = {clamped(finite_or_zero(whole.x), -1, 1), clamped(finite_or_zero(whole.y), -1, 1)};
             } else {
                 if (iteration == 0) {
                     // An image of more contrast than the template has more slope: steps that do not know of it are too long.
@@ -660,8 +656,7 @@ private:
                     const float gain = clamped((h.xx * jacobian.xx + h.xy * jacobian.yx + h.yx * jacobian.xy + h.yy * jacobian.yy) / 2, 1, kMostGain);
                     inverse_hessian = {h.xx / gain, h.xy / gain, h.yx / gain, h.yy / gain};
                 }
-                move = {inverse_hessian.xx * residual.x + inverse_hessian.xy * residual.y,
-                        inverse_hessian.yx * residual.x + inverse_hessian.yy * residual.y};
+                move = inverse_hessian * residual;
             }
             if (iteration == 0 && !(fabsf(shift->x - move.x) <= kReach && fabsf(shift->y - move.y) <= kReach)) {
                 // The next table begins where this step leads, not at this one's edge.
@@ -670,9 +665,8 @@ private:
                 return;
             }
             const Vector moved{clamped(shift->x - move.x, -kReach, kReach), clamped(shift->y - move.y, -kReach, kReach)};
-            const float step_x = shift->x - moved.x, step_y = shift->y - moved.y;
+            *step = length(*shift - moved);
             *shift = moved;
-            *step = sqrtf(step_x * step_x + step_y * step_y);
             if (*step < (newton ? kSettled : kSettledGaussNewton)) break;
             newton = newton || move.x * move.x + move.y * move.y < kNewtonNear * kNewtonNear;
         }

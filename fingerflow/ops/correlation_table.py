@@ -97,12 +97,10 @@ def solve_table(
         weights = spline_basis(distance, order)
         rows = (table * weights[:, 0, None, None, :]).sum(-1)  # (P, 2, K), contracted over x
         residual = (rows * weights[:, 1, None, :]).sum(-1) - template_product
-        newton = torch.zeros_like(residual)
         if iteration == 0 or iteration >= _GAUSS_NEWTON_STEPS:
             slopes = spline_basis_derivative(distance, order)
             jacobian_x = ((table * slopes[:, 0, None, None, :]).sum(-1) * weights[:, 1, None, :]).sum(-1)
             jacobian_y = (rows * slopes[:, 1, None, :]).sum(-1)
-            newton = _solve_2x2(jacobian_x, jacobian_y, residual)
         if iteration == 0:
             # An image of more contrast than the template has more slope: steps that do not know of it are too long.
             gain = (inverse_hessian[:, 0] * jacobian_x + inverse_hessian[:, 1] * jacobian_y).sum(-1) / 2
@@ -113,8 +111,9 @@ def solve_table(
             leap = start - move.clamp(-_LEAP, _LEAP)
         if iteration >= _GAUSS_NEWTON_STEPS:
             # On the kinks of order 1 Newton may leap: never further than a pixel. Far from the root it leads away.
+            newton = _solve_2x2(jacobian_x, jacobian_y, residual).nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1)
             near = move.square().sum(-1, keepdim=True) < _NEWTON_NEAR**2
-            move = torch.where(near, newton.nan_to_num(0.0, 0.0, 0.0).clamp(-1, 1), move)
+            move = torch.where(near, newton, move)
         moved = (shift - move).clamp(-reach, reach)
         step = shift - moved
         shift = moved

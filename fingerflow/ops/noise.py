@@ -25,14 +25,13 @@ def estimate_noise(images: Tensor) -> Tensor:
     if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
         return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
-    step = row_step(x.shape[-2])
-    x = x[..., :-2:step, :] - 2 * x[..., 1:-1:step, :] + x[..., 2::step, :]
-    x = x[..., :-2] - 2 * x[..., 1:-1] + x[..., 2:]
-    response = x.abs()
+    response = absolute_responses(x)
     response = torch.where(response.isfinite(), response, torch.nan)
     return math.sqrt(math.pi / 2) / 6 * response.nanmean((1, 2, 3))
 
 
-def row_step(height: int) -> int:
-    """Rows from one that counts to the next."""
-    return max(1, min(4, height // 64))
+def absolute_responses(images: Tensor) -> Tensor:
+    """(B, 1, h, W - 2) of floating images (B, 1, H, W), on the rows that count."""
+    step = max(1, min(4, images.shape[-2] // 64))
+    bent = images[..., :-2:step, :] - 2 * images[..., 1:-1:step, :] + images[..., 2::step, :]
+    return (bent[..., :-2] - 2 * bent[..., 1:-1] + bent[..., 2:]).abs()
