@@ -15,6 +15,7 @@ from setuptools.command.build_ext import build_ext
 
 KERNELS = Path("kernels")
 PLAIN = [
+    "area_medians",
     "components",
     "contact_above",
     "contact_classes",
@@ -36,6 +37,7 @@ PLAIN = [
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
+    "area_medians_block",
     "corners_rows",
     "dense_region_rows",
     "ellipse_rows",

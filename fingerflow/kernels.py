@@ -18,7 +18,7 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 11  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 12  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -26,6 +26,7 @@ LARGEST_MEDIAN_ABOVE = 15
 LARGEST_CORNER_WINDOW = 15
 LARGEST_DENSITY_RADIUS = 17
 WIDEST_MOMENTS = (1 << 16) - 1
+MOST_POSITIONS = 1 << 20
 MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
 
@@ -486,6 +487,57 @@ def local_gradients(
     return FittedPlanes(value, gradient, None if noise is None else covariance, counts, offset)
 
 
+class _AreaMedians(ctypes.Structure):
+    """`fingerflow_area_medians` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("fields", "displacement", "ellipses", "medians")),
+        *((name, ctypes.c_int64) for name in ("batch", "field_count", "rows", "columns", "newton_steps")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("turn", "origin_x", "origin_y", "step", "settled", "least_ratio", "least_share")
+        ),
+    )
+
+
+def area_medians(
+    fields: Tensor,
+    displacement: Tensor,
+    ellipses: Tensor,
+    *,
+    turn: float,
+    origin: tuple[float, float],
+    step: float,
+    newton_steps: int,
+    settled: float,
+    least_ratio: float,
+    least_share: float,
+) -> Tensor:
+    """Medians (B, K) float64 over ellipses, as `ops.area_medians` has them.
+
+    Fields (B, K, R, C) and displacement (B, 2, R, C) are float32. Ellipses (B, 7) float64 hold centre, semi axes,
+    cosine and sine, and the odd number of positions in the rectangle around; what is not finite makes the medians NaN.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    batch, count, rows, columns = fields.shape
+    if min(rows, columns) < 2 or rows * columns >= 1 << 31:
+        raise ValueError(f"fields of {tuple(fields.shape)}: 2 x 2 nodes at least, and fewer than 2^31")
+    _check_like("fields", fields, torch.float32, (batch, count, rows, columns))
+    _check_like("displacement", displacement, torch.float32, (batch, 2, rows, columns))
+    _check_like("ellipses", ellipses, torch.float64, (batch, 7))
+    if (ellipses[:, 6] > MOST_POSITIONS).any() or (ellipses[:, 6] < 1).any():
+        raise ValueError(f"an ellipse with less than 1 or more than {MOST_POSITIONS} positions: {ellipses[:, 6]}")
+    given = [tensor.contiguous() for tensor in (fields, displacement, ellipses)]
+    medians = torch.empty(batch, count, dtype=torch.float64)
+    pointers = (tensor.data_ptr() for tensor in (*given, medians))
+    sizes = (batch, count, rows, columns, newton_steps)
+    request = _AreaMedians(*pointers, *sizes, turn, *origin, step, settled, least_ratio, least_share)
+    _call("fingerflow_medians_over_area", ctypes.addressof(request), torch.get_num_threads())
+    return medians
+
+
 def halve(frames: Tensor) -> Tensor:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
     halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
@@ -594,6 +646,7 @@ def _library() -> ctypes.CDLL | None:
         *[pointer, real, count, count, count, double, pointer, pointer, number],
     ]
     library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
+    library.fingerflow_medians_over_area.argtypes = [pointer, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

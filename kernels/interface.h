@@ -160,3 +160,15 @@ FINGERFLOW_EXPORT int fingerflow_corners(const unsigned char* frames, std::int64
                                          std::int64_t mask_row_stride, const float* floors, float quality,
                                          std::int64_t window, std::int64_t border, std::int64_t count,
                                          double min_distance, float* points, float* responses, int threads);
+
+// Medians (batch, field_count) over ellipses of fields (batch, field_count, rows, columns), as
+// fingerflow/ops/area_medians.py has them; displacement (batch, 2, rows, columns). Ellipses (batch, 7): centre, semi axes,
+// cosine and sine of the angle, positions in the rectangle around; a number that is not finite makes medians of NaN.
+struct fingerflow_area_medians {
+    const float *fields, *displacement;
+    const double* ellipses;
+    double* medians;
+    std::int64_t batch, field_count, rows, columns, newton_steps;
+    double turn, origin_x, origin_y, step, settled, least_ratio, least_share;
+};
+FINGERFLOW_EXPORT int fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);

@@ -137,12 +137,9 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
             continue
         at_nodes = graph(reference, displacement, variance, nodes)
         fields = torch.cat((at_nodes.divergence[..., None], at_nodes.curl[..., None], at_nodes.strain), dim=-1)
-        for frame, moved_nodes, values in zip(
-            range(part.start, part.stop), at_nodes.displacement.mT.cpu().numpy(), fields.mT.cpu().numpy(), strict=True
-        ):
-            medians = medians_over_contact(contact, frame, grid, moved_nodes, values)
-            series.median_divergence[frame], series.median_curl[frame] = medians[:2]
-            series.median_strain[frame] = medians[2:]
+        medians = medians_over_contact(contact, part, grid, at_nodes.displacement, fields)
+        series.median_divergence[part], series.median_curl[part] = medians[:, 0], medians[:, 1]
+        series.median_strain[part] = medians[:, 2:]
     # The median of n independent values deviates by sqrt(pi / 2n); fits that share points are not independent: as many
     # count as have room side by side.
     area = np.maximum(contact.gross_area / (np.pi / 4 * settings.gauge_length_mm**2), 1)

@@ -116,6 +116,18 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     }
 }
 
+void try_medians(std::int64_t rows, std::int64_t columns, double positions, int threads) {
+    const std::int64_t batch = 2, count = 3;
+    const auto fields = noise<float>(batch * count * rows * columns, 9);
+    const auto displacement = noise<float>(batch * 2 * rows * columns, 10);
+    std::vector<double> ellipses, medians(batch * count);
+    for (double middle : {3.0, 300.0})
+        for (double number : {middle, middle, 100.0, 40.0, 0.8, 0.6, positions}) ellipses.push_back(number);
+    const fingerflow_area_medians given{fields.data(), displacement.data(), ellipses.data(), medians.data(), batch, count,
+                                        rows, columns, 8, 0.618, 0.0, 0.0, 1.5, 1e-6, 0.1, 0.0};
+    expect(fingerflow_medians_over_area(&given, threads) == 0, "medians over an area");
+}
+
 template <class Real>
 void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components, std::int64_t geometries, int threads) {
     const std::int64_t batch = 2;
@@ -145,6 +157,8 @@ int main() {
             try_all(1, 70, 1, threads);
             try_all(2, 37, 43, threads);
             try_all(1, 40, 1300, threads);
+            try_medians(2, 2, 1, threads);
+            try_medians(41, 67, 2001, threads);
             for (std::int64_t geometries : {1, 2}) {
                 try_fits<float>(300, 50, 2, geometries, threads);
                 try_fits<double>(37, 1, 3, geometries, threads);
