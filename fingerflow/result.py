@@ -14,7 +14,14 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.tracking import TrackStatus
 from fingerflow.stages.contact import ContactSeries
-from fingerflow.stages.deformation import Displacement, FieldSeries, StrainSeries, glass_positions, rate
+from fingerflow.stages.deformation import (
+    Displacement,
+    FieldSeries,
+    StrainSeries,
+    glass_positions,
+    median_of_known,
+    rate,
+)
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import Loading
 from fingerflow.stages.tracking import TrackSeries
@@ -114,9 +121,7 @@ def _tracks(outcome: Outcome) -> None:
     tracked = tracks.status == TrackStatus.TRACKED
     share = tracked.sum(1) / tracked.shape[1] if tracked.shape[1] else np.full(len(tracked), np.nan)
     outcome.add("tracked_share", ("frame",), share, "1", "share of the points that are tracked")
-    median = np.full(len(tracked), np.nan)
-    some = tracked.any(1)
-    median[some] = np.nanmedian(np.where(tracked, tracks.error, np.nan)[some], axis=1)
+    median = median_of_known(np.where(tracked, tracks.error, np.nan))
     outcome.add("forward_backward_median", ("frame",), median, "px", "median forward-backward distance")
 
 

@@ -11,12 +11,14 @@ from fingerflow.ops.strain import STRAIN_MEASURES
 
 def divergence_deviation(covariance: Tensor) -> Tensor:
     """Standard deviation (...) of du/dx + dv/dy."""
-    return _deviation(covariance.new_tensor([[1.0, 0.0], [0.0, 1.0]]), covariance)
+    ux, vy = covariance[..., 0, 0, :, :], covariance[..., 1, 1, :, :]
+    return _root(ux[..., 0, 0] + ux[..., 1, 1] + vy[..., 0, 0] + vy[..., 1, 1])
 
 
 def curl_deviation(covariance: Tensor) -> Tensor:
     """Standard deviation (...) of dv/dx - du/dy, in rad."""
-    return _deviation(covariance.new_tensor([[0.0, -1.0], [1.0, 0.0]]), covariance)
+    uy, vx = covariance[..., 0, 1, :, :], covariance[..., 1, 0, :, :]
+    return _root(vx[..., 1, 0] - vx[..., 0, 1] - uy[..., 1, 0] + uy[..., 0, 1])
 
 
 def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
@@ -38,8 +40,11 @@ def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green
 
 
 def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:
-    """sqrt of s' C s for s (..., 2, 2); rounding below zero counts as zero."""
-    variance = (sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]).sum(
-        (-4, -3, -2, -1)
-    )
+    """sqrt of s' C s for s (..., 2, 2)."""
+    products = sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]
+    return _root(products.sum((-4, -3, -2, -1)))
+
+
+def _root(variance: Tensor) -> Tensor:
+    """Rounding below zero counts as zero."""
     return variance.clamp(min=0).sqrt()

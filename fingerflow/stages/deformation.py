@@ -102,7 +102,7 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
     deviation = scale * np.hypot(tracks.deviation, tracks.deviation[onset, numbers]).astype(np.float64)
     deviation[np.isnan(displacement).any(-1)] = np.nan
-    return Displacement(onset, reference, displacement, deviation, _median(displacement, axis=1))
+    return Displacement(onset, reference, displacement, deviation, median_of_known(displacement))
 
 
 def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> FieldSeries:
@@ -143,7 +143,7 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
     # The median of n independent values deviates by sqrt(pi / 2n); fits that share points are not independent: as many
     # count as have room side by side.
     area = np.maximum(contact.gross_area / (np.pi / 4 * settings.gauge_length_mm**2), 1)
-    series.median_divergence_std[:] = _median(series.divergence_std, axis=1) * np.sqrt(np.pi / 2 / area)
+    series.median_divergence_std[:] = median_of_known(series.divergence_std) * np.sqrt(np.pi / 2 / area)
     return series
 
 
@@ -220,10 +220,12 @@ def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:
     return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(inputs.device)
 
 
-def _median(values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
-    """Median of what is finite; NaN, without a warning, where nothing is."""
-    if values.shape[axis] == 0:
-        return np.full(np.delete(values.shape, axis), np.nan)
-    empty = np.isnan(values).all(axis=axis, keepdims=True)
-    result = np.nanmedian(np.where(empty, 0.0, values), axis=axis)
-    return np.where(empty.squeeze(axis), np.nan, result)
+def median_of_known(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Medians (F, ...) over the second axis of values (F, N, ...), of what is not NaN; NaN where nothing is."""
+    if values.shape[1] == 0:
+        return np.full((len(values), *values.shape[2:]), np.nan)
+    ordered = np.sort(values, axis=1)  # NaN last
+    known = (~np.isnan(ordered)).sum(1, keepdims=True)
+    middle = [np.take_along_axis(ordered, np.maximum(rank, 0), axis=1) for rank in ((known - 1) // 2, known // 2)]
+    result: NDArray[np.float64] = np.where(known > 0, (middle[0] + middle[1]) / 2, np.nan).squeeze(1)
+    return result

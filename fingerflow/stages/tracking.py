@@ -76,11 +76,11 @@ class TrackingStage:
         """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
         (n, N)."""
         images = self._inputs.view(frames, self._view)
-        covered = []
-        for number, (index, image) in enumerate(zip(indices, images, strict=True)):
+        where = []
+        for index, image in zip(indices, images, strict=True):
             self._step(int(index), image[None])
-            covered.append(self._covered(gross[number, 0]))
-        return torch.stack(covered).cpu().numpy()
+            where.append(self._last)
+        return self._inside(gross[:, 0], torch.cat(where)).cpu().numpy()
 
     def _step(self, index: int, image: Tensor) -> None:
         if self._template is None:
@@ -113,7 +113,7 @@ class TrackingStage:
             torch.arange(height, device=image.device), torch.arange(width, device=image.device), indexing="ij"
         )
         places = torch.stack((column, row), dim=-1).reshape(-1, 2).float()
-        mask = self._inside(self._region[0, 0], places).view(1, 1, height, width)
+        mask = self._inside(self._region[0], places[None]).view(1, 1, height, width)
         border = settings.window_px // 2 + 2
         corners = detect_corners(
             image, settings.points, settings.min_distance_px, mask, window=_CORNER_PX, border=border
@@ -149,17 +149,13 @@ class TrackingStage:
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
         return found - torch.where(laplacian.isfinite(), laplacian, 0.0) * ((self._graph.window**2 - 1) / 24)
 
-    def _covered(self, gross: Tensor) -> Tensor:
-        """(N,) whether the contact (h, w) lies over a point."""
-        return self._inside(gross, self._last[0])
+    def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
+        """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.
 
-    def _inside(self, mask: Tensor, points: Tensor) -> Tensor:
-        """Value of a mask of the contact view at points (P, 2) of the topographic view; False beyond the mask or for
-        NaN."""
+        False beyond the mask or for NaN.
+        """
         place = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).round()
-        height, width = mask.shape
-        x, y = place[:, 0], place[:, 1]
-        within = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        column = torch.where(within, x, 0.0).long()
-        row = torch.where(within, y, 0.0).long()
-        return mask[row, column] & within
+        size = place.new_tensor(masks.shape[:0:-1])
+        within = ((place >= 0) & (place < size)).all(-1)
+        column, row = torch.where(within[..., None], place, 0.0).long().unbind(-1)
+        return masks.flatten(1).gather(1, row * masks.shape[2] + column) & within

@@ -25,7 +25,7 @@ def read_table(path: Path) -> Table:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    lines = [line for line in text.splitlines() if (begun := line.lstrip()) and not begun.startswith(COMMENTS)]
     if not lines:
         raise FingerflowError(f"{path}: has no line besides comments")
     separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)

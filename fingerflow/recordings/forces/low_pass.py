@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import i0
 
 STOP_BAND_DB = 66.0
 PASS_BAND, STOP_BAND = 0.5, 1.0
@@ -68,7 +69,7 @@ def kernel_half_width(nyquist: float) -> float:
 
 def _kaiser(position: Samples) -> Samples:
     beta = 0.1102 * (STOP_BAND_DB - 8.7)
-    kaiser: Samples = np.i0(beta * np.sqrt(np.clip(1 - position**2, 0.0, None))) / np.i0(beta)
+    kaiser: Samples = i0(beta * np.sqrt(np.clip(1 - position**2, 0.0, None))) / i0(beta)
     return kaiser
 
 
