@@ -27,31 +27,111 @@ struct Place {
     std::int64_t number;
 };
 
-// The finite ones of places (count, 2), by y.
+// The finite ones of places (count, 2).
 template <class Real>
-std::vector<Place<Real>> finite_by_y(const Real* places, std::int64_t count) {
+std::vector<Place<Real>> finite_of(const Real* places, std::int64_t count) {
     std::vector<Place<Real>> result;
     result.reserve(size(count));
     for (std::int64_t k = 0; k < count; ++k)
-        if (finite(places + 2 * k, 2)) result.push_back({places[2 * k], places[2 * k + 1], k});
-    std::sort(result.begin(), result.end(), [](const Place<Real>& a, const Place<Real>& b) { return a.y < b.y; });
+        if (std::isfinite(places[2 * k]) && std::isfinite(places[2 * k + 1])) result.push_back({places[2 * k], places[2 * k + 1], k});
     return result;
 }
 
-// Points and queries of one geometry: points by y; queries in bands by y, in a band by x.
-template <class Real>
-struct Cloud {
-    std::vector<Place<Real>> points, queries;
+// Which of `count` equal intervals between two numbers another lies in; the first or the last one beyond them.
+class Intervals {
+public:
+    Intervals(double low, double high, std::int64_t count)
+        : low_(low), scale_(high > low ? static_cast<double>(count) / (high - low) : 0), last_(count - 1) {}
+    std::int64_t of(double number) const {
+        const double place = (number - low_) * scale_;
+        return place < 1 ? 0 : place < static_cast<double>(last_) ? static_cast<std::int64_t>(place) : last_;
+    }
 
+private:
+    double low_, scale_;
+    std::int64_t last_;
+};
+
+// Orders what lies between two pointers by a number 0 ... bins - 1 of each; returns where each bin begins, and the end.
+template <class Item, class BinOf>
+std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins, const BinOf& bin_of) {
+    std::vector<std::int64_t> bin(size(end - begin)), starts(size(bins + 1));
+    for (Item* item = begin; item != end; ++item) ++starts[size((bin[size(item - begin)] = bin_of(*item)) + 1)];
+    for (std::int64_t k = 0; k < bins; ++k) starts[size(k + 1)] += starts[size(k)];
+    const std::vector<Item> items(begin, end);
+    std::vector<std::int64_t> next(starts.begin(), starts.end() - 1);
+    for (std::size_t k = 0; k < items.size(); ++k) begin[next[size(bin[k])]++] = items[k];
+    return starts;
+}
+
+template <class Real>
+struct Box {
+    double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
+    void add(const Place<Real>& place) {
+        low_x = std::min<double>(low_x, place.x);
+        low_y = std::min<double>(low_y, place.y);
+        high_x = std::max<double>(high_x, place.x);
+        high_y = std::max<double>(high_y, place.y);
+    }
+};
+template <class Real>
+Box<Real> box_of(const Place<Real>* begin, const Place<Real>* end) {
+    Box<Real> box;
+    for (const Place<Real>* place = begin; place != end; ++place) box.add(*place);
+    return box;
+}
+
+// Points of one geometry, in square cells; queries in bands by y, in a band by x.
+template <class Real>
+class Cloud {
+public:
     Cloud(const Real* points_at, std::int64_t point_count, const Real* queries_at, std::int64_t query_count)
-        : points(finite_by_y(points_at, point_count)), queries(finite_by_y(queries_at, query_count)) {
-        const auto end = static_cast<std::int64_t>(queries.size());
+        : points_(finite_of(points_at, point_count)),
+          box_(box_of(points_.data(), points_.data() + points_.size())),
+          side_(side(points_.size())),
+          columns_(box_.low_x, box_.high_x, side_),
+          rows_(box_.low_y, box_.high_y, side_),
+          starts_(order_by_bin(points_.data(), points_.data() + points_.size(), side_ * side_,
+                               [this](const Place<Real>& place) { return rows_.of(place.y) * side_ + columns_.of(place.x); })),
+          queries_(finite_of(queries_at, query_count)) {
+        Place<Real>* const queries = queries_.data();
+        const auto end = static_cast<std::int64_t>(queries_.size());
+        const Box<Real> box = box_of(queries, queries + end);
+        const Intervals by_y(box.low_y, box.high_y, kFine), by_x(box.low_x, box.high_x, kFine);
+        order_by_bin(queries, queries + end, kFine, [&](const Place<Real>& place) { return by_y.of(place.y); });
         // So many queries that a block of neighbours by x is about as wide as the band is high.
         const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
         for (std::int64_t first = 0; first < end; first += band)
-            std::sort(queries.begin() + first, queries.begin() + std::min(end, first + band),
-                      [](const Place<Real>& a, const Place<Real>& b) { return a.x < b.x; });
+            order_by_bin(queries + first, queries + std::min(end, first + band), kFine,
+                         [&](const Place<Real>& place) { return by_x.of(place.x); });
     }
+
+    const std::vector<Place<Real>>& queries() const { return queries_; }
+
+    // Calls act(place) for every point that may lie within `radius` of a box, and some more.
+    template <class Act>
+    void around(const Box<Real>& box, double radius, const Act& act) const {
+        const std::int64_t left = columns_.of(box.low_x - radius), right = columns_.of(box.high_x + radius);
+        const std::int64_t bottom = rows_.of(box.high_y + radius);
+        for (std::int64_t row = rows_.of(box.low_y - radius); row <= bottom; ++row) {
+            const std::int64_t end = starts_[size(row * side_ + right + 1)];
+            for (std::int64_t k = starts_[size(row * side_ + left)]; k < end; ++k) act(points_[size(k)]);
+        }
+    }
+
+private:
+    static constexpr std::int64_t kFine = 256;
+    // A cell holds a few points, so that rows of cells are not too many.
+    static std::int64_t side(std::size_t points) {
+        return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::sqrt(static_cast<double>(points) / 2)));
+    }
+
+    std::vector<Place<Real>> points_;
+    Box<Real> box_;
+    std::int64_t side_;
+    Intervals columns_, rows_;
+    std::vector<std::int64_t> starts_;
+    std::vector<Place<Real>> queries_;
 };
 
 void fit_block(const FitFrames<float>& frames, const FitBlock<float>& block, float* memory) {
@@ -127,7 +207,11 @@ private:
         std::int64_t usable = 0;
         for (std::int64_t k = 0; k < count; ++k) {
             const Real *value = values + k * components, *variance = noise + k * noises;
-            bool good = finite(place + 2 * k, 2) && finite(value, components) && finite(variance, noises);
+            // A sum of differences is finite, namely 0, where all of its numbers are.
+            Real nothing = (place[2 * k] - place[2 * k]) + (place[2 * k + 1] - place[2 * k + 1]);
+            for (std::int64_t c = 0; c < components; ++c) nothing += value[c] - value[c];
+            for (std::int64_t v = 0; v < noises; ++v) nothing += variance[v] - variance[v];
+            bool good = nothing == 0;
             for (std::int64_t v = 0; v < noises; v += own) good = good && variance[v] >= 0;
             if (!good) continue;
             ++usable;
@@ -157,7 +241,7 @@ private:
     // Of a geometry; writes the results of queries that are nowhere.
     Cloud<Real> cloud_of(std::int64_t geometry) {
         Cloud<Real> cloud(points(geometry), given_.point_count, queries(geometry), given_.query_count);
-        if (static_cast<std::int64_t>(cloud.queries.size()) < given_.query_count) {
+        if (static_cast<std::int64_t>(cloud.queries().size()) < given_.query_count) {
             const FitFrames<Real> frames = frames_of(geometry);
             const Real unknown = std::numeric_limits<Real>::quiet_NaN();
             for (std::int64_t k = 0; k < frames.count * frames.queries; ++k) {
@@ -174,7 +258,7 @@ private:
     }
 
     std::int64_t blocks_of(const Cloud<Real>& cloud) const {
-        return (static_cast<std::int64_t>(cloud.queries.size()) + kFitBlock - 1) / kFitBlock;
+        return (static_cast<std::int64_t>(cloud.queries().size()) + kFitBlock - 1) / kFitBlock;
     }
 
     FitFrames<Real> frames_of(std::int64_t geometry) {
@@ -200,32 +284,27 @@ private:
         const auto x = reinterpret_cast<Real*>(point + points), y = x + points;
 
         FitBlock<Real> block;
-        const auto left = static_cast<std::int64_t>(cloud.queries.size()) - first;
+        const auto left = static_cast<std::int64_t>(cloud.queries().size()) - first;
         block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
-        double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
+        Box<Real> box;
         for (int q = 0; q < kFitBlock; ++q) {
-            const Place<Real>& query = cloud.queries[size(first + std::min(q, block.queries - 1))];
+            const Place<Real>& query = cloud.queries()[size(first + std::min(q, block.queries - 1))];
             block.query[q] = query.number;
             block.query_x[q] = query.x;
             block.query_y[q] = query.y;
-            low_x = std::min<double>(low_x, query.x);
-            low_y = std::min<double>(low_y, query.y);
-            high_x = std::max<double>(high_x, query.x);
-            high_y = std::max<double>(high_y, query.y);
+            box.add(query);
         }
 
         const double radius = radius_ * (1 + 1e-5);  // the block decides with the rounding of its number type
         std::int64_t candidates = 0;
-        const auto begin = std::lower_bound(cloud.points.begin(), cloud.points.end(), low_y - radius,
-                                            [](const Place<Real>& place, double y) { return place.y < y; });
-        for (auto place = begin; place != cloud.points.end() && place->y <= high_y + radius; ++place) {
-            const double dx = std::max({low_x - place->x, 0.0, place->x - high_x});
-            const double dy = std::max({low_y - place->y, 0.0, place->y - high_y});
-            x[candidates] = place->x;
-            y[candidates] = place->y;
-            point[candidates] = place->number;
+        cloud.around(box, radius, [&](const Place<Real>& place) {
+            const double dx = std::max(0.0, std::max(box.low_x - place.x, place.x - box.high_x));
+            const double dy = std::max(0.0, std::max(box.low_y - place.y, place.y - box.high_y));
+            x[candidates] = place.x;
+            y[candidates] = place.y;
+            point[candidates] = place.number;
             candidates += dx * dx + dy * dy < radius * radius;
-        }
+        });
         block.x = x;
         block.y = y;
         block.point = point;
