@@ -106,8 +106,9 @@ class TrackGraph(nn.Module):
         points: Tensor,
         initial: Tensor | None = None,
         warp: Tensor | None = None,
+        noise: Tensor | None = None,
     ) -> Tracks:
-        """(B, 1, H, W) images, (B, N, 2) points and predictions, (B, N, 2, 2) deformation gradients."""
+        """(B, 1, H, W) images, (B, N, 2) points and predictions, (B, N, 2, 2) deformation gradients, (B,) noise."""
         return track_points(
             previous,
             current,
@@ -117,6 +118,7 @@ class TrackGraph(nn.Module):
             warp=warp,
             gain_offset=self.gain_offset,
             search=self.search,
+            noise=noise,
             forward_backward_limit=self.forward_backward_limit,
         )
 

@@ -70,6 +70,7 @@ def track_points(
     search: int = 0,
     forward_backward_limit: float = 1.0,
     mismatch_limit: float = 0.05,
+    noise: Tensor | None = None,
 ) -> Tracks:
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
@@ -94,11 +95,13 @@ def track_points(
         forward_backward_limit: px, points beyond it are flagged.
         mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
             unexplained.
+        noise: (B,) standard deviation of white noise, grey levels, of the noisier of each two images. Default
+            :func:`~fingerflow.ops.noise.estimate_noise` of both.
 
     Raises:
         ValueError: shapes that do not fit, an even window, an unknown order.
     """
-    _check(previous, current, points, window, order, initial, warp)
+    _check(previous, current, points, window, order, initial, warp, noise)
     batch, count = points.shape[:2]
     images = _Images(_real(previous), _real(current))
     dtype = torch.float64 if previous.dtype == torch.float64 else torch.float32
@@ -106,7 +109,9 @@ def track_points(
     start = points.to(dtype).reshape(-1, 2)
     guess = start if initial is None else initial.to(dtype).reshape(-1, 2)
     deformation = None if warp is None else warp.to(dtype).reshape(-1, 2, 2)
-    noise = torch.maximum(estimate_noise(images.previous.detach()), estimate_noise(images.current.detach())).to(dtype)
+    if noise is None:
+        noise = torch.maximum(estimate_noise(images.previous.detach()), estimate_noise(images.current.detach()))
+    noise = noise.to(dtype)
     # Integer images carry at least the noise of rounding, also where two of them do not differ.
     rounding = 0.0 if previous.is_floating_point() else 1 / 12
 
@@ -136,6 +141,7 @@ def _check(
     order: int,
     initial: Tensor | None,
     warp: Tensor | None,
+    noise: Tensor | None,
 ) -> None:
     for name, image in (("previous", previous), ("current", current)):
         if image.ndim != 4 or image.shape[1] != 1:
@@ -156,6 +162,8 @@ def _check(
         raise ValueError(f"initial {tuple(initial.shape)} must have the shape of points {tuple(points.shape)}")
     if warp is not None and warp.shape != (*points.shape, 2):
         raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
+    if noise is not None and noise.shape != (len(previous),):
+        raise ValueError(f"noise {tuple(noise.shape)} must be ({len(previous)},): one standard deviation an image pair")
     if window < 5 or window % 2 == 0:
         raise ValueError(f"window must be odd and at least 5 px, not {window}")
     if order not in (1, 3):

@@ -11,7 +11,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import TrackGraph
 from fingerflow.ops.corners import detect_corners
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.tracking import TrackStatus
+from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.tracking import Tracks, TrackStatus
 from fingerflow.stages.inputs import Inputs
 
 GIVES = frozenset(
@@ -65,10 +66,12 @@ class TrackingStage:
             self._settings.gain_offset,
         )
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
+        self._identity = torch.eye(2, device=inputs.device)
         self._region = region
         self._template: Tensor | None = None
         self._start = torch.empty(0)
         self._last = torch.empty(0)
+        self._noise = torch.empty(0)  # of the template, (1,) grey levels
         self._warp: Tensor | None = None
         self.series: TrackSeries | None = None
 
@@ -76,34 +79,35 @@ class TrackingStage:
         """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
         (n, N)."""
         images = self._inputs.view(frames, self._view)
-        where = []
-        for index, image in zip(indices, images, strict=True):
-            self._step(int(index), image[None])
+        steps, where = [], []
+        for image, noise in zip(images.split(1), estimate_noise(images).split(1), strict=True):
+            steps.append(self._step(image, noise))
             where.append(self._last)
+        assert self.series is not None
+        tracks = Tracks(*(torch.cat(values) for values in zip(*steps, strict=True)))
+        self.series.position[indices] = tracks.points.cpu()
+        variances = tracks.covariance.diagonal(dim1=-2, dim2=-1)
+        self.series.deviation[indices] = variances.mean(-1).sqrt().cpu()
+        self.series.error[indices] = tracks.error.cpu()
+        self.series.status[indices] = tracks.status.cpu()
         return self._inside(gross[:, 0], torch.cat(where)).cpu().numpy()
 
-    def _step(self, index: int, image: Tensor) -> None:
+    def _step(self, image: Tensor, noise: Tensor) -> Tracks:
+        """Finds the points in the next image (1, 1, h, w), whose noise is (1,)."""
         if self._template is None:
             self._begin(image)
-            position = self._start
-            deviation = torch.zeros_like(position[0, :, 0])
-            error, status = deviation, torch.zeros_like(deviation, dtype=torch.uint8)
+            self._noise = noise
+            exact = torch.zeros_like(self._start[..., 0])
+            return Tracks(self._start, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8))
+        both = torch.maximum(self._noise, noise)
+        tracks: Tracks = self._graph(self._template, image, self._start, self._last, self._warp, both)
+        if self._settings.template == "keyframe":
+            tracks = tracks._replace(points=self._deform(tracks.points))
+            # A point that is lost in one frame may be found again in the next, near where it was last.
+            self._last = torch.where(tracks.points.isfinite(), tracks.points, self._last)
         else:
-            keyframes = self._settings.template == "keyframe"
-            tracks = self._graph(self._template, image, self._start, self._last, self._warp)
-            position, error, status = tracks.points, tracks.error[0], tracks.status[0]
-            deviation = tracks.covariance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()[0]
-            if keyframes:
-                position = self._deform(position)
-                # A point that is lost in one frame may be found again in the next, near where it was last.
-                self._last = torch.where(position.isfinite(), position, self._last)
-            else:
-                self._template, self._start, self._last = image, position, position
-        assert self.series is not None
-        self.series.position[index] = position[0].cpu()
-        self.series.deviation[index] = deviation.cpu()
-        self.series.error[index] = error.cpu()
-        self.series.status[index] = status.cpu()
+            self._template, self._noise, self._start, self._last = image, noise, tracks.points, tracks.points
+        return tracks
 
     def _begin(self, image: Tensor) -> None:
         """Chooses the points in the first frame."""
@@ -143,11 +147,10 @@ class TrackingStage:
         """
         moved = found - self._start
         gradient = local_gradients(self._start, moved, gauge_length=_WARP_GAUGE_PX).gradient
-        identity = torch.eye(2, device=gradient.device)
-        self._warp = torch.where(gradient.isfinite(), gradient, 0.0) + identity
+        self._warp = gradient.nan_to_num(0.0) + self._identity
         second = local_gradients(self._start, gradient.flatten(-2), gauge_length=_WARP_GAUGE_PX).gradient
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
-        return found - torch.where(laplacian.isfinite(), laplacian, 0.0) * ((self._graph.window**2 - 1) / 24)
+        return found - laplacian.nan_to_num(0.0) * ((self._graph.window**2 - 1) / 24)
 
     def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
         """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.

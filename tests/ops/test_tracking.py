@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture, texture_image
 
@@ -191,6 +192,18 @@ def test_deep_images(points: Tensor, bits: int) -> None:
         assert (tracks.points - points - torch.tensor((0.6, 0.0))).norm(dim=-1).max() < 0.01
 
 
+def test_noise_that_is_known(points: Tensor) -> None:
+    """Given as the default takes it the tracks are the same; a window without texture is one whose noise explains it."""
+    images = picture((0, 0), 2, 0), picture((0.3, 0.2), 2, 1)
+    estimated = torch.maximum(*(estimate_noise(image) for image in images))
+    for given, by_default in zip(
+        track_points(*images, points, noise=estimated), track_points(*images, points), strict=True
+    ):
+        assert torch.equal(given, by_default)
+    loud = track_points(*images, points, noise=torch.tensor([500.0]))
+    assert (loud.status == TrackStatus.NO_TEXTURE).all()
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -201,6 +214,7 @@ def test_deep_images(points: Tensor, bits: int) -> None:
         ({"current": torch.zeros(1, 1, 40, 41)}, "same shape"),
         ({"initial": torch.zeros(1, 2, 2)}, "initial"),
         ({"warp": torch.zeros(1, 3, 2)}, "warp"),
+        ({"noise": torch.zeros(2)}, "noise"),
     ],
 )
 def test_wrong_arguments_are_named(change: dict[str, object], said: str) -> None:
