@@ -193,7 +193,7 @@ def test_deep_images(points: Tensor, bits: int) -> None:
 
 
 def test_noise_that_is_known(points: Tensor) -> None:
-    """Given as the default takes it the tracks are the same; a window without texture is one whose noise explains it."""
+    """Given as the default takes it tracks are the same; what noise explains is no texture."""
     images = picture((0, 0), 2, 0), picture((0.3, 0.2), 2, 1)
     estimated = torch.maximum(*(estimate_noise(image) for image in images))
     for given, by_default in zip(
