@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from fingerflow import kernels
 from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.median_network import MedianProgram, median_program
+from fingerflow.ops.median_network import MedianProgram, Operand, Step, median_program
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS_A_PASS = 1 << 19
@@ -139,44 +139,57 @@ def _run(program: MedianProgram, frames: Tensor) -> Tensor:
 
     medians = [
         plane.reshape(batch, grid_y, grid_x)[:, :tiles_y, :tiles_x]
-        for plane in run_network(program, phases.unbind(), grid_x)
+        for plane in run_network(program.steps, program.outputs, phases.unbind(), grid_x)
     ]
     tiled = torch.stack(medians).reshape(rows, columns, batch, tiles_y, tiles_x).permute(2, 3, 0, 4, 1)
     return tiled.reshape(batch, 1, tiles_y * rows, tiles_x * columns)[..., :height, :width]
 
 
-def run_network(program: MedianProgram, phases: Sequence[Tensor], columns: int) -> list[Tensor]:
-    """The medians of a tile's pixels, in the order of `program.outputs`.
+def run_network(
+    steps: Sequence[Step],
+    outputs: Sequence[Operand],
+    planes: Sequence[Tensor],
+    columns: int = 0,
+    *,
+    views: bool = True,
+) -> list[Tensor]:
+    """The outputs of a program, `MedianProgram` or `join_program`.
 
     Args:
-        phases: one flat plane a pixel of a tile, all of one length: rows of `columns` tiles, frame after frame.
+        planes: the inputs, all of one shape; flat where the program shifts them: rows of `columns` tiles, frame after
+            frame.
+        views: read a shifted plane as a view, the shorter the further it is shifted. Where nothing is a view, in an
+            exported graph, planes of different lengths cost a copy whenever two meet: False keeps them all at one.
 
     Returns:
-        Flat planes of that length; beyond the last window of a line or frame they hold nothing of meaning.
+        Planes of that shape; beyond the last window of a line or frame they hold nothing of meaning.
     """
     # A shift of whole tiles is an offset in the flat plane. Reading past the end of a line or frame gives a wrong value
     # only where no window begins. Planes are dropped after their last use, so that few are alive.
-    cells = phases[0].shape[0]
-    planes = dict(enumerate(phases))
-    lengths = dict.fromkeys(planes, cells)
-    pair = None
-    for operation, result, left, right_plane, shift_y, shift_x, released in program.steps:
-        offset = shift_y * columns + shift_x
-        if pair != (left, right_plane, offset):  # minimum and maximum of the same two mostly follow each other
-            pair = (left, right_plane, offset)
-            first, second = planes[left], planes[right_plane]
-            length = min(lengths[left], lengths[right_plane] - offset)
-            if length < lengths[right_plane]:
-                second = second[offset : offset + length]
-            if length < lengths[left]:
-                first = first[:length]
-        planes[result] = torch.minimum(first, second) if operation == "minimum" else torch.maximum(first, second)
+    cells = planes[0].shape[0]
+    known = dict(enumerate(planes))
+    lengths = dict.fromkeys(known, cells)
+    pair, first, second, length = None, planes[0], planes[0], cells
+    for operation, result, left, right, rows, shift, released in steps:
+        offset = rows * columns + shift
+        if pair != (left, right, offset):  # minimum and maximum of the same two mostly follow each other
+            pair = (left, right, offset)
+            first, second = known[left], known[right]
+            if not views:
+                second = _ahead(second, offset, 0)
+            else:
+                length = min(lengths[left], lengths[right] - offset)
+                if length < lengths[right]:
+                    second = second[offset : offset + length]
+                if length < lengths[left]:
+                    first = first[:length]
+        known[result] = torch.minimum(first, second) if operation == "minimum" else torch.maximum(first, second)
         lengths[result] = length
         for plane in released:
-            del planes[plane]
+            del known[plane]
+    return [_ahead(known[plane], rows * columns + shift, cells - lengths[plane]) for plane, rows, shift in outputs]
 
-    medians = []
-    for plane, shift_y, shift_x in program.outputs:
-        offset = shift_y * columns + shift_x
-        medians.append(functional.pad(planes[plane][offset:], (0, cells - lengths[plane] + offset)))
-    return medians
+
+def _ahead(plane: Tensor, offset: int, lack: int) -> Tensor:
+    """A flat plane read so many places further on, longer by what it lacks."""
+    return functional.pad(plane, (-offset, offset + lack)) if offset or lack else plane

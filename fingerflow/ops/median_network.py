@@ -98,6 +98,31 @@ def tile_program(size: int, order: str) -> MedianProgram:
     return MedianProgram(size, tile, *windows.network.program(medians))
 
 
+@functools.cache
+def join_program(size: int, first: int, second: int) -> tuple[tuple[Step, ...], tuple[Operand, ...]]:
+    """Steps and outputs that merge what is kept of two disjoint sets of pixels of one `size` x `size` window.
+
+    Both are ascending lists of the elements that can still be the window's median among `first` and `second` pixels
+    (`kept`): planes 0, 1, ... are those of the first, then those of the second. The outputs are the list of both.
+    """
+    ahead = kept(size, first)
+    windows = _Windows(size, (1, ahead + kept(size, second)))
+    planes = [windows.network.pixel(0, plane) for plane in range(windows.network.inputs)]
+    return windows.network.program(windows.join(planes[:ahead], first, planes[ahead:], second))
+
+
+def kept(size: int, count: int) -> int:
+    """How many of `count` pixels of a `size` x `size` window can still be its median."""
+    low, high = _ranks(size, count)
+    return high - low + 1
+
+
+def _ranks(size: int, count: int) -> tuple[int, int]:
+    """First and last rank among `count` pixels of a window that can still be its median."""
+    pixels = size * size
+    return max(0, pixels // 2 - (pixels - count)), min(count - 1, pixels // 2)
+
+
 class _Network:
     """Comparisons on planes of a tile grid; the same one asked for again, anywhere on the grid, is the same plane."""
 
@@ -204,14 +229,9 @@ class _Windows:
 
     def join(self, first: list[Operand], first_count: int, second: list[Operand], second_count: int) -> list[Operand]:
         """Merge what is kept of two disjoint sets of `first_count` and `second_count` pixels."""
-        low, high = self.ranks(first_count + second_count)
-        dropped = self.ranks(first_count)[0] + self.ranks(second_count)[0]
+        low, high = _ranks(self.size, first_count + second_count)
+        dropped = _ranks(self.size, first_count)[0] + _ranks(self.size, second_count)[0]
         return _merge_ranks(self.network, first, second, low - dropped, high - dropped)
-
-    def ranks(self, count: int) -> tuple[int, int]:
-        """First and last rank among `count` pixels of a window that can still be its median."""
-        pixels = self.size * self.size
-        return max(0, pixels // 2 - (pixels - count)), min(count - 1, pixels // 2)
 
 
 def _merge_ranks(network: _Network, first: list[Operand], second: list[Operand], low: int, high: int) -> list[Operand]:

@@ -57,7 +57,7 @@ class ContactStep(nn.Module):
             below = contact_view.to(torch.float32) < limit.to(torch.float32)
         if self.median_px == 1:  # nothing lies below the limit of a pixel that is not valid
             return span(self.region, below.to(torch.uint8))
-        most = majority(below.to(self.median_type), self.median_px, self.region.precision)
+        most = majority(below.to(self.median_type), self.median_px)
         return span(self.region, torch.minimum(most, valid))
 
 

@@ -1,5 +1,6 @@
 """Contact of one frame with the threshold measured in it."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -9,9 +10,10 @@ from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
 from fingerflow.stream.background import levels, whole_level
 from fingerflow.stream.contact import span
 from fingerflow.stream.finite import finite
+from fingerflow.stream.lattice_median import median_on_lattice
 from fingerflow.stream.levels import LEVELS, median_level, otsu_classes
-from fingerflow.stream.median_planes import median_of_rows
-from fingerflow.stream.region import RegionStep, enlarge
+from fingerflow.stream.median_planes import majority
+from fingerflow.stream.region import RegionStep
 
 # Contact takes at least a twentieth of the light; two halves of noise lie closer together (`graphs.ContactGraph`).
 _LEAST_LIGHT_LOST = 0.05
@@ -64,40 +66,50 @@ class MeasuredContactStep(nn.Module):
 
     def forward(self, contact_view: Tensor, gain: Tensor, offset: Tensor, valid: Tensor) -> MeasuredContact:
         """(B, 1, H, W) frames and the results of `BackgroundStep`."""
-        counts = contact_view.to(self.precision)
-        smooth = median_of_rows(levels(counts, gain, offset).to(self.median_type), self.median_px)
-        threshold = self._threshold(smooth, valid)
-        contact = span(self.region, self._touching(smooth, valid, threshold))
+        own = levels(contact_view.to(self.precision), gain, offset).to(self.median_type)
+        some = median_on_lattice(own, self.median_px, self.lattice_px)
+        # Where the medians between were not formed, most levels of a window lie above what its median lies above.
+        every = some if self.lattice_px == 1 else None
+
+        def touching(threshold: Tensor) -> Tensor:
+            """(B, 1, H, W) uint8, 1 where a valid median lies above the threshold (B,); nowhere above NaN."""
+            limit = whole_level(threshold).reshape(-1, 1, 1, 1).to(self.median_type)
+            if every is None:
+                above = majority((own > limit).to(self.median_type), self.median_px)
+            else:
+                above = (every > limit).to(torch.uint8)
+            return torch.minimum(above, valid)
+
+        threshold = self._threshold(some, valid, touching)
+        contact = span(self.region, touching(threshold))
         return MeasuredContact(*contact[:-1], threshold=threshold)
 
-    def _touching(self, smooth: Tensor, valid: Tensor, threshold: Tensor) -> Tensor:
-        """(B, 1, H, W) uint8, 1 where a valid level lies above the threshold (B,); nowhere above NaN."""
-        limit = whole_level(threshold).reshape(-1, 1, 1, 1).to(self.median_type)
-        return torch.minimum((smooth > limit).to(torch.uint8), valid)
-
-    def _threshold(self, smooth: Tensor, valid: Tensor) -> Tensor:
+    def _threshold(self, some: Tensor, valid: Tensor, touching: Callable[[Tensor], Tensor]) -> Tensor:
         low, high = LEVEL_RANGE
         scale = levels_per_unit(low, high)
-        some, weight = self._lattice(smooth), self._lattice(valid)
+        weight = valid[..., :: self.lattice_px, :: self.lattice_px]
         classes = otsu_classes(self._histogram(some, weight))
         otsu = classes.threshold / scale + low
         distance = (classes.upper - classes.lower) / scale
         least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_LIGHT_LOST)
         apart = finite(otsu) & (classes.upper / scale + low > _LEAST_LIGHT_LOST) & (distance > least)
-        touching = self._touching(smooth, valid, torch.where(apart, otsu, torch.nan))
-        gross = (self.region(touching).excess > 0).to(self.precision)
-        height, width = valid.shape[-2:]
-        inside = enlarge(gross, self.region.cell)[..., :height, :width].to(valid.dtype)
-        weight = torch.minimum(weight, self._lattice(inside))
-        both = self._histogram(some, weight)
-        ridges = self._histogram(some, torch.minimum(weight, self._lattice(touching)))
+        first = torch.where(apart, otsu, torch.nan)
+        gross = (self.region(touching(first)).excess > 0).to(valid.dtype)
+        inside = self._on_lattice(gross, *valid.shape[-2:])
+        both = self._histogram(some, torch.minimum(weight, inside))
+        level = torch.arange(LEVELS, dtype=self.precision, device=both.device)
+        ridges = both * (level > whole_level(first)[:, None])
         valleys = both - ridges
         # Contact without gaps has no valleys: the empty glass stands for them.
         valley = torch.where(valleys.sum(1) > 0, median_level(valleys), classes.lower)
         return torch.where(apart, (median_level(ridges) + valley) / 2 / scale + low, torch.nan)
 
-    def _lattice(self, image: Tensor) -> Tensor:
-        return image[..., :: self.lattice_px, :: self.lattice_px]
+    def _on_lattice(self, cells: Tensor, height: int, width: int) -> Tensor:
+        """Cells of the region at the pixels of the lattice."""
+        for axis, side in ((3, width), (2, height)):
+            pixels = torch.arange(0, side, self.lattice_px, device=cells.device)
+            cells = cells.index_select(axis, pixels // self.region.cell)
+        return cells
 
     def _histogram(self, image: Tensor, weight: Tensor) -> Tensor:
         """Counts (B, 256) of the levels of pixels of weight 1, exact below 2^24."""

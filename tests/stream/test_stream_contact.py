@@ -9,6 +9,7 @@ from fingerflow.graphs import ContactGraph
 from fingerflow.ops.median import median_filter
 from fingerflow.stream.background import BackgroundStep
 from fingerflow.stream.contact import ContactStep
+from fingerflow.stream.lattice_median import median_on_lattice
 from fingerflow.stream.levels import median_level, otsu_classes
 from fingerflow.stream.measured_contact import MeasuredContactStep
 from fingerflow.stream.median_planes import majority, median_of_rows
@@ -36,10 +37,31 @@ def test_median_of_rows_is_the_median(size: int, shape: tuple[int, ...]) -> None
     assert torch.equal(median_of_rows(frames.float(), size), median_filter(frames, size).float())
 
 
+@pytest.mark.parametrize("size", [1, 3, 5, 9, 15])
+@pytest.mark.parametrize("step", [1, 2, 3, 8, 16])
+@pytest.mark.parametrize("kind", [torch.uint8, torch.float32, torch.float16])
+def test_median_on_lattice_is_that_of_all_windows(size: int, step: int, kind: torch.dtype) -> None:
+    for shape in ((2, 1, 61, 47), (1, 1, 48, 50), (1, 1, 5, 7)):  # frames smaller than a window, too
+        frames = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(size))
+        expected = median_filter(frames, size)[..., ::step, ::step]
+        assert torch.equal(median_on_lattice(frames.to(kind), size, step), expected.to(kind))
+
+
+def test_lattice_has_the_threshold_of_its_medians(empty: Tensor) -> None:
+    view = _view(SCENE.render(150))
+    background = BackgroundStep()(empty, torch.zeros_like(empty), NAN)[:3]
+    for lattice in (2, 3, 8):
+        found = MeasuredContactStep(median_px=9, lattice_px=lattice)(view, *background)
+        limit = BackgroundStep()(empty, torch.zeros_like(empty), found.threshold).limit
+        every = MeasuredContactStep(median_px=9)(view, *background)
+        assert torch.equal(ContactStep(9)(view, limit, background[2]).touching, found.touching)
+        torch.testing.assert_close(found.threshold, every.threshold, rtol=0, atol=6e-3)
+
+
 @pytest.mark.parametrize("size", [1, 3, 5, 9, 13])
 def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
     frames = torch.randint(0, 2, (2, 1, 53, 31), dtype=torch.uint8, generator=torch.Generator().manual_seed(size))
-    assert torch.equal(majority(frames, size, torch.float32), median_filter(frames, size))
+    assert torch.equal(majority(frames, size), median_filter(frames, size))
 
 
 @pytest.mark.parametrize("frame", [40, 150, 299])
