@@ -128,8 +128,9 @@ public:
         rows_ = take(layout_.rows());
         row_slopes_ = take(layout_.rows());
         inside_ = reinterpret_cast<std::int32_t*>(take(layout_.values()));
-        for (int k = 0; k < layout_.values(); ++k)
-            inside_[k] = k < layout_.window * layout_.stride && k % layout_.stride < layout_.window ? -1 : 0;
+        for (int k = 0; k < layout_.values(); ++k) inside_[k] = 0;
+        for (int r = 0; r < layout_.window; ++r)
+            for (int c = 0; c < layout_.window; ++c) inside_[r * layout_.stride + c] = -1;
         if (pair.warp != nullptr) {
             wide_ = memory;
             memory += whole_floats(layout_.wide_buffer());
@@ -368,32 +369,118 @@ private:
     // The same with samples at place + A w.
     void sample_warped(int which, Vector place, const Matrix& warp, const Window& to) {
         constexpr float kFirst = -1, kLast = 2;
-        const int n = layout_.window, half = n / 2;
         // Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
         const float right = static_cast<float>(pair_.images[0].width - 1) - kLast, bottom = static_cast<float>(pair_.images[0].height - 1) - kLast;
-        const auto outermost = static_cast<float>(half);
-        const Range x_range = range(place.x, outermost * (fabsf(warp.xx) + fabsf(warp.xy)), right);
-        const Range y_range = range(place.y, outermost * (fabsf(warp.yx) + fabsf(warp.yy)), bottom);
+        const auto outermost = static_cast<float>(layout_.window / 2);
+        const float away_x = outermost * (fabsf(warp.xx) + fabsf(warp.xy)), away_y = outermost * (fabsf(warp.yx) + fabsf(warp.yy));
+        const Range x_range = range(place.x, away_x, right), y_range = range(place.y, away_y, bottom);
         const Rectangle where{x_range.first, y_range.first, y_range.count, x_range.count};
         const int stride = patch_span(where.columns);
         const bool in_one_piece = where.rows <= layout_.wide() && stride <= layout_.wide();
         if (in_one_piece) cut(which, where, wide_, stride);
+#if defined(FINGERFLOW_LOOKUP)
+        // Wholly inside, and no row of the window so steep or so stretched that a vector of its samples needs taps from more
+        // than five rows, or from more than two vectors of one.
+        const bool inside = place.x - away_x >= 2 && place.y - away_y >= 2 && place.x + away_x <= right - 1 && place.y + away_y <= bottom - 1;
+        constexpr float kApart = kFloats - 1;
+        const bool gentle = warp.xx > 0 && warp.xx * kApart < 2 * kFloats - kTaps - 1 && fabsf(warp.yx) * kApart < 1;
+        if (in_one_piece && inside && gentle)
+            return sample_gently(where, stride, place, warp, to);
+#endif
+        sample_anywhere(which, in_one_piece, where, stride, {-kFirst, -kFirst}, {right, bottom}, place, warp, to);
+    }
+
+#if defined(FINGERFLOW_LOOKUP)
+    // The samples of a vector need five rows of taps at most: each is loaded once, in two vectors, and its numbers are picked
+    // in registers. The cut patch is where they all are.
+    void sample_gently(const Rectangle& where, int stride, Vector place, Matrix warp, Window to) const {
+        const int n = layout_.window, half = n / 2;
+        Integers number;
+        for (int k = 0; k < kFloats; ++k) number[k] = k;
+        const Floats numbers = __builtin_convertvector(number, Floats);
+        const bool falling = warp.yx < 0;
+        const int before_x = static_cast<int>(where.x) + 1, before_y = static_cast<int>(where.y) + 1;
+        const float* const patch = wide_;
+        for (int r = 0; r < n; ++r) {
+            const float down = static_cast<float>(r - half);
+            const Vector row{place.x + warp.xy * down, place.y + warp.yy * down};
+            for (int c = 0; c < n; c += kFloats) {
+                // Those behind the last column repeat it.
+                Floats along = numbers + static_cast<float>(c - half);
+                along = along < static_cast<float>(half) ? along : all(static_cast<float>(half));
+                const Floats x = all(warp.xx) * along + all(row.x), y = all(warp.yx) * along + all(row.y);
+                const Integers whole_x = __builtin_convertvector(x, Integers), whole_y = __builtin_convertvector(y, Integers);
+                Floats across[kTaps], across_slope[kTaps], below[kTaps], below_slope[kTaps];
+                cubic_taps(x - __builtin_convertvector(whole_x, Floats), across, across_slope);
+                cubic_taps(y - __builtin_convertvector(whole_y, Floats), below, below_slope);
+                const int left = whole_x[0], top = falling ? whole_y[kFloats - 1] : whole_y[0];
+                const int lowest = falling ? whole_y[0] : whole_y[kFloats - 1];
+                const Integers index = whole_x - left;
+                const float* taps = patch + (top - before_y) * stride + left - before_x;
+                Floats value = all(0), along_x = all(0), along_y = all(0);
+                const auto add_row = [&](int i, const Floats& weight, const Floats& weight_slope) {
+                    const Floats low = load(taps + i * stride), high = load(taps + i * stride + kFloats);
+                    Floats tap = looked_up(low, high, index);
+                    Floats row_value = tap * across[0], row_slope = tap * across_slope[0];
+                    FINGERFLOW_UNROLL
+                    for (int j = 1; j < kTaps; ++j) {
+                        tap = looked_up(low, high, index + j);
+                        row_value += tap * across[j];
+                        row_slope += tap * across_slope[j];
+                    }
+                    value += row_value * weight;
+                    along_x += row_slope * weight;
+                    along_y += row_value * weight_slope;
+                };
+                if (top == lowest) {
+                    FINGERFLOW_UNROLL
+                    for (int i = 0; i < kTaps; ++i) add_row(i, below[i], below_slope[i]);
+                } else {
+                    // A sample that lies one row lower has its first tap one row later.
+                    const Integers lower = whole_y > top;
+                    add_row(0, lower ? all(0) : below[0], lower ? all(0) : below_slope[0]);
+                    FINGERFLOW_UNROLL
+                    for (int i = 1; i < kTaps; ++i)
+                        add_row(i, lower ? below[i - 1] : below[i], lower ? below_slope[i - 1] : below_slope[i]);
+                    add_row(kTaps, lower ? below[kTaps - 1] : all(0), lower ? below_slope[kTaps - 1] : all(0));
+                }
+                write_samples(to, r, c, warp, value, along_x, along_y);
+            }
+        }
+    }
+#endif
+
+    // Chain rule: d/dw = A^T d/dx. Behind the last column come zeros, for sums run over whole vectors.
+    void write_samples(const Window& to, int r, int c, const Matrix& warp, Floats value, Floats x, Floats y) const {
+        Floats along_x = all(warp.xx) * x + all(warp.yx) * y, along_y = all(warp.xy) * x + all(warp.yy) * y;
+        if (c + kFloats > layout_.window) {
+            value = last_.of(value);
+            along_x = last_.of(along_x);
+            along_y = last_.of(along_y);
+        }
+        const int place = r * layout_.stride + c;
+        store(to.value + place, value);
+        store(to.along_x + place, along_x);
+        store(to.along_y + place, along_y);
+    }
+
+    // Any window: samples are kept between two places, and their taps come from the cut patch, or from the frame itself.
+    void sample_anywhere(int which, bool in_one_piece, const Rectangle& where, int stride, Vector first, Vector last, Vector place,
+                         const Matrix& warp, const Window& to) {
+        const int n = layout_.window, half = n / 2;
         float* const columns = rows_;  // those behind the last one repeat it
         for (int k = 0; k < layout_.span; ++k) columns[k] = static_cast<float>(k < n ? k - half : half);
         for (int r = 0; r < n; ++r) {
             const float down = static_cast<float>(r - half);
             for (int c = 0; c < layout_.span; c += kFloats) {
                 const Floats along = load(columns + c);
-                const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, -kFirst, right);
-                const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, -kFirst, bottom);
+                const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, first.x, last.x);
+                const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, first.y, last.y);
                 Samples at{};
                 if (in_one_piece) {
-                    const auto taps = [&](int row, int column) {
-                        return wide_ + (row - 1 - static_cast<int>(where.y)) * stride + column - 1 - static_cast<int>(where.x);
-                    };
-                    if (!interpolate_neighbours(x, y, taps, stride, &at)) {
-                        interpolate(x, y, [&](int k) { return taps(y.whole[k], x.whole[k]); }, stride, &at);
-                    }
+                    interpolate(x, y, [&](int k) {
+                        return wide_ + (y.whole[k] - 1 - static_cast<int>(where.y)) * stride + x.whole[k] - 1 - static_cast<int>(where.x);
+                    }, stride, &at);
                 } else {
                     float around[kTaps * kTaps];
                     interpolate(x, y, [&](int k) {
@@ -401,19 +488,7 @@ private:
                         return around;
                     }, kTaps, &at);
                 }
-                // Chain rule: d/dw = A^T d/dx.
-                Floats value = at.value, along_x = all(warp.xx) * at.along_x + all(warp.yx) * at.along_y;
-                Floats along_y = all(warp.xy) * at.along_x + all(warp.yy) * at.along_y;
-                // Behind the last column come zeros, for sums run over whole vectors.
-                if (c + kFloats > n) {
-                    value = last_.of(value);
-                    along_x = last_.of(along_x);
-                    along_y = last_.of(along_y);
-                }
-                const int to_place = r * layout_.stride + c;
-                store(to.value + to_place, value);
-                store(to.along_x + to_place, along_x);
-                store(to.along_y + to_place, along_y);
+                write_samples(to, r, c, warp, at.value, at.along_x, at.along_y);
             }
         }
     }
@@ -473,50 +548,6 @@ private:
             at->along_x += load(column) * across_slope[j];
             at->along_y += load(column_slope) * across[j];
         }
-    }
-
-    // The same for samples so close together that two vectors of a row hold all their taps, and five rows: each row is
-    // loaded once and its numbers are picked in registers. False where they are not, or the instruction set cannot.
-    template <class Taps>
-    static bool interpolate_neighbours(const Split& x, const Split& y, const Taps& taps, int stride, Samples* at) {
-#if defined(FINGERFLOW_LOOKUP)
-        // Positions along a row of the window grow or fall from its first sample to its last.
-        const int left = x.whole[0] < x.whole[kFloats - 1] ? x.whole[0] : x.whole[kFloats - 1];
-        const int top = y.whole[0] < y.whole[kFloats - 1] ? y.whole[0] : y.whole[kFloats - 1];
-        const int columns = x.whole[0] + x.whole[kFloats - 1] - 2 * left, rows = y.whole[0] + y.whole[kFloats - 1] - 2 * top;
-        if (columns + kTaps > 2 * kFloats || rows > 1) return false;
-        Integers index, lower;
-        std::memcpy(&index, x.whole, sizeof index);
-        std::memcpy(&lower, y.whole, sizeof lower);
-        index -= left;
-        lower = lower > top;
-        Floats across[kTaps], across_slope[kTaps], below[kTaps + 2], below_slope[kTaps + 2];
-        cubic_taps(x.fraction, across, across_slope);
-        below[0] = below_slope[0] = below[kTaps + 1] = below_slope[kTaps + 1] = all(0);
-        cubic_taps(y.fraction, below + 1, below_slope + 1);
-        at->value = at->along_x = at->along_y = all(0);
-        const float* row = taps(top, left);
-        FINGERFLOW_UNROLL
-        for (int i = 0; i < kTaps + 1; ++i) {
-            if (i == kTaps && rows == 0) break;
-            const Floats low = load(row + i * stride), high = load(row + i * stride + kFloats);
-            Floats value = all(0), slope = all(0);
-            FINGERFLOW_UNROLL
-            for (int j = 0; j < kTaps; ++j) {
-                const Floats tap = looked_up(low, high, index + j);
-                value += tap * across[j];
-                slope += tap * across_slope[j];
-            }
-            // A sample that lies one row lower has its first tap one row later.
-            const Floats weight = lower ? below[i] : below[i + 1], weight_slope = lower ? below_slope[i] : below_slope[i + 1];
-            at->value += value * weight;
-            at->along_x += slope * weight;
-            at->along_y += value * weight_slope;
-        }
-        return true;
-#else
-        return static_cast<void>(x), static_cast<void>(y), static_cast<void>(taps), static_cast<void>(stride), static_cast<void>(at), false;
-#endif
     }
 
     float total(const float* values) const {

@@ -17,9 +17,18 @@ pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernel
 TOLERANCE_PX = 1e-4
 
 
-def skin(shift: tuple[float, float], noise: float = 2.0, seed: int = 0, size: tuple[int, int] = (150, 190)) -> Tensor:
-    """Ridges moved by a shift, 8 bit, (1, 1, H, W)."""
+def skin(
+    shift: tuple[float, float],
+    noise: float = 2.0,
+    seed: int = 0,
+    size: tuple[int, int] = (150, 190),
+    deformation: Tensor | None = None,
+) -> Tensor:
+    """Ridges moved by a shift, 8 bit, (1, 1, H, W); a deformation about the middle leads to the ones not deformed."""
     y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in size), indexing="ij")
+    if deformation is not None:
+        middle = torch.tensor([size[1] / 2, size[0] / 2])
+        x, y = ((torch.stack((x, y), -1) - middle) @ deformation.double().T + middle).unbind(-1)
     scale = 0.0325
     light = RidgeTexture()((x - shift[0]) * scale, (y - shift[1]) * scale)
     grey = 110 + 80 * light + noise * torch.randn(size, generator=torch.Generator().manual_seed(seed))
@@ -87,6 +96,31 @@ def test_warp_and_prediction(far: float, instruction_set: int) -> None:
     settings = {"initial": guess, "warp": warp, "mismatch_limit": 0.5}
     images = skin((0, 0)), skin((0.6, -0.3), seed=1)
     same(track_points(*images, points, **settings), portable(*images, points, **settings))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        [[1.0, 0.0], [0.066, 1.0]],  # a vector of samples needs taps of five rows, or of six
+        [[1.0, 0.0], [0.07, 1.0]],
+        [[1.0, 0.01], [-0.066, 1.0]],
+        [[1.6, 0.0], [0.0, 0.7]],
+        [[0.6, 0.2], [0.1, 1.5]],
+        [[-1.0, 0.05], [0.02, 1.0]],  # mirrored
+        [[0.0, -1.0], [1.0, 0.0]],  # a quarter turn
+    ],
+)
+@pytest.mark.parametrize("window", [9, 21])
+def test_any_warp(matrix: list[list[float]], window: int, instruction_set: int) -> None:
+    """An image deformed by F about its middle, points on either side of it, found 0.3 px from where F leads."""
+    deformation, middle = torch.tensor(matrix), torch.tensor([95.0, 75.0])
+    points = middle + torch.tensor([[[0.3, -0.2], [9.0, 4.5], [-8.2, 6.0], [3.4, -10.0], [-90.0, -70.0]]])
+    guess = middle + (points - middle) @ deformation.T + torch.tensor([0.2, -0.2])
+    settings = {"initial": guess, "warp": deformation.expand(1, 5, 2, 2), "window": window}
+    images = skin((0, 0), deformation=deformation), skin((0, 0), seed=1)
+    found, expected = track_points(*images, points, **settings), portable(*images, points, **settings)  # type: ignore[arg-type]
+    assert (expected.status[0, :4] == TrackStatus.TRACKED).all()
+    same(found, expected)
 
 
 @pytest.mark.parametrize("warped", [False, True])
