@@ -1,12 +1,15 @@
 """The main job: a scene in, a labelled data set out."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 import torch
 import xarray as xr
+from torch import Tensor
 from tqdm import tqdm
 
 from fingerflow.plan import plan
@@ -18,7 +21,9 @@ from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.loading import load
 from fingerflow.stages.tracking import TrackingStage, TrackSeries
 
-_BATCH = 8  # frames in memory at a time
+_BATCH = 8  # frames in memory at a time, and as many on their way
+_Given = TypeVar("_Given")
+_Result = TypeVar("_Result")
 
 
 def process(
@@ -95,18 +100,23 @@ def _stream(
         order = order[::-1]
     covered: dict[int, np.ndarray] = {}
     damaged: list[int] = []
-    bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
-    with bar:
-        for first in range(0, len(order), _BATCH):
-            indices = order[first : first + _BATCH]
+
+    def begin(indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, Tensor]:
+        with torch.inference_mode():  # of this thread
             with _timed(seconds, "decoding"):
                 frames = recording[indices].read()
             with _timed(seconds, "contact"):
-                found = contact.run(indices, frames)
-                damaged += indices[~_whole(scene.views.contact.crop(frames))].tolist()
+                gross = contact.run(indices, frames).gross
+                damaged.extend(indices[~_whole(scene.views.contact.crop(frames))].tolist())
+        return indices, frames, gross
+
+    batches = [order[first : first + _BATCH] for first in range(0, len(order), _BATCH)]
+    begun = map(begin, batches) if torch.get_num_threads() == 1 or tracking is None else _ahead(begin, batches)
+    with tqdm(total=len(order), desc="frames", unit="frame", disable=not progress) as bar:
+        for indices, frames, gross in begun:
             if tracking is not None:
                 with _timed(seconds, "tracking"):
-                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, found.gross), strict=True))
+                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, gross), strict=True))
             bar.update(len(indices))
     if damaged:
         # What is left of such a frame has some area, but not that of the contact.
@@ -117,6 +127,18 @@ def _stream(
             f"contact view that are NaN or infinite: their contact is NaN"
         )
     return np.stack([covered[i] for i in range(len(order))]) if covered else np.zeros((len(order), 0), dtype=bool)
+
+
+def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Iterator[_Result]:
+    """As map, but the next result is under way, in a thread of its own, while one is in use."""
+    with ThreadPoolExecutor(max_workers=1) as worker:
+        coming: Future[_Result] | None = None
+        for some in given:
+            before, coming = coming, worker.submit(act, some)
+            if before is not None:
+                yield before.result()
+        if coming is not None:
+            yield coming.result()
 
 
 def _whole(frames: np.ndarray) -> np.ndarray:
