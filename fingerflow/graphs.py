@@ -130,14 +130,14 @@ class Fields(NamedTuple):
         displacement: (B, Q, 2), unit of the positions.
         divergence, curl: (B, Q).
         strain: (B, Q, 3) as (exx, eyy, exy).
-        divergence_std: (B, Q).
+        divergence_std: (B, Q); None without variances.
     """
 
     displacement: Tensor
     divergence: Tensor
     curl: Tensor
     strain: Tensor
-    divergence_std: Tensor
+    divergence_std: Tensor | None
 
 
 class FieldsGraph(nn.Module):
@@ -149,18 +149,22 @@ class FieldsGraph(nn.Module):
         self.measure = measure
 
     def forward(
-        self, reference: Tensor, displacement: Tensor, variance: Tensor, queries: Tensor | None = None
+        self,
+        reference: Tensor,
+        displacement: Tensor,
+        variance: Tensor | None = None,
+        queries: Tensor | None = None,
     ) -> Fields:
-        """(B, N, 2) reference positions and displacements of one unit, variance (B, N) of a component in its square.
+        """(B, N, 2) reference positions and displacements of one unit; variance (B, N) of a component in its square, if
+        the standard deviation of the divergence is wanted.
 
         ``queries`` (B, Q, 2) are reference positions too; the points themselves by default.
         """
         fit = local_gradients(reference, displacement, queries, gauge_length=self.gauge_length, variance=variance)
-        assert fit.covariance is not None  # a variance was given
         return Fields(
             fit.value,
             divergence(fit.gradient),
             curl(fit.gradient),
             green_lagrange(fit.gradient, self.measure),
-            divergence_deviation(fit.covariance),
+            None if fit.covariance is None else divergence_deviation(fit.covariance),
         )

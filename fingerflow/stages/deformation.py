@@ -132,10 +132,11 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
         at_points = graph(reference, displacement, variance)
         series.divergence[part] = at_points.divergence.cpu()
         series.curl[part] = at_points.curl.cpu()
+        assert at_points.divergence_std is not None  # variances were given
         series.divergence_std[part] = at_points.divergence_std.cpu()
         if grid is None or nodes is None:
             continue
-        at_nodes = graph(reference, displacement, variance, nodes)
+        at_nodes = graph(reference, displacement, None, nodes)
         fields = torch.cat((at_nodes.divergence[..., None], at_nodes.curl[..., None], at_nodes.strain), dim=-1)
         medians = medians_over_contact(contact, part, grid, at_nodes.displacement, fields)
         series.median_divergence[part], series.median_curl[part] = medians[:, 0], medians[:, 1]

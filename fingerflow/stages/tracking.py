@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -112,12 +113,13 @@ class TrackingStage:
     def _begin(self, image: Tensor) -> None:
         """Chooses the points in the first frame."""
         settings = self._settings
-        height, width = image.shape[-2:]
-        row, column = torch.meshgrid(
-            torch.arange(height, device=image.device), torch.arange(width, device=image.device), indexing="ij"
+        region = cv2.warpAffine(
+            self._region[0, 0].cpu().numpy().astype(np.uint8),
+            self._inputs.topography_to_contact,
+            (image.shape[3], image.shape[2]),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         )
-        places = torch.stack((column, row), dim=-1).reshape(-1, 2).float()
-        mask = self._inside(self._region[0], places[None]).view(1, 1, height, width)
+        mask = torch.from_numpy(region).to(image.device)[None, None] > 0
         border = settings.window_px // 2 + 2
         corners = detect_corners(
             image, settings.points, settings.min_distance_px, mask, window=_CORNER_PX, border=border
