@@ -110,7 +110,7 @@ def _inputs(scene: Press) -> dict[str, Tensor]:
 
 
 def _corners(view: Tensor, recipe: Recipe) -> Tensor:
-    border = recipe.tracking.window_px // 2 + 3
+    border = recipe.tracking.window_px // 2 + 4
     return detect_corners(view, recipe.tracking.points, 6.0, window=5, border=border).points
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from fingerflow.stream.components import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.sums import sum_rows
 
@@ -55,14 +56,14 @@ class FieldsStep(nn.Module):
     def of_components(self, now: Tensor, then: Tensor) -> StreamFields:
         """The same of (B, 2, N): runtimes are slow where the last axis is short."""
         moved = now - then
-        usable = finite(sum_rows(moved))[:, None]
+        usable = finite(sum_rows(moved))
         weight = usable.to(self.precision)  # (B, 1, N)
         both = torch.where(usable, torch.cat((then, moved), dim=1), 0.0)
         centred = (both - both.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)) * weight
         place, moved = centred[:, :2], centred[:, 2:]
         radius = self.gauge_px / 2
         scaled = place / radius
-        norm = sum_rows(scaled * scaled)[:, None]
+        norm = sum_rows(scaled * scaled)
         one = torch.ones_like(norm)
         queries = torch.cat((2 * scaled, norm, one), dim=1)
         support = torch.cat((scaled, -one, one - norm), dim=1)
@@ -90,11 +91,6 @@ class FieldsStep(nn.Module):
             (_squares(gradient[:, :2]), _squares(gradient[:, 2:])), dim=1
         )
         return StreamFields(linear[:, 0], linear[:, 1], strain.transpose(1, 2), _median(linear[:, 0]))
-
-
-def components_first(points: Tensor) -> Tensor:
-    """(B, N, 2) to (B, 2, N), not by a transposition, which ONNX Runtime moves behind all that follows."""
-    return torch.stack((points[..., 0], points[..., 1]), dim=1)
 
 
 def _squares(pair: Tensor) -> Tensor:

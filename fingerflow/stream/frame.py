@@ -5,8 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from fingerflow.stream.components import components_first
 from fingerflow.stream.contact import ContactStep
-from fingerflow.stream.fields import FieldsStep, components_first
+from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.track import TrackStep

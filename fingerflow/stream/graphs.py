@@ -31,9 +31,10 @@ UNITS = {
     "offset": "levels",
     "response": "counts^2/px^2",
     "template_noise": "counts^2",
-    "template_products": "counts^2/px^2, counts^2/px, counts^2",
+    "template_products": "px^2/counts^2, counts^2, counts^2/px^3, 1",
     "template_gradients": "counts/px",
-    "template_slopes": "counts/px, counts/px^2",
+    "template_pixels": "counts/px",
+    "template_table": "counts^2/px",
 }
 
 
@@ -76,7 +77,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     table = (tracking.window_px, tracking.reach_px)
     track = TrackStep(*table, tracking.way_back == "table", tracking.forward_backward_limit_px, kind)
     fields = FieldsStep(recipe.fields.gauge_px, kind)
-    border = tracking.window_px // 2 + tracking.reach_px + 2
+    border = tracking.window_px // 2 + tracking.reach_px + 3  # window and table of the key frame
     detect = DetectStep(tracking.points, tracking.corner_distance_px, border, kind)
     templates = Templates._fields
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)

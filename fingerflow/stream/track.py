@@ -1,24 +1,23 @@
-"""Points of the key frame found in a frame: correlation tables, a fixed number of steps, and the way back."""
+"""Points of the key frame found in a frame: a look from the key frame, one in the frame, and the way back."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.tracking import CONVERGED, GRADIENT_NOISE, TEXTURE_TO_NOISE, VALUE_NOISE, TrackStatus
-from fingerflow.stream.fields import components_first
+from fingerflow.ops.tracking import CONVERGED, VALUE_NOISE, TrackStatus
+from fingerflow.stream.components import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
-from fingerflow.stream.spline_features import feature_slopes, features
-from fingerflow.stream.sums import sum_first, sum_rows
+from fingerflow.stream.spline_features import features, features_and_slopes, taps
+from fingerflow.stream.sums import sum_rows
 from fingerflow.stream.windows import Windows
 
-_GAUSS_NEWTON_STEPS = 2  # safe far from the root: each leaves a fifth of the error
-_NEWTON_STEPS = 2  # by the slopes at the first of them: 0.04 px become 4e-4 and 1e-5
+_TABLE_STEPS = 2  # each leaves a fifth of the error far from the root, a tenth near it
+_LAST_STEP = 0.2  # px that the step in the frame may have: a window stretched by 10 % asks for 0.14, and 1e-4 are left
 _BACK_STEPS = 2  # after a linear one
 _MISMATCH_LIMIT = 0.05
-_VALUE_NOISE, _GRADIENT_NOISE = VALUE_NOISE[3], GRADIENT_NOISE[3]
-_TINY = 1e-20
+_VALUE_NOISE = VALUE_NOISE[3]
 
 
 class StreamTracks(NamedTuple):
@@ -34,17 +33,20 @@ class StreamTracks(NamedTuple):
 class TrackStep(nn.Module):
     """`ops.track_points` from a key frame to a frame in which points lie near their predictions.
 
+    The first look asks where in the key frame the window lies that has its middle at a whole pixel of the frame: no
+    pixel is interpolated, and the table of all shifts is the key frame's own. That is the point, but for the
+    deformation over less than a pixel. The second look is at the window there, in the frame, with one step more.
+
     Args:
         window: odd side, px.
         reach: px from the whole pixel nearest to a prediction within which its point is found.
-        exact_return: find every point again in the key frame from where it was found, by the key frame's slopes and
-            bends at the point: to second order, within 6e-5 px of the search on a press, where points return to
-            0.03 px; further off it is coarser, by some percent of a pixel near the limit. Otherwise one Gauss-Newton
-            step from the start tells how far it would end from there: the same to first order.
+        exact_return: take the last step by the slopes in the frame, to second order, and find every point again in the
+            key frame by its slopes and bends: within 2e-4 px of the search on a press, where points return to 0.03 px;
+            further off it is coarser, by some percent of a pixel near the limit. Otherwise the last step, and the one
+            from the start that tells where a point would return to, are by the slopes of the key frame alone: within
+            1e-3 px.
         forward_backward_limit: px beyond which a point counts as lost.
     """
-
-    turn: Tensor
 
     def __init__(
         self,
@@ -58,143 +60,165 @@ class TrackStep(nn.Module):
         self.windows = Windows(window, reach, precision)
         self.exact_return = exact_return
         self.forward_backward_limit = forward_backward_limit
-        # (u, v) to (v, -u): the product with it is the cross product.
-        self.register_buffer("turn", torch.tensor([[0.0, 1.0], [-1.0, 0.0]], dtype=precision))
 
     def forward(self, topography_view: Tensor, prediction: Tensor, templates: Templates) -> StreamTracks:
         """(B, 1, H, W) view, (B, N, 2) px prediction; templates of `KeyStep`."""
-        windows, samples, shape = self.windows, self.windows.size**2, prediction.shape[:2]
-        # Components before points from here on: runtimes are slow where the last axis is short.
-        start = components_first(templates.template_start).transpose(0, 1).flatten(1)  # (2, P)
-        guess = components_first(prediction.to(windows.precision)).transpose(0, 1).flatten(1)
-        given = finite(sum_first(start + guess))
+        windows, samples, reach = self.windows, self.windows.size**2, self.windows.reach
+        # Components before points from here on, (B, K, N).
+        start = components_first(templates.template_start)
+        guess = components_first(prediction.to(windows.precision))
+        given = finite(start + guess)[:, :1]
         guess = torch.where(finite(guess), guess, 0.0)
         center = guess.round()
-        along_y = windows.along_y(windows.patches(topography_view, center))
-        table = along_y @ templates.template_gradients.flatten(0, 1)
-        products = templates.template_products.transpose(0, 1).flatten(1)  # (6, P)
-        xx, xy, yy, tt = products[0], products[1], products[2], products[5]
-        determinant = xx * yy - xy * xy
-        regular = determinant > _TINY
-        inverse = torch.stack((yy, -xy, -xy, xx)) / torch.where(regular, determinant, 1.0)  # (4, P)
-        preconditioner = inverse.reshape(2, 2, -1)
-        shift, step = self._solve(table.permute(1, 2, 0), products[3:5], preconditioner, guess - center)
-        converged = (shift.abs().amax(0) < windows.reach) & (step < CONVERGED)  # (P)
+        patches = windows.patches(topography_view, center)
+        *inverse, tt, bends, textured = templates.template_products.split((1, 1, 1, 1, 6, 1), dim=1)
+
+        wanted = _times(templates.template_pixels, patches.flatten(1))
+        own = start - start.round()
+        beside = self._solve(templates.template_table, wanted, inverse, own + center - guess)
+        looked = (own - beside).clamp(-reach, reach)
+
+        matched, by_x, by_y = self._window(patches, looked)
+        template, gradients = templates.template_values.flatten(0, 1), templates.template_gradients
+        difference = matched - template
+        off = _times(gradients, difference)
+        if self.exact_return:
+            by_right, by_down = (_times(gradients, one) for one in (by_x, by_y))
+            last = _newton(by_right, by_down, off)
+            last = _newton(by_right, by_down, off + _second_order(bends, last))
+        else:
+            last = _symmetric(inverse, off)
+        length = _length(last)
+        settled = length < _LAST_STEP  # a singular Jacobian leaves NaN: no root
+        shift = looked - torch.where(settled, last, 0.0)
+        converged = settled & _within(shift, reach)
         found = center + shift
 
-        values, slopes = (make(shift, windows.reach) for make in (features, feature_slopes))
-        # Values and slopes along y in one product, which reads `along_y` once.
-        lines = windows.at_y(along_y, torch.stack((values[:, 1], slopes[:, 1])).permute(2, 0, 1))
-        across = windows.at_x(values[:, 0].T)
-        matched, by_y = ((lines.flatten(1, 2) @ across).unflatten(1, (2, -1))).flatten(2).unbind(1)
-        by_x = (lines[:, 0] @ windows.at_x(slopes[:, 0].T)).flatten(1)
-        template = templates.template_values.flatten(0, 1)
-        level, noise = templates.template_level.flatten(), templates.template_noise.flatten()
-        difference = matched - template
-        squares, other = (difference * difference).sum(1), difference.sum(1)
-        along = (template * difference).sum(1) - level * other  # of the template less its level
+        level, noise = templates.template_level[:, None], templates.template_noise[:, None]
+        squares, other, along, rest_x, rest_y = (
+            products.sum(1).reshape(given.shape)
+            for products in (
+                *(difference * difference, difference, template * difference),
+                *(by_x * difference, by_y * difference),
+            )
+        )
+        along = along - level * other  # of the template less its level
         # Sums of squares and products of the two windows, both less the template's level, from their difference.
-        own, together = squares + 2 * along + tt, along + tt
+        squared, together = squares + 2 * along + tt, along + tt
         noise_energy = noise * (samples * _VALUE_NOISE)
-        energy = (tt - noise_energy).clamp_min(0) * (own - other * other / samples - noise_energy).clamp_min(0)
+        energy = (tt - noise_energy).clamp_min(0) * (squared - other * other / samples - noise_energy).clamp_min(0)
         explained = together * together.clamp_min(0)
+        # What is left at the end of the last step.
+        left = squares - sum_rows(last * off)
         rounding = 0.0 if topography_view.is_floating_point() else 1 / 12
-        variance = (squares / ((samples - 4) * 2 * _VALUE_NOISE)).clamp_min(rounding)
+        variance = (left / ((samples - 4) * 2 * _VALUE_NOISE)).clamp_min(rounding)
 
-        rest = torch.stack([(slope * difference).sum(1) for slope in (by_x, by_y)])  # (2, P)
+        rest = torch.cat((rest_x, rest_y), dim=1)
         if self.exact_return:
-            bends = templates.template_slopes.flatten(0, 1)
-            terms = torch.stack([(bends @ slope[:, :, None]).squeeze(2).T for slope in (by_x, by_y)], dim=1)
-            back, back_step = self._way_back(terms, rest)
-            returned = (back.abs().amax(0) < windows.reach) & (back_step < CONVERGED) & converged
+            rest = rest - torch.cat((sum_rows(by_right * last), sum_rows(by_down * last)), dim=1)
+            back, back_step = self._way_back(by_right, by_down, bends, rest)
+            returned = converged & _within(back, reach) & (back_step < CONVERGED)
         else:
-            back = sum_rows(preconditioner * rest)
-            returned = converged
+            back, returned = _symmetric(inverse, rest - off), converged
         error = _length(back)
 
-        mean, half = (xx + yy) / 2, (xx - yy) / 2
-        spread = (half * half + xy * xy).sqrt()
-        floor = noise.clamp_min(rounding) * (TEXTURE_TO_NOISE * samples * _GRADIENT_NOISE)
-        textured = regular & (mean - spread > torch.maximum(floor, 1e-4 * mean))
-        within = self._contains(torch.stack((start, found)), topography_view)
+        # The key frame's table is one px wider.
+        within = self._contains(start, topography_view, 1) & self._contains(found, topography_view)
         status = torch.zeros_like(given, dtype=torch.uint8)
         # From the last reason to the first, so that the first that applies remains.
         for reason, fine in (
             (TrackStatus.FORWARD_BACKWARD, returned & (error <= self.forward_backward_limit)),
             (TrackStatus.MISMATCH, energy * (1 - _MISMATCH_LIMIT) <= explained),
             (TrackStatus.NOT_CONVERGED, converged),
-            (TrackStatus.NO_TEXTURE, textured),
+            (TrackStatus.NO_TEXTURE, textured > 0),
             (TrackStatus.LEFT_FRAME, within),
             (TrackStatus.NOT_FINITE, given),
         ):
             status = torch.where(fine, status, int(reason))
         tracked = status == 0
-        covariance = torch.where(tracked, 2 * variance * inverse, torch.nan)
+        covariance = torch.where(tracked, 2 * variance * torch.cat((*inverse[:2], *inverse[1:]), dim=1), torch.nan)
         return StreamTracks(
-            torch.where(tracked, found, torch.nan).T.reshape(*shape, 2),
-            torch.where(returned & given, error, torch.nan).reshape(shape),
-            covariance.T.reshape(*shape, 2, 2),
-            status.reshape(shape),
+            torch.where(tracked, found, torch.nan).transpose(1, 2),
+            torch.where(returned & given, error, torch.nan).squeeze(1),
+            covariance.transpose(1, 2).unflatten(2, (2, 2)),
+            status.squeeze(1),
         )
 
-    def _solve(self, table: Tensor, product: Tensor, preconditioner: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-        """The shift (2, P) at which a table equals product (2, P), and the length (P) of the last step.
+    def _solve(self, table: Tensor, wanted: Tensor, inverse: list[Tensor], shift: Tensor) -> Tensor:
+        """The shift (B, 2, N) at which a table of the key frame equals `wanted` (B, 2, N), from the shift given."""
+        reach, count = self.windows.reach + 1, shift.shape[2]
+        places = taps(reach)
+        for _ in range(_TABLE_STEPS):
+            x, y = features(shift, reach).split(1, dim=2)
+            lines = sum_rows((table.unflatten(1, (places, -1)) * y).flatten(2)).reshape(-1, places, 2, count)
+            found = sum_rows((lines * x).flatten(2)).reshape(-1, 2, count)
+            shift = (shift - _symmetric(inverse, found - wanted)).clamp(-reach, reach)
+        return shift
 
-        The table is (taps, 2 taps, P) as `Windows.table_of` has it, the preconditioner (2, 2, P) the inverse of the
-        structure tensor.
+    def _window(self, patches: Tensor, shift: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The windows at shifts (B, 2, N) in patches (P, side, side), and their slopes in x and y, (P, samples)."""
+        windows = self.windows
+        functions, slopes = features_and_slopes(shift, windows.reach)
+        x, slope_x = (one[:, :, 0].transpose(1, 2).flatten(0, 1) for one in (functions, slopes))
+        both_y = torch.stack((functions[:, :, 1], slopes[:, :, 1]), dim=1).permute(0, 3, 1, 2).flatten(0, 1)
+        # Values and slopes along y one below the other, in one product.
+        lines = windows.at_y(both_y).flatten(1, 2) @ patches
+        matched, by_y = (lines @ windows.at_x(x)).unflatten(1, (2, -1)).flatten(2).unbind(1)
+        return matched, (lines[:, : windows.size] @ windows.at_x(slope_x)).flatten(1), by_y
+
+    def _way_back(self, by_x: Tensor, by_y: Tensor, bends: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the window found in the frame lies in the key frame, from the template's place (B, 2, N), and the
+        length (B, 1, N) of the last step.
+
+        `by_x` and `by_y` (B, 2, N) are the sums of the template's gradients times the found window's slopes, `rest`
+        (B, 2, N) those of the slopes times the difference of the two windows.
         """
-        reach, taps = self.windows.reach, self.windows.taps
-        step, inverse = shift, preconditioner
-        for number in range(_GAUSS_NEWTON_STEPS + _NEWTON_STEPS):
-            functions = features(shift, reach)
-            x, y = functions[:, :1], functions[:, 1:]
-            rows = sum_first(table * y).unflatten(0, (taps, 2))
-            residual = sum_first(rows * x) - product
-            if number == _GAUSS_NEWTON_STEPS:
-                slopes = feature_slopes(shift, reach)
-                columns = sum_first(table * slopes[:, 1:]).unflatten(0, (taps, 2))
-                inverse = self._inverse(sum_first(rows * slopes[:, :1]), sum_first(columns * x))
-            moved = (shift - sum_rows(inverse * residual)).clamp(-reach, reach)
-            step, shift = shift - moved, moved
-        # A singular Jacobian leaves NaN: no root.
-        good = finite(shift)
-        return torch.where(good, shift, 0.0), _length(torch.where(good, step, float(reach)))
-
-    def _way_back(self, terms: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-        """Where the window found in the frame lies in the key frame, from the template's place (2, P), and the length
-        (P) of the last step.
-
-        `terms` (5, 2, P) are the sums of the found window's gradients times the template's derivatives
-        (`Templates.template_slopes`), and rest (2, P) those times the difference of the two windows.
-        """
-        x, y, xx, xy, yy = terms
-        back = sum_rows(self._inverse(x, y) * rest)
-        step, inverse = back, None
+        x, y = (torch.cat((by_x[:, one : one + 1], by_y[:, one : one + 1]), dim=1) for one in range(2))
+        back = step = _newton(x, y, rest)
         for _ in range(_BACK_STEPS):
-            right, down = back[:1], back[1:]
-            of_x, of_y = xx * right + xy * down, yy * down
-            residual = (x + of_x) * right + (y + of_y) * down - rest
-            if inverse is None:
-                inverse = self._inverse(x + of_x + xx * right, y + xy * right + 2 * of_y)
-            step = sum_rows(inverse * residual)
+            step = back - _newton(x, y, rest - _second_order(bends, back))
             back = back - step
-        good = finite(back)
-        reach = float(self.windows.reach)
-        return torch.where(good, back, reach), _length(torch.where(good, step, reach))
+        return back, _length(step)
 
-    def _inverse(self, x: Tensor, y: Tensor) -> Tensor:
-        """Inverses (2, 2, P) of matrices with columns x and y (2, P); not finite where they are singular."""
-        adjugate = self.turn @ torch.stack((y, -x))  # (2, 2, P): turned, the cross product with the other column
-        return adjugate / sum_first(adjugate[0] * x)
-
-    def _contains(self, points: Tensor, view: Tensor) -> Tensor:
-        """(P) whether window and table lie in the frame at all points (K, 2, P)."""
+    def _contains(self, points: Tensor, view: Tensor, more: int = 0) -> Tensor:
+        """(B, 1, N) whether window and table, and some px more, lie in the frame at points (B, 2, N)."""
         height, width = view.shape[-2:]
         middle = torch.tensor([[(width - 1) / 2], [(height - 1) / 2]], dtype=points.dtype, device=points.device)
-        room = middle - (self.windows.size // 2 + self.windows.margin)
-        return ((points - middle).abs() - room).flatten(0, 1).amax(0) <= 0
+        room = middle - (self.windows.size // 2 + self.windows.margin + more)
+        return ((points - middle).abs() - room).amax(1, keepdim=True) <= 0
+
+
+def _times(gradients: Tensor, windows: Tensor) -> Tensor:
+    """(B, 2, N): sums of both gradients (B, N, 2, samples) times windows (B N, samples)."""
+    batch, count = gradients.shape[:2]
+    return components_first((gradients.flatten(0, 1) @ windows[..., None]).reshape(batch, count, 2))
+
+
+def _symmetric(matrix: list[Tensor], vectors: Tensor) -> Tensor:
+    """Products (B, 2, N) of symmetric matrices (xx, xy, yy), (B, 1, N) each, with vectors (B, 2, N)."""
+    xx, xy, yy = matrix
+    x, y = vectors.split(1, dim=1)
+    return torch.cat((xx * x + xy * y, xy * x + yy * y), dim=1)
+
+
+def _newton(by_x: Tensor, by_y: Tensor, rest: Tensor) -> Tensor:
+    """Solutions (B, 2, N) of equations with columns `by_x` and `by_y` (B, 2, N); not finite where there is none."""
+    (a, c), (b, d), (u, v) = (one.split(1, dim=1) for one in (by_x, by_y, rest))
+    return torch.cat((d * u - b * v, a * v - c * u), dim=1) / (a * d - b * c)
+
+
+def _second_order(bends: Tensor, step: Tensor) -> Tensor:
+    """What the bends (B, 6, N) of a template add to a product with its gradients after a step (B, 2, N)."""
+    x, y = step.split(1, dim=1)
+    terms = torch.cat((x * x, x * y, y * y), dim=1)
+    return torch.cat((sum_rows(bends[:, :3] * terms), sum_rows(bends[:, 3:] * terms)), dim=1)
+
+
+def _within(vectors: Tensor, reach: float) -> Tensor:
+    """(B, 1, N) whether both components of vectors (B, 2, N) are below the reach."""
+    return vectors.abs().amax(1, keepdim=True) < reach
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """(P) of (2, P)."""
-    return sum_first(vectors * vectors).sqrt()
+    """(B, 1, N) of (B, 2, N)."""
+    return sum_rows(vectors * vectors).sqrt()
