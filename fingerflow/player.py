@@ -604,11 +604,16 @@ def mean_frame(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
 
 
 class Channel(Generic[T]):
-    """A bounded queue between threads that can be closed: what is in it is still given, then None."""
+    """A bounded queue between threads that can be closed: what is in it is still given, then None.
 
-    def __init__(self, size: int, items: Iterable[T] = ()) -> None:
+    Args:
+        newest_first: give the item that came last first.
+    """
+
+    def __init__(self, size: int, items: Iterable[T] = (), newest_first: bool = False) -> None:
         self._items = deque(items)
         self._size = size
+        self._take = self._items.pop if newest_first else self._items.popleft
         self._changed = threading.Condition()
         self._closed = False
 
@@ -631,13 +636,17 @@ class Channel(Generic[T]):
             return left
 
     def get(self, waits: Callable[[], bool] = lambda: True) -> T | None:
-        """The oldest item; None where there is none and the channel is closed or `waits` says no (see `wake`)."""
+        """The next item; None where there is none and the channel is closed or `waits` says no (see `wake`)."""
         with self._changed:
             while not self._items and not self._closed and waits():
                 self._changed.wait()
-            item = self._items.popleft() if self._items else None
+            item = self._take() if self._items else None
             self._changed.notify_all()
             return item
+
+    def is_empty(self) -> bool:
+        """Whether there is no item now."""
+        return not self._items
 
     def wake(self) -> None:
         """Whoever waits asks its `waits` again."""
@@ -846,15 +855,14 @@ class Stepper:
 
     def _learn(self, side: int) -> None:
         """A frame began without what the one before found: onsets known there stay, and places of points lost here."""
-        for name, kept in (
-            ("reference", lambda before: np.isfinite(before)),
-            ("prediction", lambda before: np.isfinite(before) & ~np.isfinite(self._results[side]["points"])),
-        ):
+        for name in ("reference", "prediction"):
             if name in self._states[side]:
                 before, state = (self._states[one][name].numpy() for one in (self._last, side))
-                chosen = kept(before)
-                if (chosen & (before != state)).any():
-                    self._states[side][name].update_inplace(np.where(chosen, before, state))
+                kept = np.isfinite(before)
+                if name == "prediction":
+                    kept &= np.isnan(self._results[side]["points"])
+                if (kept & (before != state)).any():
+                    self._states[side][name].update_inplace(np.where(kept, before, state))
 
     def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
         arguments = getattr(self._sessions[graph], side)()
@@ -1168,6 +1176,7 @@ _RESTART_INTERVAL = 1.0  # s; choosing points takes far longer than a step
 _MEASURE_INTERVAL = 0.5  # s between tries to find the threshold, each as long as a step or two
 _REKEY_SHARE = 0.8
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
+_STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
 
 
@@ -1204,7 +1213,8 @@ class Player:
         self._source, self._open_source = source, open_source
         # One slot is being filled, some computed, one drawn on the page; the others wait. Their number is the bound.
         slots = [Slot(bundle) for _ in range(settings.queue + 2 + stepper.parallel)]
-        self._free = Channel(len(slots), slots)
+        # The slot that was in use last is still in the processor's cache.
+        self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
         self._room = np.zeros(_RECORDS_WAITING + 1 + stepper.parallel, layout.dtype)
@@ -1497,6 +1507,8 @@ class Player:
                 traced = float(record["time"])
                 self.live.trace(record)
             self._sink.write(as_bytes[place])
+            if self._records.is_empty():  # to be woken for several records instead of for each
+                time.sleep(_STORE_INTERVAL)
 
 
 def _close_quietly(source: Source) -> None:

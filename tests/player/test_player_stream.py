@@ -340,3 +340,13 @@ def test_openvino_gives_the_same(stream: Stream) -> None:
     cpu = player.read_results(stream.folder / "cpu").records
     for name in set(cpu.dtype.names or ()) - {"time", "latency"}:
         np.testing.assert_allclose(ended.results.records[name], cpu[name], rtol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize(("newest_first", "order"), [(False, [1, 2, 3]), (True, [3, 2, 1])])
+def test_a_closed_channel_still_gives_what_is_in_it(newest_first: bool, order: list[int]) -> None:
+    channel = player.Channel(3, [1, 2], newest_first)
+    assert channel.put(3)
+    channel.close()
+    assert not channel.put(4)
+    assert [channel.get() for _ in range(4)] == [*order, None]
+    assert channel.is_empty()
