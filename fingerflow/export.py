@@ -36,6 +36,7 @@ COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"
 )
+_BYTE = 2  # uint8 among the types of ONNX
 _CONTROL_FLOW = {"Loop", "If", "Scan"}
 _PLAYER_FILES = ("README.md", "requirements.txt", "scene.toml")
 
@@ -262,6 +263,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             dynamic_shapes=shapes,
+            custom_translation_table={torch.ops.fingerflow.nearest_byte.default: _nearest_byte},
             optimize=False,
             verbose=False,
         )
@@ -300,6 +302,14 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     file = folder / f"{name}.onnx"
     file.write_bytes(model.SerializeToString(deterministic=True))
     return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+
+
+def _nearest_byte(values: Any) -> Any:
+    import onnxscript
+
+    operators: Any = onnxscript.opset18
+    zero = operators.Cast(operators.Constant(value_int=0), to=_BYTE)
+    return operators.QuantizeLinear(values, operators.Constant(value_float=1.0), zero)
 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:

@@ -1,6 +1,5 @@
 """Contact of one frame with the threshold measured in it."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -13,11 +12,15 @@ from fingerflow.stream.finite import finite
 from fingerflow.stream.lattice_median import median_on_lattice
 from fingerflow.stream.levels import LEVELS, median_level, otsu_classes
 from fingerflow.stream.median_planes import majority
-from fingerflow.stream.region import RegionStep
+from fingerflow.stream.nearest_byte import nearest_byte
+from fingerflow.stream.region import RegionStep, means_of_squares
 
 # Contact takes at least a twentieth of the light; two halves of noise lie closer together (`graphs.ContactGraph`).
 _LEAST_LIGHT_LOST = 0.05
 _NOISE_RATIO = 6
+# Of the region in which levels are counted where a lattice of them is: px between the pixels that make it, and cells.
+_STEP = 2
+_CELL = 8
 
 
 class MeasuredContact(NamedTuple):
@@ -63,28 +66,34 @@ class MeasuredContactStep(nn.Module):
         self.scatter = scatter
         self.precision = precision
         self.region = RegionStep(precision, cell_px)
+        # Where few pixels are counted, few tell where to count them.
+        self.step = 1 if lattice_px == 1 else _STEP
+        self.first_region = self.region if lattice_px == 1 else RegionStep(precision, _CELL)
 
     def forward(self, contact_view: Tensor, gain: Tensor, offset: Tensor, valid: Tensor) -> MeasuredContact:
         """(B, 1, H, W) frames and the results of `BackgroundStep`."""
-        own = levels(contact_view.to(self.precision), gain, offset).to(self.median_type)
+        own = self._levels(contact_view.to(self.precision), gain, offset)
         some = median_on_lattice(own, self.median_px, self.lattice_px)
-        # Where the medians between were not formed, most levels of a window lie above what its median lies above.
-        every = some if self.lattice_px == 1 else None
-
-        def touching(threshold: Tensor) -> Tensor:
-            """(B, 1, H, W) uint8, 1 where a valid median lies above the threshold (B,); nowhere above NaN."""
-            limit = whole_level(threshold).reshape(-1, 1, 1, 1).to(self.median_type)
-            if every is None:
-                above = majority((own > limit).to(self.median_type), self.median_px)
-            else:
-                above = (every > limit).to(torch.uint8)
-            return torch.minimum(above, valid)
-
-        threshold = self._threshold(some, valid, touching)
-        contact = span(self.region, touching(threshold))
+        threshold = self._threshold(own, some, valid)
+        if self.lattice_px == 1:
+            above = self._above(some, threshold)
+        else:
+            above = majority(self._above(own, threshold), self.median_px)
+        contact = span(self.region, torch.minimum(above, valid))
         return MeasuredContact(*contact[:-1], threshold=threshold)
 
-    def _threshold(self, some: Tensor, valid: Tensor, touching: Callable[[Tensor], Tensor]) -> Tensor:
+    def _levels(self, counts: Tensor, gain: Tensor, offset: Tensor) -> Tensor:
+        if self.median_type == torch.uint8 and counts.dtype == torch.float32:
+            return nearest_byte(offset - counts * gain)
+        return levels(counts, gain, offset).to(self.median_type)
+
+    def _above(self, some: Tensor, threshold: Tensor) -> Tensor:
+        """1 where a level lies above the threshold (B,), in uint8; nowhere above NaN."""
+        limit = whole_level(threshold).reshape(-1, 1, 1, 1).to(self.median_type)
+        return (some > limit).to(torch.uint8)
+
+    def _threshold(self, own: Tensor, some: Tensor, valid: Tensor) -> Tensor:
+        """Share of light lost (B,), of the levels of all pixels and the medians of the lattice."""
         low, high = LEVEL_RANGE
         scale = levels_per_unit(low, high)
         weight = valid[..., :: self.lattice_px, :: self.lattice_px]
@@ -94,7 +103,12 @@ class MeasuredContactStep(nn.Module):
         least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_LIGHT_LOST)
         apart = finite(otsu) & (classes.upper / scale + low > _LEAST_LIGHT_LOST) & (distance > least)
         first = torch.where(apart, otsu, torch.nan)
-        gross = (self.region(touching(first)).excess > 0).to(valid.dtype)
+        if self.lattice_px == 1:
+            touching = torch.minimum(self._above(some, first), valid)
+        else:
+            touching = majority(torch.minimum(self._above(own, first), valid), self.median_px, self.step)
+        cells = means_of_squares(touching.to(self.precision), self.first_region.cell // self.step)
+        gross = (self.first_region.of_cells(cells).excess > 0).to(valid.dtype)
         inside = self._on_lattice(gross, *valid.shape[-2:])
         both = self._histogram(some, torch.minimum(weight, inside))
         level = torch.arange(LEVELS, dtype=self.precision, device=both.device)
@@ -108,7 +122,7 @@ class MeasuredContactStep(nn.Module):
         """Cells of the region at the pixels of the lattice."""
         for axis, side in ((3, width), (2, height)):
             pixels = torch.arange(0, side, self.lattice_px, device=cells.device)
-            cells = cells.index_select(axis, pixels // self.region.cell)
+            cells = cells.index_select(axis, pixels // self.first_region.cell)
         return cells
 
     def _histogram(self, image: Tensor, weight: Tensor) -> Tensor:

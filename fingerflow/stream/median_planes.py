@@ -21,7 +21,8 @@ def median_of_rows(frames: Tensor, size: int) -> Tensor:
     down, right = program.reach
     tiles = -(-height // rows)
     grid_y, grid_x = tiles + down, width + right
-    padded = _repeat_border(frames[:, 0], half, grid_y * rows - height - half, right - half)
+    below = grid_y * rows - height - half
+    padded = functional.pad(frames, (half, right - half, half, below), mode="replicate")[:, 0]
     phases = [padded[:, phase::rows].reshape(-1) for phase in range(rows)]
     medians = [
         plane.reshape(batch, grid_y, grid_x)[:, :tiles, :width]
@@ -31,21 +32,17 @@ def median_of_rows(frames: Tensor, size: int) -> Tensor:
     return woven[:, :, :height]
 
 
-def majority(above: Tensor, size: int) -> Tensor:
-    """Where more than half of a `size` x `size` window (B, 1, H, W) of zeros and ones of any type holds, uint8.
+def majority(above: Tensor, size: int, step: int = 1) -> Tensor:
+    """Where more than half of a `size` x `size` window of zeros and ones (B, 1, H, W) holds, uint8; of every `step`-th
+    window of every `step`-th line.
 
     The median of zeros and ones, by their mean: of floats, as no runtime adds bytes.
     """
+    if size == 1:
+        return above[..., ::step, ::step].to(torch.uint8)
     half = size // 2
-    padded = _repeat_border(above[:, 0], half, half, half)[:, None]
-    return (functional.avg_pool2d(padded.to(torch.float32), size, 1) > 0.5).to(torch.uint8)
-
-
-def _repeat_border(lines: Tensor, before: int, below: int, right: int) -> Tensor:
-    """Frames (B, H, W) with their border repeated: `before` times above and to the left."""
-    # By concatenation: an expanded line is written number by number.
-    lines = torch.cat((*[lines[:, :1]] * before, lines, *[lines[:, -1:]] * below), dim=1)
-    return torch.cat((*[lines[..., :1]] * before, lines, *[lines[..., -1:]] * right), dim=2)
+    padded = functional.pad(above, (half, half, half, half), mode="replicate")
+    return (functional.avg_pool2d(padded.to(torch.float32), size, step) > 0.5).to(torch.uint8)
 
 
 @functools.cache

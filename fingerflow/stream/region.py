@@ -46,8 +46,11 @@ class RegionStep(nn.Module):
 
     def forward(self, touching: Tensor) -> Region:
         """(B, 1, H, W) of 0 and 1 in any type."""
+        return self.of_cells(means_of_squares(touching.to(self.precision), self.cell))
+
+    def of_cells(self, cells: Tensor) -> Region:
+        """(B, 1, h, w) shares of each cell that touch."""
         cell = self.cell
-        cells = _cells(touching.to(self.precision), cell)
         density = _smooth(cells, cell)
         inside = (density > 0.25).to(self.precision)
         for _ in range(2):
@@ -75,14 +78,14 @@ class RegionStep(nn.Module):
         return Region(excess, cells.sum((1, 2, 3)) * cell**2, *_moments(coverage, cell))
 
 
-def _cells(real: Tensor, cell: int) -> Tensor:
-    """Means (B, 1, h, w) of squares of `cell` px, zeros beyond the frame."""
-    height, width = real.shape[-2:]
-    if height % cell or width % cell:
-        real = functional.pad(real, (0, -width % cell, 0, -height % cell))
+def means_of_squares(image: Tensor, side: int) -> Tensor:
+    """Means (B, 1, h, w) of squares of `side` px, zeros beyond the frame."""
+    height, width = image.shape[-2:]
+    if height % side or width % side:
+        image = functional.pad(image, (0, -width % side, 0, -height % side))
     # Down first, in whole lines: half the time of a pooling.
-    lines = real.unflatten(2, (-1, cell)).sum(3)
-    return lines.unflatten(3, (-1, cell)).sum(4) / cell**2
+    lines = image.unflatten(2, (-1, side)).sum(3)
+    return lines.unflatten(3, (-1, side)).sum(4) / side**2
 
 
 def _smooth(cells: Tensor, cell: int) -> Tensor:
