@@ -13,6 +13,7 @@ from fingerflow.stream.lattice_median import median_on_lattice
 from fingerflow.stream.levels import median_level, otsu_classes
 from fingerflow.stream.measured_contact import MeasuredContactStep
 from fingerflow.stream.median_planes import majority, median_of_rows
+from fingerflow.stream.nearest_byte import nearest_byte
 from fingerflow.stream.region import RegionStep
 from fingerflow.synthetic import Press
 
@@ -62,6 +63,11 @@ def test_lattice_has_the_threshold_of_its_medians(empty: Tensor) -> None:
 def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
     frames = torch.randint(0, 2, (2, 1, 53, 31), dtype=torch.uint8, generator=torch.Generator().manual_seed(size))
     assert torch.equal(majority(frames, size), median_filter(frames, size))
+
+
+def test_bytes_are_the_nearest_whole_numbers() -> None:
+    values = torch.tensor([-300.0, -0.5, 0.5, 1.5, 2.5, 2.4999998, 254.5, 255.5, 1e9])
+    assert nearest_byte(values).tolist() == [0, 0, 0, 2, 2, 2, 254, 255, 255]
 
 
 @pytest.mark.parametrize("frame", [40, 150, 299])
