@@ -1,9 +1,9 @@
 """The main job: a scene in, a labelled data set out."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TypeVar
 
 import numpy as np
@@ -111,8 +111,13 @@ def _stream(
         return indices, frames, gross
 
     batches = [order[first : first + _BATCH] for first in range(0, len(order), _BATCH)]
-    begun = map(begin, batches) if torch.get_num_threads() == 1 or tracking is None else _ahead(begin, batches)
-    with tqdm(total=len(order), desc="frames", unit="frame", disable=not progress) as bar:
+    if torch.get_num_threads() == 1 or tracking is None:
+        begun = (begin(indices) for indices in batches)
+    else:
+        begun = _ahead(begin, batches)
+    bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
+    # Closed also after an error: the recording must not be while another thread reads from it.
+    with closing(begun), bar:
         for indices, frames, gross in begun:
             if tracking is not None:
                 with _timed(seconds, "tracking"):
@@ -129,8 +134,11 @@ def _stream(
     return np.stack([covered[i] for i in range(len(order))]) if covered else np.zeros((len(order), 0), dtype=bool)
 
 
-def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Iterator[_Result]:
-    """As map, but the next result is under way, in a thread of its own, while one is in use."""
+def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
+    """As map, but the next result is under way, in a thread of its own, while one is in use.
+
+    Closing it waits for what is under way.
+    """
     with ThreadPoolExecutor(max_workers=1) as worker:
         coming: Future[_Result] | None = None
         for some in given:

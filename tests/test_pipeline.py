@@ -1,18 +1,23 @@
 """The main job on a short synthetic press: numbers against truth, and what is run for which output."""
 
 import json
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import OUTPUTS, plan
 from fingerflow.recordings import open_recording
+from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
+from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from fingerflow.views import View
 
@@ -213,6 +218,47 @@ def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Pat
     short = process(scene.model_copy(update={"forces": forces}), ["normal_force"])
     assert np.isnan(short["normal_force"].values[-1])
     assert any("outside the time span" in warning for warning in json.loads(short.attrs["warnings"]))
+
+
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+def test_no_recording_is_closed_while_it_is_read(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+) -> None:
+    """Tracking fails while the next frames are on their way in another thread: a video decoder would crash."""
+    ahead, readers, at_close = threading.Event(), set[int](), []
+    read, close = NpyRecording._read_frame, NpyRecording.close
+
+    def slow_read(recording: NpyRecording, index: int) -> np.ndarray:
+        if threading.current_thread() is threading.main_thread():
+            return read(recording, index)
+        readers.add(index)
+        if index >= 8:  # of the second batch
+            ahead.set()
+            time.sleep(0.05)
+        frame = read(recording, index)
+        readers.remove(index)
+        return frame
+
+    def noted_close(recording: NpyRecording) -> None:
+        if recording.path == scene.recording.frames:
+            at_close.append(sorted(readers))
+        close(recording)
+
+    def fail(*_: object) -> None:
+        assert ahead.wait(10)
+        raise error("tracking")
+
+    monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
+    monkeypatch.setattr(NpyRecording, "close", noted_close)
+    monkeypatch.setattr(TrackingStage, "run", fail)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(error, match="tracking"):
+            process(scene)
+    finally:
+        torch.set_num_threads(threads)
+    assert at_close == [[]]
 
 
 def test_recording_is_read_lazily(press: Path) -> None:
