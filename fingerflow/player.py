@@ -1108,10 +1108,11 @@ class RecordLayout:
             for name, kind, shape in own
         ]
 
-    def fill(self, record: Array, outputs: Mapping[str, Array]) -> None:
+    def fill(self, records: Mapping[str, Array], place: int, outputs: Mapping[str, Array]) -> None:
+        """Stores the outputs in one of the records, whose fields are given by name."""
         for name, stored, factor in self._copied:
             value = outputs[name][0]
-            record[stored] = value if factor is None else value * factor
+            records[stored][place] = value if factor is None else value * factor
 
 
 # --- latency ----------------------------------------------------------------------------------------------------------
@@ -1218,6 +1219,7 @@ class Player:
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
         self._room = np.zeros(_RECORDS_WAITING + 1 + stepper.parallel, layout.dtype)
+        self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
         self.frames_in = self.processed = self.dropped = self.overruns = 0
         self.reconnects = self.stalls = self.restarts = self.keys = 0
         self.latencies, self._recent = Latencies(), Latencies()
@@ -1464,12 +1466,14 @@ class Player:
 
     def _fill(self, computed: _Computed, first: float, key_frame: int) -> None:
         slot, outputs, place = computed
-        record = self._room[place]
-        self._layout.fill(record, outputs)
+        self._layout.fill(self._fields, place, outputs)
         self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
         latency = time.perf_counter() - slot.arrival
-        record["frame"], record["time"], record["latency"] = slot.number, slot.arrival - first, latency
-        record["key_frame"], record["restart"] = key_frame, self.restarts
+        for name, value in (
+            *(("frame", slot.number), ("time", slot.arrival - first), ("latency", latency)),
+            *(("key_frame", key_frame), ("restart", self.restarts)),
+        ):
+            self._fields[name][place] = value
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1

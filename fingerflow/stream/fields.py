@@ -106,9 +106,8 @@ def _mixed(pair: Tensor, other: Tensor) -> Tensor:
 def _median(values: Tensor) -> Tensor:
     """Median (B,) of what is known of (B, N), the mean of the middle two; NaN where nothing is."""
     known = finite(values)
-    count = known.to(torch.int64).sum(1, keepdim=True)
+    count = known.to(values.dtype).sum(1, keepdim=True)
     falling = torch.where(known, values, -torch.inf).topk(values.shape[1], dim=1).values
-    low, high = (count - 1).clamp_min(0) // 2, count // 2
-    low, high = torch.minimum(low, high), torch.maximum(low, high.clamp(max=values.shape[1] - 1))
-    middle = (falling.gather(1, low) + falling.gather(1, torch.where(count % 2 == 1, low, high))) / 2
-    return torch.where(count > 0, middle, torch.nan).squeeze(1)
+    # The same place twice where the count is odd.
+    middle = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=1).floor().clamp_max(values.shape[1] - 1)
+    return torch.where(count > 0, falling.gather(1, middle.to(torch.int64)).mean(1, keepdim=True), torch.nan).squeeze(1)
