@@ -123,6 +123,7 @@ def _stream(
                 with _timed(seconds, "tracking"):
                     covered.update(zip(indices.tolist(), tracking.run(indices, frames, gross), strict=True))
             bar.update(len(indices))
+            del frames, gross  # before the batch after the next one is read
     if damaged:
         # What is left of such a frame has some area, but not that of the contact.
         for values in vars(contact.series).values():
@@ -142,9 +143,11 @@ def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generat
     with ThreadPoolExecutor(max_workers=1) as worker:
         coming: Future[_Result] | None = None
         for some in given:
-            before, coming = coming, worker.submit(act, some)
-            if before is not None:
-                yield before.result()
+            # Waited for before the one behind it begins: two results are alive at a time, not three.
+            result = [] if coming is None else [coming.result()]
+            coming = worker.submit(act, some)
+            if result:
+                yield result.pop()
         if coming is not None:
             yield coming.result()
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <exception>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "interface.h"
@@ -64,6 +65,30 @@ std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins
     return starts;
 }
 
+// Where all but a hundredth of some numbers at either end lie: one that is far away must not leave the others in one bin.
+template <class Item, class NumberOf>
+std::pair<double, double> bulk(const std::vector<Item>& items, const NumberOf& number_of) {
+    if (items.empty()) return {0, 0};
+    std::vector<double> numbers;
+    numbers.reserve(items.size());
+    for (const Item& item : items) numbers.push_back(number_of(item));
+    const auto few = static_cast<std::ptrdiff_t>(numbers.size() / 100);
+    std::nth_element(numbers.begin(), numbers.begin() + few, numbers.end());
+    const double low = numbers[size(few)];
+    std::nth_element(numbers.begin() + few, numbers.end() - 1 - few, numbers.end());
+    return {low, *(numbers.end() - 1 - few)};
+}
+template <class Real>
+Intervals intervals_x(const std::vector<Place<Real>>& places, std::int64_t count) {
+    const auto [low, high] = bulk(places, [](const Place<Real>& place) { return static_cast<double>(place.x); });
+    return {low, high, count};
+}
+template <class Real>
+Intervals intervals_y(const std::vector<Place<Real>>& places, std::int64_t count) {
+    const auto [low, high] = bulk(places, [](const Place<Real>& place) { return static_cast<double>(place.y); });
+    return {low, high, count};
+}
+
 template <class Real>
 struct Box {
     double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
@@ -74,12 +99,6 @@ struct Box {
         high_y = std::max<double>(high_y, place.y);
     }
 };
-template <class Real>
-Box<Real> box_of(const Place<Real>* begin, const Place<Real>* end) {
-    Box<Real> box;
-    for (const Place<Real>* place = begin; place != end; ++place) box.add(*place);
-    return box;
-}
 
 // Points of one geometry, in square cells; queries in bands by y, in a band by x.
 template <class Real>
@@ -87,17 +106,15 @@ class Cloud {
 public:
     Cloud(const Real* points_at, std::int64_t point_count, const Real* queries_at, std::int64_t query_count)
         : points_(finite_of(points_at, point_count)),
-          box_(box_of(points_.data(), points_.data() + points_.size())),
           side_(side(points_.size())),
-          columns_(box_.low_x, box_.high_x, side_),
-          rows_(box_.low_y, box_.high_y, side_),
+          columns_(intervals_x(points_, side_)),
+          rows_(intervals_y(points_, side_)),
           starts_(order_by_bin(points_.data(), points_.data() + points_.size(), side_ * side_,
                                [this](const Place<Real>& place) { return rows_.of(place.y) * side_ + columns_.of(place.x); })),
           queries_(finite_of(queries_at, query_count)) {
         Place<Real>* const queries = queries_.data();
         const auto end = static_cast<std::int64_t>(queries_.size());
-        const Box<Real> box = box_of(queries, queries + end);
-        const Intervals by_y(box.low_y, box.high_y, kFine), by_x(box.low_x, box.high_x, kFine);
+        const Intervals by_y = intervals_y(queries_, kFine), by_x = intervals_x(queries_, kFine);
         order_by_bin(queries, queries + end, kFine, [&](const Place<Real>& place) { return by_y.of(place.y); });
         // So many queries that a block of neighbours by x is about as wide as the band is high.
         const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
@@ -127,7 +144,6 @@ private:
     }
 
     std::vector<Place<Real>> points_;
-    Box<Real> box_;
     std::int64_t side_;
     Intervals columns_, rows_;
     std::vector<std::int64_t> starts_;

@@ -3,11 +3,11 @@
 import json
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
@@ -222,7 +222,10 @@ def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
 def test_no_recording_is_closed_while_it_is_read(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+    scene: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    error: type[BaseException],
+    torch_threads: Callable[[int], None],
 ) -> None:
     """Tracking fails while the next frames are on their way in another thread: a video decoder would crash."""
     ahead, readers, at_close = threading.Event(), set[int](), []
@@ -251,14 +254,20 @@ def test_no_recording_is_closed_while_it_is_read(
     monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
     monkeypatch.setattr(NpyRecording, "close", noted_close)
     monkeypatch.setattr(TrackingStage, "run", fail)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        with pytest.raises(error, match="tracking"):
-            process(scene)
-    finally:
-        torch.set_num_threads(threads)
+    torch_threads(2)
+    with pytest.raises(error, match="tracking"):
+        process(scene)
     assert at_close == [[]]
+
+
+def test_threads_change_no_number(scene: Scene, torch_threads: Callable[[int], None]) -> None:
+    """With two of them batches are read ahead, and pieces of work shared out."""
+    results = []
+    for threads in (1, 2):
+        torch_threads(threads)
+        results.append(process(scene, ["position_px", "gross_contact_area", "median_divergence"]))
+    for name in results[0].data_vars:
+        np.testing.assert_array_equal(results[1][name].values, results[0][name].values, err_msg=str(name))
 
 
 def test_recording_is_read_lazily(press: Path) -> None:

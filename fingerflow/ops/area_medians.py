@@ -47,7 +47,7 @@ def area_medians(
         TypeError: fields or displacement are not floating.
         ValueError: shapes that do not belong together, fewer than 2 x 2 nodes, a step or spacing that is not positive.
     """
-    _check(fields, displacement, step, center, semi_axes, angle, spacing)
+    _check(fields, displacement, origin, step, center, semi_axes, angle, spacing)
     with torch.no_grad():
         semi_axes = semi_axes.double()
         steps = (semi_axes / spacing).ceil().clamp(_LEAST_STEPS, _MOST_STEPS)
@@ -78,7 +78,14 @@ def area_medians(
 
 
 def _check(
-    fields: Tensor, displacement: Tensor, step: float, center: Tensor, semi_axes: Tensor, angle: Tensor, spacing: float
+    fields: Tensor,
+    displacement: Tensor,
+    origin: tuple[float, float],
+    step: float,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    spacing: float,
 ) -> None:
     for name, tensor, components in (("fields", fields, fields.shape[1:2]), ("displacement", displacement, (2,))):
         if not tensor.is_floating_point():
@@ -92,6 +99,8 @@ def _check(
                 f"fields {tuple(fields.shape)} and displacement {tuple(displacement.shape)} must be (B, K, R, C) and "
                 f"(B, 2, R, C) with at least 2 x 2 nodes"
             )
+    if len(origin) != 2:
+        raise ValueError(f"origin must be x and y, found {origin}")
     for name, tensor, shape in (("center", center, (2,)), ("semi_axes", semi_axes, (2,)), ("angle", angle, ())):
         if tensor.shape != (len(fields), *shape):
             raise ValueError(f"{name} must be {(len(fields), *shape)}, found {tuple(tensor.shape)}")
@@ -112,7 +121,8 @@ def _medians_of_frame(
     reference, found = _led_back(wanted, displacement, known)
     values = torch.where(found & _within(reference, fields), _value_and_slopes(fields, reference)[0], torch.nan)
     enough = values.isfinite().sum(1) >= _LEAST_SHARE * values.shape[1]
-    return torch.where(enough, torch.stack([_median(field[field.isfinite()]) for field in values]), nothing)
+    medians = [_median(field[field.isfinite()]) for field in values]
+    return torch.where(enough, torch.stack(medians), nothing) if medians else nothing
 
 
 def _positions(ellipse: Tensor) -> Tensor:

@@ -228,5 +228,5 @@ def median_of_known(values: NDArray[np.floating]) -> NDArray[np.float64]:
     ordered = np.sort(values, axis=1)  # NaN last
     known = (~np.isnan(ordered)).sum(1, keepdims=True)
     middle = [np.take_along_axis(ordered, np.maximum(rank, 0), axis=1) for rank in ((known - 1) // 2, known // 2)]
-    result: NDArray[np.float64] = np.where(known > 0, (middle[0] + middle[1]) / 2, np.nan).squeeze(1)
+    result: NDArray[np.float64] = np.where(known > 0, (middle[0] + middle[1]) / 2, np.nan).squeeze(1).astype(np.float64)
     return result

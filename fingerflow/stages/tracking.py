@@ -44,9 +44,8 @@ class TrackSeries:
 class TrackingStage:
     """Follows points from frame to frame, in the order of time or against it.
 
-    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion
-    found so
-    far: errors do not add up. From frame to frame they do.
+    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
+    so far: errors do not add up. From frame to frame they do.
     """
 
     def __init__(self, inputs: Inputs, region: Tensor) -> None:
@@ -149,10 +148,10 @@ class TrackingStage:
         """
         moved = found - self._start
         gradient = local_gradients(self._start, moved, gauge_length=_WARP_GAUGE_PX).gradient
-        self._warp = gradient.nan_to_num(0.0) + self._identity
+        self._warp = gradient.nan_to_num(0.0, 0.0, 0.0) + self._identity
         second = local_gradients(self._start, gradient.flatten(-2), gauge_length=_WARP_GAUGE_PX).gradient
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
-        return found - laplacian.nan_to_num(0.0) * ((self._graph.window**2 - 1) / 24)
+        return found - laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self._graph.window**2 - 1) / 24)
 
     def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
         """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.

@@ -116,6 +116,18 @@ def test_points_on_the_rim_are_outside(instruction_set: int, portable: Portable)
     assert torch.equal(found.point_count[0], inside.sum(1))
 
 
+def test_points_and_queries_far_from_the_others(instruction_set: int, portable: Portable) -> None:
+    """More than a hundredth of them, on both sides."""
+    points, values, queries = (10 * random(1, 300, 2, seed=seed) for seed in (1, 2, 3))
+    points[0, :2], points[0, 2:6] = 1e6, -1e5
+    queries[0, :5], queries[0, 5] = 1e6 + 0.5, -1e5
+
+    def fit(dtype: torch.dtype) -> LocalFit:
+        return local_gradients(points.to(dtype), values.to(dtype), queries.to(dtype), gauge_length=3.0)
+
+    assert_same(fit(torch.float64), portable(lambda: fit(torch.float64)), 1.5, torch.float64)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_any_unit_of_length(instruction_set: int, portable: Portable, scale: float) -> None:
     points, values = (10 * scale * random(1, 200, 2)).float(), random(1, 200, 2, seed=2).float()

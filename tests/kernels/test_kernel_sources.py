@@ -13,13 +13,24 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    """Memory of the images ends right behind them, so that any read or write beyond an edge is seen."""
+@pytest.mark.parametrize("widest", [[], ["-march=native"]], ids=["baseline", "native"])
+def test_sanitizers_find_nothing(widest: list[str], tmp_path: Path) -> None:
+    """Memory of the images ends right behind them, so that any read or write beyond an edge is seen.
+
+    For the baseline, and with vectors as wide as this processor has them.
+    """
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
         pytest.skip("no C++ compiler here")
     runpy.run_path(str(ROOT / "kernels" / "generate_median.py"))["main"](str(tmp_path / "median_networks.h"))
-    flags = ["-std=c++17", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-pthread"]
+    flags = [
+        "-std=c++17",
+        "-O0",
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=undefined",
+        "-pthread",
+        *widest,
+    ]
     includes = ["-DFINGERFLOW_ISA=baseline", f"-I{ROOT / 'kernels'}", f"-I{tmp_path}"]
     empty = tmp_path / "empty.cpp"
     empty.write_text("int main() {}\n")

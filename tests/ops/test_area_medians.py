@@ -1,4 +1,4 @@
-"""Medians over the area of a deformed ellipse, against closed forms; the compiled twin gives the same bits."""
+"""Medians over the area of a deformed ellipse, against closed forms, by both forms of the op."""
 
 from typing import Any
 
@@ -79,6 +79,7 @@ def test_where_nothing_is_known_nothing_is_said() -> None:
         1.0,
     )
     assert none.shape == (0, 3)
+    assert medians(places[:0], still).shape == (0,)
 
 
 @pytest.mark.parametrize("axes", [(0.1, 0.05), (3.0, 1e-4), (1e-6, 1e-6)])
@@ -132,8 +133,8 @@ def test_bilinear_between_nodes_and_nothing_beyond() -> None:
         assert medians(field, still, tiny, center=nowhere).isnan().all()
 
 
-def test_double_precision_and_any_device_form() -> None:
-    """Float64 nodes go the portable way: the product of x and y to 1e-12."""
+def test_double_precision() -> None:
+    """Float64 nodes go the portable way: the product of x and y to 1e-9, the size of the ellipse."""
     places = nodes()
     ellipse = torch.tensor([[5.03, 3.33]], dtype=torch.float64), torch.full((1, 2), 1e-9), torch.zeros(1)
     found = area_medians(
@@ -151,6 +152,7 @@ def test_double_precision_and_any_device_form() -> None:
         ({"displacement": torch.zeros(2, 2, 5, 5)}, ValueError, "displacement"),
         ({"center": torch.zeros(2, 2)}, ValueError, "center must be"),
         ({"angle": torch.zeros(1, 1)}, ValueError, "angle must be"),
+        ({"origin": (1.0,)}, ValueError, "origin must be"),
         ({"step": 0.0}, ValueError, "step must be"),
         ({"spacing": float("nan")}, ValueError, "spacing must be"),
     ],
