@@ -1,6 +1,7 @@
 #include "parallel.h"
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <memory>
 #include <mutex>
@@ -25,16 +26,28 @@ public:
             pieces_ = pieces;
             next_.store(0);
             wanted_ = threads - 1;
-            ++round_;
+            round_.store(round_.load() + 1);
         }
         start_.notify_all();
         take(pieces, work);
+        {
+            std::lock_guard<std::mutex> lock(mutex_);
+            wanted_ = 0;  // whoever has not woken up yet is not waited for
+        }
+        spin([this] { return busy_.load() == 0; });
         std::unique_lock<std::mutex> lock(mutex_);
-        wanted_ = 0;  // whoever has not woken up yet is not waited for
-        done_.wait(lock, [this] { return busy_ == 0; });
+        done_.wait(lock, [this] { return busy_.load() == 0; });
     }
 
 private:
+    // Waits for a while without sleeping: waking up takes longer than many a piece of work.
+    template <class Done>
+    static void spin(const Done& done) {
+        const auto end = std::chrono::steady_clock::now() + std::chrono::microseconds(50);
+        while (!done() && std::chrono::steady_clock::now() < end) {
+        }
+    }
+
     void take(std::int64_t pieces, const std::function<void(std::int64_t)>& work) {
         for (std::int64_t piece = next_.fetch_add(1); piece < pieces; piece = next_.fetch_add(1)) work(piece);
     }
@@ -43,8 +56,8 @@ private:
         std::uint64_t seen = 0;
         std::unique_lock<std::mutex> lock(mutex_);
         for (;;) {
-            start_.wait(lock, [&] { return round_ != seen && wanted_ > 0; });
-            seen = round_;
+            start_.wait(lock, [&] { return round_.load() != seen && wanted_ > 0; });
+            seen = round_.load();
             --wanted_;
             ++busy_;
             const std::int64_t pieces = pieces_;
@@ -53,6 +66,9 @@ private:
             take(pieces, work);
             lock.lock();
             if (--busy_ == 0) done_.notify_one();
+            lock.unlock();
+            spin([&] { return round_.load() != seen; });
+            lock.lock();
         }
     }
 
@@ -62,8 +78,9 @@ private:
     const std::function<void(std::int64_t)>* work_ = nullptr;
     std::int64_t pieces_ = 0;
     std::atomic<std::int64_t> next_{0};
-    int wanted_ = 0, busy_ = 0;
-    std::uint64_t round_ = 0;
+    int wanted_ = 0;
+    std::atomic<int> busy_{0};
+    std::atomic<std::uint64_t> round_{0};
 };
 
 std::mutex one_at_a_time;
