@@ -4,7 +4,6 @@
 #include <cmath>
 #include <exception>
 #include <limits>
-#include <utility>
 #include <vector>
 
 #include "interface.h"
@@ -34,7 +33,7 @@ std::vector<Place<Real>> finite_of(const Real* places, std::int64_t count) {
     std::vector<Place<Real>> result;
     result.reserve(size(count));
     for (std::int64_t k = 0; k < count; ++k)
-        if (std::isfinite(places[2 * k]) && std::isfinite(places[2 * k + 1])) result.push_back({places[2 * k], places[2 * k + 1], k});
+        if (finite(places + 2 * k, 2)) result.push_back({places[2 * k], places[2 * k + 1], k});
     return result;
 }
 
@@ -65,38 +64,28 @@ std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins
     return starts;
 }
 
-// Where all but a hundredth of some numbers at either end lie: one that is far away must not leave the others in one bin.
-template <class Item, class NumberOf>
-std::pair<double, double> bulk(const std::vector<Item>& items, const NumberOf& number_of) {
-    if (items.empty()) return {0, 0};
-    std::vector<double> numbers;
-    numbers.reserve(items.size());
-    for (const Item& item : items) numbers.push_back(number_of(item));
+// Of one coordinate of places, from where all but a hundredth at either end lie: one that is far away must not leave the
+// others in one bin.
+template <class Real>
+Intervals intervals(const std::vector<Place<Real>>& places, Real Place<Real>::*coordinate, std::int64_t count) {
+    if (places.empty()) return {0, 0, count};
+    std::vector<Real> numbers;
+    numbers.reserve(places.size());
+    for (const Place<Real>& place : places) numbers.push_back(place.*coordinate);
     const auto few = static_cast<std::ptrdiff_t>(numbers.size() / 100);
     std::nth_element(numbers.begin(), numbers.begin() + few, numbers.end());
     const double low = numbers[size(few)];
     std::nth_element(numbers.begin() + few, numbers.end() - 1 - few, numbers.end());
-    return {low, *(numbers.end() - 1 - few)};
-}
-template <class Real>
-Intervals intervals_x(const std::vector<Place<Real>>& places, std::int64_t count) {
-    const auto [low, high] = bulk(places, [](const Place<Real>& place) { return static_cast<double>(place.x); });
-    return {low, high, count};
-}
-template <class Real>
-Intervals intervals_y(const std::vector<Place<Real>>& places, std::int64_t count) {
-    const auto [low, high] = bulk(places, [](const Place<Real>& place) { return static_cast<double>(place.y); });
-    return {low, high, count};
+    return {low, static_cast<double>(*(numbers.end() - 1 - few)), count};
 }
 
-template <class Real>
 struct Box {
     double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
-    void add(const Place<Real>& place) {
-        low_x = std::min<double>(low_x, place.x);
-        low_y = std::min<double>(low_y, place.y);
-        high_x = std::max<double>(high_x, place.x);
-        high_y = std::max<double>(high_y, place.y);
+    void add(double x, double y) {
+        low_x = std::min(low_x, x);
+        low_y = std::min(low_y, y);
+        high_x = std::max(high_x, x);
+        high_y = std::max(high_y, y);
     }
 };
 
@@ -107,14 +96,14 @@ public:
     Cloud(const Real* points_at, std::int64_t point_count, const Real* queries_at, std::int64_t query_count)
         : points_(finite_of(points_at, point_count)),
           side_(side(points_.size())),
-          columns_(intervals_x(points_, side_)),
-          rows_(intervals_y(points_, side_)),
+          columns_(intervals(points_, &Place<Real>::x, side_)),
+          rows_(intervals(points_, &Place<Real>::y, side_)),
           starts_(order_by_bin(points_.data(), points_.data() + points_.size(), side_ * side_,
                                [this](const Place<Real>& place) { return rows_.of(place.y) * side_ + columns_.of(place.x); })),
           queries_(finite_of(queries_at, query_count)) {
         Place<Real>* const queries = queries_.data();
         const auto end = static_cast<std::int64_t>(queries_.size());
-        const Intervals by_y = intervals_y(queries_, kFine), by_x = intervals_x(queries_, kFine);
+        const Intervals by_x = intervals(queries_, &Place<Real>::x, kFine), by_y = intervals(queries_, &Place<Real>::y, kFine);
         order_by_bin(queries, queries + end, kFine, [&](const Place<Real>& place) { return by_y.of(place.y); });
         // So many queries that a block of neighbours by x is about as wide as the band is high.
         const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
@@ -127,7 +116,7 @@ public:
 
     // Calls act(place) for every point that may lie within `radius` of a box, and some more.
     template <class Act>
-    void around(const Box<Real>& box, double radius, const Act& act) const {
+    void around(const Box& box, double radius, const Act& act) const {
         const std::int64_t left = columns_.of(box.low_x - radius), right = columns_.of(box.high_x + radius);
         const std::int64_t bottom = rows_.of(box.high_y + radius);
         for (std::int64_t row = rows_.of(box.low_y - radius); row <= bottom; ++row) {
@@ -223,11 +212,7 @@ private:
         std::int64_t usable = 0;
         for (std::int64_t k = 0; k < count; ++k) {
             const Real *value = values + k * components, *variance = noise + k * noises;
-            // A sum of differences is finite, namely 0, where all of its numbers are.
-            Real nothing = (place[2 * k] - place[2 * k]) + (place[2 * k + 1] - place[2 * k + 1]);
-            for (std::int64_t c = 0; c < components; ++c) nothing += value[c] - value[c];
-            for (std::int64_t v = 0; v < noises; ++v) nothing += variance[v] - variance[v];
-            bool good = nothing == 0;
+            bool good = finite(place + 2 * k, 2) && finite(value, components) && finite(variance, noises);
             for (std::int64_t v = 0; v < noises; v += own) good = good && variance[v] >= 0;
             if (!good) continue;
             ++usable;
@@ -302,13 +287,13 @@ private:
         FitBlock<Real> block;
         const auto left = static_cast<std::int64_t>(cloud.queries().size()) - first;
         block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
-        Box<Real> box;
+        Box box;
         for (int q = 0; q < kFitBlock; ++q) {
             const Place<Real>& query = cloud.queries()[size(first + std::min(q, block.queries - 1))];
             block.query[q] = query.number;
             block.query_x[q] = query.x;
             block.query_y[q] = query.y;
-            box.add(query);
+            box.add(query.x, query.y);
         }
 
         const double radius = radius_ * (1 + 1e-5);  // the block decides with the rounding of its number type

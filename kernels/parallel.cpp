@@ -26,7 +26,7 @@ public:
             pieces_ = pieces;
             next_.store(0);
             wanted_ = threads - 1;
-            round_.store(round_.load() + 1);
+            ++round_;
         }
         start_.notify_all();
         take(pieces, work);

@@ -368,7 +368,7 @@ private:
 
     // The same with samples at place + A w.
     void sample_warped(int which, Vector place, const Matrix& warp, const Window& to) {
-        constexpr float kFirst = -1, kLast = 2;
+        constexpr float kLast = 2;
         // Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
         const float right = static_cast<float>(pair_.images[0].width - 1) - kLast, bottom = static_cast<float>(pair_.images[0].height - 1) - kLast;
         const auto outermost = static_cast<float>(layout_.window / 2);
@@ -387,7 +387,7 @@ private:
         if (in_one_piece && inside && gentle)
             return sample_gently(where, stride, place, warp, to);
 #endif
-        sample_anywhere(which, in_one_piece, where, stride, {-kFirst, -kFirst}, {right, bottom}, place, warp, to);
+        sample_anywhere(which, in_one_piece, where, stride, {right, bottom}, place, warp, to);
     }
 
 #if defined(FINGERFLOW_LOOKUP)
@@ -464,9 +464,11 @@ private:
         store(to.along_y + place, along_y);
     }
 
-    // Any window: samples are kept between two places, and their taps come from the cut patch, or from the frame itself.
-    void sample_anywhere(int which, bool in_one_piece, const Rectangle& where, int stride, Vector first, Vector last, Vector place,
+    // Any window: samples are kept between the first and the last place with all its taps, which come from the cut patch, or
+    // from the frame itself.
+    void sample_anywhere(int which, bool in_one_piece, const Rectangle& where, int stride, Vector last, Vector place,
                          const Matrix& warp, const Window& to) {
+        constexpr float kFirst = 1;
         const int n = layout_.window, half = n / 2;
         float* const columns = rows_;  // those behind the last one repeat it
         for (int k = 0; k < layout_.span; ++k) columns[k] = static_cast<float>(k < n ? k - half : half);
@@ -474,8 +476,8 @@ private:
             const float down = static_cast<float>(r - half);
             for (int c = 0; c < layout_.span; c += kFloats) {
                 const Floats along = load(columns + c);
-                const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, first.x, last.x);
-                const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, first.y, last.y);
+                const Split x = split(all(place.x + warp.xy * down) + all(warp.xx) * along, kFirst, last.x);
+                const Split y = split(all(place.y + warp.yy * down) + all(warp.yx) * along, kFirst, last.y);
                 Samples at{};
                 if (in_one_piece) {
                     interpolate(x, y, [&](int k) {

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from fingerflow import kernels
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -23,3 +25,12 @@ def torch_threads() -> Iterator[Callable[[int], None]]:
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)
+
+
+@pytest.fixture(params=["compiled", "portable"])
+def each_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs with the compiled kernels and without."""
+    if request.param == "portable":
+        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+    elif not kernels.serve():
+        pytest.skip("the compiled kernels were not built or are turned off")

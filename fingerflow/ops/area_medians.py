@@ -47,7 +47,9 @@ def area_medians(
         TypeError: fields or displacement are not floating.
         ValueError: shapes that do not belong together, fewer than 2 x 2 nodes, a step or spacing that is not positive.
     """
-    _check(fields, displacement, origin, step, center, semi_axes, angle, spacing)
+    _check_nodes(fields, displacement)
+    _check_ellipses(len(fields), center, semi_axes, angle)
+    _check_lengths(origin, step=step, spacing=spacing)
     with torch.no_grad():
         semi_axes = semi_axes.double()
         steps = (semi_axes / spacing).ceil().clamp(_LEAST_STEPS, _MOST_STEPS)
@@ -77,16 +79,7 @@ def area_medians(
         return torch.stack(medians) if medians else fields.new_empty(fields.shape[:2], dtype=torch.float64)
 
 
-def _check(
-    fields: Tensor,
-    displacement: Tensor,
-    origin: tuple[float, float],
-    step: float,
-    center: Tensor,
-    semi_axes: Tensor,
-    angle: Tensor,
-    spacing: float,
-) -> None:
+def _check_nodes(fields: Tensor, displacement: Tensor) -> None:
     for name, tensor, components in (("fields", fields, fields.shape[1:2]), ("displacement", displacement, (2,))):
         if not tensor.is_floating_point():
             raise TypeError(f"{name} must be floating, found {tensor.dtype}")
@@ -99,12 +92,18 @@ def _check(
                 f"fields {tuple(fields.shape)} and displacement {tuple(displacement.shape)} must be (B, K, R, C) and "
                 f"(B, 2, R, C) with at least 2 x 2 nodes"
             )
+
+
+def _check_ellipses(batch: int, center: Tensor, semi_axes: Tensor, angle: Tensor) -> None:
+    for name, tensor, shape in (("center", center, (2,)), ("semi_axes", semi_axes, (2,)), ("angle", angle, ())):
+        if tensor.shape != (batch, *shape):
+            raise ValueError(f"{name} must be {(batch, *shape)}, found {tuple(tensor.shape)}")
+
+
+def _check_lengths(origin: tuple[float, float], **lengths: float) -> None:
     if len(origin) != 2:
         raise ValueError(f"origin must be x and y, found {origin}")
-    for name, tensor, shape in (("center", center, (2,)), ("semi_axes", semi_axes, (2,)), ("angle", angle, ())):
-        if tensor.shape != (len(fields), *shape):
-            raise ValueError(f"{name} must be {(len(fields), *shape)}, found {tuple(tensor.shape)}")
-    for name, length in (("step", step), ("spacing", spacing)):
+    for name, length in lengths.items():
         if not (math.isfinite(length) and length > 0):
             raise ValueError(f"{name} must be a positive length in the unit of the positions, found {length}")
 

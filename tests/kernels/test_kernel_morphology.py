@@ -46,16 +46,12 @@ def test_equals_scipy_and_opencv(radius: int, element: Shape) -> None:
     assert np.array_equal(erode(most, radius, element)[0, 0], eroded.astype(bool))
 
 
-def test_views_and_threads(portable: Portable) -> None:
+def test_views_and_threads(portable: Portable, torch_threads: Callable[[int], None]) -> None:
     mask = sparse((4, 100, 120), 12)
     view = mask[1::2, :, 7:90, 20:101]
     assert torch.equal(dilate(view, 4), portable(lambda: dilate(view, 4)))
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(3)
-        assert torch.equal(dilate(mask, 4), portable(lambda: dilate(mask, 4)))
-    finally:
-        torch.set_num_threads(before)
+    torch_threads(3)
+    assert torch.equal(dilate(mask, 4), portable(lambda: dilate(mask, 4)))
 
 
 def test_refuses_what_does_not_fit() -> None:

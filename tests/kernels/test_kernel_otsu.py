@@ -33,14 +33,10 @@ def test_same_counts(portable: Portable, shape: tuple[int, int, int], dtype: tor
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("content", CONTENTS)
-def test_counts_equal_numpy(content: str, threads: int) -> None:
+def test_counts_equal_numpy(content: str, threads: int, torch_threads: Callable[[int], None]) -> None:
     frames = images((3, 120, 77), torch.uint8, content)
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(threads)
-        counts = histogram(frames)
-    finally:
-        torch.set_num_threads(before)
+    torch_threads(threads)
+    counts = histogram(frames)
     assert counts.tolist() == [np.bincount(frame.numpy().ravel(), minlength=256).tolist() for frame in frames]
 
 

@@ -1,6 +1,7 @@
 """The compiled tracker beside the portable one."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 import torch
@@ -116,9 +117,9 @@ def test_any_warp(matrix: list[list[float]], window: int, instruction_set: int) 
     deformation, middle = torch.tensor(matrix), torch.tensor([95.0, 75.0])
     points = middle + torch.tensor([[[0.3, -0.2], [9.0, 4.5], [-8.2, 6.0], [3.4, -10.0], [-90.0, -70.0]]])
     guess = middle + (points - middle) @ deformation.T + torch.tensor([0.2, -0.2])
-    settings = {"initial": guess, "warp": deformation.expand(1, 5, 2, 2), "window": window}
+    settings: dict[str, Any] = {"initial": guess, "warp": deformation.expand(1, 5, 2, 2), "window": window}
     images = skin((0, 0), deformation=deformation), skin((0, 0), seed=1)
-    found, expected = track_points(*images, points, **settings), portable(*images, points, **settings)  # type: ignore[arg-type]
+    found, expected = track_points(*images, points, **settings), portable(*images, points, **settings)
     assert (expected.status[0, :4] == TrackStatus.TRACKED).all()
     same(found, expected)
 
@@ -130,8 +131,8 @@ def test_contrast_that_changes(gain: float, warped: bool) -> None:
     first, second = skin((0, 0)), skin((0.3, -0.2), seed=1).float()
     images = first.float(), gain * second
     warp = torch.eye(2).expand(1, 60, 2, 2) if warped else None
-    given = {"gain_offset": True, "warp": warp}
-    found, expected = track_points(*images, starts(), **given), portable(*images, starts(), **given)  # type: ignore[arg-type]
+    given: dict[str, Any] = {"gain_offset": True, "warp": warp}
+    found, expected = track_points(*images, starts(), **given), portable(*images, starts(), **given)
     assert (expected.status == TrackStatus.TRACKED).float().mean() > 0.9
     same(found, expected)
 
@@ -168,16 +169,12 @@ def test_batch() -> None:
     assert track_points(*images, starts(3)[:, :0]).status.shape == (3, 0)
 
 
-def test_the_order_of_points_and_threads_do_not_matter() -> None:
+def test_the_order_of_points_and_threads_do_not_matter(torch_threads: Callable[[int], None]) -> None:
     images, points = (skin((0, 0)), skin((0.6, -0.3), seed=1)), starts()
-    threads = torch.get_num_threads()
-    try:
-        torch.set_num_threads(1)
-        alone = track_points(*images, points)
-        torch.set_num_threads(4)
-        shared = track_points(*images, points.flip(1))
-    finally:
-        torch.set_num_threads(threads)
+    torch_threads(1)
+    alone = track_points(*images, points)
+    torch_threads(4)
+    shared = track_points(*images, points.flip(1))
     assert torch.equal(alone.points, shared.points.flip(1))
     assert torch.equal(alone.status, shared.status.flip(1))
 

@@ -6,19 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.ops.area_medians import area_medians
 
 STEP, ROWS, COLUMNS = 0.2, 61, 71
 ORIGIN = (1.0, 0.0)
 
 
-@pytest.fixture(params=["portable", "compiled"], autouse=True)
-def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "portable":
-        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    elif not kernels.serve():
-        pytest.skip("the compiled kernels were not built or are turned off")
+pytestmark = pytest.mark.usefixtures("each_form")
 
 
 def nodes() -> Tensor:

@@ -9,17 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.ops.dense_region import dense_region
 
-
-@pytest.fixture(params=["compiled", "portable"], autouse=True)
-def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each test of both forms."""
-    if request.param == "portable":
-        monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    elif not kernels.serve():
-        pytest.skip("the compiled kernels were not built or are turned off")
+pytestmark = pytest.mark.usefixtures("each_form")
 
 
 def disc(size: int, radius: float, period: float | None = None, angle: float = 0.3) -> Tensor:
