@@ -3,8 +3,8 @@
     python player.py --source synthetic             # in the bundle's folder
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
-Three threads pass frames on: capture, compute, sink; the main thread watches them and a fifth serves the live page.
-Frames that are computed side by side have a thread each besides.
+Threads pass frames on: capture, one for each frame that is computed side by side, sink; the main thread watches them
+and another serves the live page.
 Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
 areas mm², axes mm, times s.
 """
@@ -29,7 +29,6 @@ import time
 import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -635,10 +634,10 @@ class Channel(Generic[T]):
             self._changed.notify_all()
             return left
 
-    def get(self, waits: Callable[[], bool] = lambda: True) -> T | None:
-        """The next item; None where there is none and the channel is closed or `waits` says no (see `wake`)."""
+    def get(self, wait: bool = True) -> T | None:
+        """The next item; None where there is none and the channel is closed or is not to be waited for."""
         with self._changed:
-            while not self._items and not self._closed and waits():
+            while wait and not self._items and not self._closed:
                 self._changed.wait()
             item = self._take() if self._items else None
             self._changed.notify_all()
@@ -648,14 +647,69 @@ class Channel(Generic[T]):
         """Whether there is no item now."""
         return not self._items
 
-    def wake(self) -> None:
-        """Whoever waits asks its `waits` again."""
-        with self._changed:
-            self._changed.notify_all()
-
     def close(self) -> None:
         with self._changed:
             self._closed = True
+            self._changed.notify_all()
+
+
+class InOrder(Generic[T]):
+    """Ends in the order in which they began what several threads do side by side.
+
+    A thread that is done before its turn leaves its piece to the one that has the turn.
+
+    Args:
+        end: called with one piece after the other, by any of the threads; False stops.
+        most: pieces that have begun and not ended, at most.
+    """
+
+    def __init__(self, end: Callable[[T], bool], most: int) -> None:
+        self._end, self._most = end, most
+        self._done: dict[int, T] = {}
+        self._begun = self._ended = 0
+        self._ending = self._stopped = False
+        self._changed = threading.Condition()
+
+    def wait_for_room(self) -> bool:
+        """Until another may begin; False after a stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._begun - self._ended < self._most)
+            return not self._stopped
+
+    def wait_for_all(self) -> bool:
+        """Until all that have begun have ended; False after a stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._ended == self._begun)
+            return not self._stopped
+
+    def begin(self) -> int:
+        """The number of a piece that begins, by one thread at a time."""
+        self._begun += 1
+        return self._begun - 1
+
+    def done(self, number: int, piece: T) -> None:
+        """Ends a piece, and those that wait for it, unless one before it is missing."""
+        with self._changed:
+            self._done[number] = piece
+            if self._ending:
+                return
+            self._ending = True
+        while True:
+            with self._changed:
+                if self._ended not in self._done:
+                    self._ending = False
+                    return
+                piece = self._done.pop(self._ended)
+            going = self._end(piece)
+            with self._changed:
+                self._ended += 1
+                self._stopped |= not going
+                self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Nothing begins any more; what has begun before the first that does not come still ends."""
+        with self._changed:
+            self._stopped = True
             self._changed.notify_all()
 
 
@@ -735,11 +789,12 @@ class Stepper:
 
     Where the scene gives no threshold, nothing touches until `measure` has found one.
 
-    Several frames at a time need no more than their predictions: a frame begins from the states of the last one that
-    was finished. Where a point was when the contact reached it is kept from the first frame that says so.
+    Frames begin and are finished in their order, and run in between, up to `parallel` of them side by side. They need
+    no more of each other than predictions: a frame begins from the states of the last one that was finished. Where a
+    point was when the contact reached it is kept from the first frame that says so.
 
     Args:
-        parallel: frames computed side by side, each with a thread of its own if more than one.
+        parallel: frames that have begun and are not finished, at most.
 
     Attributes:
         outputs, states: of `frame`, by name; which of them are the next frame's inputs.
@@ -768,6 +823,7 @@ class Stepper:
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
         self.states = {f"next_{name}" for name in states}
+        self.parallel = parallel
         # What a frame writes is not written again while the next ones are computed from it.
         sides = range(2 * parallel)
         self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in sides]
@@ -778,9 +834,6 @@ class Stepper:
         constants = self._constants(inputs["frame"], {*states, *held})
         self._bindings = [self._binding(side, constants) for side in sides]
         self._next, self._last = 0, len(sides) - 1  # side that is written next, and the last one that was finished
-        self.parallel = parallel
-        self._pool = ThreadPoolExecutor(parallel, "frame") if parallel > 1 else None
-        self._flying: deque[tuple[int, Future[None] | None]] = deque()
         self._glass = {"background": background[None, None], "dark": dark[None, None]}
         self._use_threshold()
 
@@ -790,8 +843,9 @@ class Stepper:
         self.restart(slot)
         if self.measures:
             self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
-        self.start(slot)
-        self.finish()
+        side = self.begin(slot)
+        self.run(side)
+        self.finish(side)
 
     def restart(self, slot: Slot) -> int:
         """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""
@@ -823,32 +877,21 @@ class Stepper:
     def _use_threshold(self) -> None:
         self._run("background", {**self._glass, "threshold": np.array([self.threshold])})
 
-    def start(self, slot: Slot, done: Callable[[], None] = lambda: None) -> None:
-        """Begins a frame; `finish` gives its outputs, in the order in which frames began, without waiting once `done`
-        was called and `is_ready` says so."""
-        side, frame = self._next, self._engine.frame
+    def begin(self, slot: Slot) -> int:
+        """Makes ready to compute a frame; gives the side that `run` and `finish` are to be called with."""
+        side = self._next
         self._next = (side + 1) % len(self._bindings)
-        binding = self._bindings[side]
         for name, value in (slot.values | self._states[self._last]).items():
-            binding.bind_ortvalue_input(name, value)
-        if self._pool is None:
-            frame.run_with_iobinding(binding)
-            self._flying.append((side, None))
-        else:
-            running = self._pool.submit(frame.run_with_iobinding, binding)
-            self._flying.append((side, running))
-            running.add_done_callback(lambda _: done())
+            self._bindings[side].bind_ortvalue_input(name, value)
+        return side
 
-    def is_ready(self) -> bool:
-        """Whether the frame that began first is computed."""
-        return bool(self._flying) and ((running := self._flying[0][1]) is None or running.done())
+    def run(self, side: int) -> None:
+        """Computes a frame that has begun, in any thread."""
+        self._engine.frame.run_with_iobinding(self._bindings[side])
 
-    def finish(self) -> dict[str, Array]:
-        """Outputs by name, (1, ...), of the frame that began first; valid until as many more have begun as `parallel`
-        says, and one."""
-        side, running = self._flying.popleft()
-        if running is not None:
-            running.result()
+    def finish(self, side: int) -> dict[str, Array]:
+        """Outputs by name, (1, ...), of a frame that has run; valid until `parallel` more have begun."""
+        if self.parallel > 1:
             self._learn(side)
         self._last = side
         return self._results[side]
@@ -1181,12 +1224,15 @@ _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
 
 
-class _Computed(NamedTuple):
-    """A frame, its outputs, and the place of its record."""
+_REKEY = "rekey"
 
-    slot: Slot
-    outputs: dict[str, Array]
-    place: int
+
+class _Change(NamedTuple):
+    """The next key frame and the points found in it. They are followed where the cause is _REKEY, else chosen anew."""
+
+    key: Slot
+    points: Array
+    cause: str
 
 
 class Player:
@@ -1212,13 +1258,14 @@ class Player:
         self.provider = provider
         self._stepper, self._sink, self._layout = stepper, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, some computed, one drawn on the page; the others wait. Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 2 + stepper.parallel)]
+        # One slot is being filled, some computed, one drawn on the page, one becomes the key frame; the others wait.
+        # Their number is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.parallel)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
-        self._room = np.zeros(_RECORDS_WAITING + 1 + stepper.parallel, layout.dtype)
+        self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)  # one is being filled, one written
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
         self.frames_in = self.processed = self.dropped = self.overruns = 0
         self.reconnects = self.stalls = self.restarts = self.keys = 0
@@ -1232,15 +1279,21 @@ class Player:
         self._finished = threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # for the source
+        self._computing = stepper.parallel  # threads
+        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.parallel)
+        self._first, self._restarted, self._key_frame = math.nan, -math.inf, 0
+        self._unmeasured, self._measured = stepper.measures, -math.inf
+        self._change: _Change | None = None
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
         """Plays the stream and returns its summary."""
+        after_computing = (self._free.close, self._frames.close, self._close_records)
         threads = [
             threading.Thread(target=self._guard, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
                 (self._capture, (self._frames.close,)),
-                (self._compute, (self._free.close, self._frames.close, self._records.close)),
+                *[(self._compute, after_computing)] * self._stepper.parallel,
                 (self._store, (self._records.close, self._finished.set)),
             )
         ]
@@ -1385,7 +1438,7 @@ class Player:
         self._stop.wait(delay)
 
     def _take(self, frame: Array, arrival: float, cannot_wait: bool) -> None:
-        slot = self._free.get(lambda: False)
+        slot = self._free.get(wait=False)
         if slot is None:
             self.overruns += cannot_wait
             slot = self._free.get()
@@ -1400,89 +1453,103 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Compute: frames -> records.
+    # Compute: frames -> records, in as many threads as frames are computed side by side.
 
     def _compute(self) -> None:
-        first, restarted, key_frame = math.nan, -math.inf, 0
-        share, rekey_frames = self.scene.rekey_share or _REKEY_SHARE, self.scene.rekey_frames or math.inf
-        unmeasured, measured = self._stepper.measures, -math.inf
+        try:
+            while (begun := self._begin()) is not None:
+                number, (slot, side) = begun
+                self._stepper.run(side)
+                self._order.done(number, (slot, side))
+        except BaseException:
+            self._order.stop()
+            raise
+
+    def _begin(self) -> tuple[int, tuple[Slot, int]] | None:
+        """The next frame; None where there is none or the stream has failed."""
+        with self._beginning:
+            if not self._order.wait_for_room():
+                return None
+            slot = self._frames.get()
+            if slot is None or not self._prepare(slot):
+                return None
+            side = self._stepper.begin(slot)
+            return self._order.begin(), (slot, side)
+
+    def _close_records(self) -> None:
+        """After the last of these threads no record comes."""
+        with self._beginning:
+            self._computing -= 1
+            if not self._computing:
+                self._records.close()
+
+    def _prepare(self, slot: Slot) -> bool:
+        """What changes before a frame begins; False where the stream has failed."""
+        if not self.restarts:
+            self._first = slot.arrival
+            self._change = _Change(slot, np.empty(0), "start")
+        if self._change is None and not self._is_to_be_measured(slot):
+            return True
+        if not self._order.wait_for_all():  # they read what changes now
+            return False
+        if self._change is not None:
+            key, points, cause = self._change
+            self._change, self._key_frame = None, key.number
+            if cause == _REKEY:
+                self._sink.event("key_frame", key.number, points=self._stepper.key(key, points))
+                self.keys += 1
+            else:
+                self._restarted, self._unmeasured = key.arrival, self._stepper.measures
+                self._restart(key, cause)
+            if key is not slot:
+                self._free.put(key)
+        if self._is_to_be_measured(slot):
+            self._measured, self._unmeasured = slot.arrival, not self._measure(slot)
+        return True
+
+    def _is_to_be_measured(self, slot: Slot) -> bool:
         # A recording that waits is tried in every frame: that gives the same result each time.
         interval = _MEASURE_INTERVAL if self._source.live or self.settings.rate else 0.0
-        begun: deque[Slot] = deque()
-        done: list[_Computed] = []
+        return self._unmeasured and slot.arrival - self._measured >= interval
 
-        def finish() -> _Computed:
-            slot = begun.popleft()
-            computed = _Computed(slot, self._stepper.finish(), self.processed % len(self._room))
-            self._fill(computed, first, key_frame)
-            return computed
+    def _end(self, computed: tuple[Slot, int]) -> bool:
+        """Hands a record on and decides whether something is to change; False where the stream has failed."""
+        slot, side = computed
+        outputs = self._stepper.finish(side)
+        place = self.processed % len(self._room)
+        self._fill(slot, outputs, place)
+        drawn = None
+        if self._change is None and (cause := self._cause_to_change(slot)):
+            self._change = _Change(slot, outputs["points"].copy(), cause)
+        elif self.live.is_due():
+            touching = outputs.get("touching")
+            drawn = LiveViews(slot, None if touching is None else touching.copy())
+        else:
+            self._free.put(slot)
+        return self._records.put((place, drawn))
 
-        def drain() -> None:
-            try:
-                while begun:
-                    done.append(finish())
-            except BaseException:
-                for computed in done:
-                    self._hand_on(computed)
-                raise
+    def _cause_to_change(self, slot: Slot) -> str:
+        """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
+        if self.restart_wanted.is_set():
+            self.restart_wanted.clear()
+            return "page"
+        if slot.arrival - self._restarted >= _RESTART_INTERVAL and self.tracked < max(self._stepper.found / 2, 1):
+            return "lost"
+        few = 0 < self.tracked < (self.scene.rekey_share or _REKEY_SHARE) * self._stepper.keyed
+        return _REKEY if few or slot.number - self._key_frame >= (self.scene.rekey_frames or math.inf) else ""
 
-        while True:
-            slot = self._frames.get(lambda: not (begun and self._stepper.is_ready()))
-            if slot is not None:
-                if not self.restarts:
-                    first, restarted, key_frame = slot.arrival, slot.arrival, slot.number
-                    self._restart(slot, "start")
-                if unmeasured and slot.arrival - measured >= interval:
-                    drain()  # they read what changes now
-                    measured, unmeasured = slot.arrival, not self._measure(slot)
-                self._stepper.start(slot, self._frames.wake)
-                begun.append(slot)
-            elif not begun:
-                return
-            if not done and (slot is None or len(begun) == self._stepper.parallel):
-                done.append(finish())
-            if done:
-                last, outputs, _ = done[-1]
-                due = last.arrival - restarted >= _RESTART_INTERVAL
-                lost = due and self.tracked < max(self._stepper.found / 2, 1)
-                rekey = 0 < self.tracked < share * self._stepper.keyed or last.number - key_frame >= rekey_frames
-                restart = lost or self.restart_wanted.is_set()
-                if restart or rekey:
-                    drain()
-                if restart:
-                    cause = "lost" if lost else "page"
-                    self.restart_wanted.clear()
-                    restarted, key_frame = last.arrival, last.number
-                    self._restart(last, cause)
-                    unmeasured = self._stepper.measures
-                elif rekey:
-                    key_frame = last.number
-                    self._sink.event("key_frame", last.number, points=self._stepper.key(last, outputs["points"]))
-                    self.keys += 1
-            for computed in done:
-                if not self._hand_on(computed):
-                    return
-            done.clear()
-
-    def _fill(self, computed: _Computed, first: float, key_frame: int) -> None:
-        slot, outputs, place = computed
+    def _fill(self, slot: Slot, outputs: dict[str, Array], place: int) -> None:
         self._layout.fill(self._fields, place, outputs)
         self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
         latency = time.perf_counter() - slot.arrival
         for name, value in (
-            *(("frame", slot.number), ("time", slot.arrival - first), ("latency", latency)),
-            *(("key_frame", key_frame), ("restart", self.restarts)),
+            *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
+            *(("key_frame", self._key_frame), ("restart", self.restarts)),
         ):
             self._fields[name][place] = value
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1
-
-    def _hand_on(self, computed: _Computed) -> bool:
-        drawn = LiveViews(computed.slot, computed.outputs.get("touching")) if self.live.is_due() else None
-        if drawn is None:
-            self._free.put(computed.slot)
-        return self._records.put((computed.place, drawn))
 
     def _restart(self, slot: Slot, cause: str) -> None:
         self._sink.event("restart", slot.number, cause=cause, points=self._stepper.restart(slot))

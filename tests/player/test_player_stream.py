@@ -61,13 +61,13 @@ class Slow:
     """A graph that takes its time."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-        start = player.Stepper.start
+        run = player.Stepper.run
 
         def slow(*arguments: Any) -> None:
             time.sleep(seconds)
-            start(*arguments)
+            run(*arguments)
 
-        monkeypatch.setattr(player.Stepper, "start", slow)
+        monkeypatch.setattr(player.Stepper, "run", slow)
 
 
 def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,19 +113,40 @@ def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, pa
         assert (records[column][changed:] >= number).all()
 
 
-def test_latest_loses_less_with_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two graphs of 12 ms each follow 100 frames a second where one does not."""
-    run = player.ort.InferenceSession.run_with_iobinding
+def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame runs until two others do."""
+    run, started = player.Stepper.run, threading.Barrier(3)
 
-    def slow(session: Any, binding: Any) -> None:
-        time.sleep(0.012)
-        run(session, binding)
+    def together(stepper: player.Stepper, side: int) -> None:
+        if stepper.found:  # not while it warms up
+            started.wait(timeout=60)
+        run(stepper, side)
 
-    monkeypatch.setattr(player.ort.InferenceSession, "run_with_iobinding", slow)
-    given = ("--source", "synthetic", "--rate", "100", "--frames", "100", "--policy", "latest")
-    one = stream.run(*given).summary["dropped"]
-    (stream.folder / "results").rename(stream.folder / "first")
-    assert stream.run(*given, "--parallel-frames", "2").summary["dropped"] < one / 2
+    monkeypatch.setattr(player.Stepper, "run", together)
+    frames = [frame(contact_px=number) for number in range(9)]
+    ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "3")
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], np.arange(9) / 4)
+
+
+@pytest.mark.parametrize("failing", [0, 1, 2])
+def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
+) -> None:
+    """Also where it fails before those have ended."""
+    run, others = player.Stepper.run, threading.Event()
+
+    def fail(stepper: player.Stepper, side: int) -> None:
+        run(stepper, side)
+        if stepper.found and side == 1 + failing:
+            others.set()
+            raise RuntimeError("broken graph")
+        if stepper.found:
+            assert others.wait(timeout=60)
+
+    monkeypatch.setattr(player.Stepper, "run", fail)
+    with pytest.raises(RuntimeError, match="broken graph"):
+        stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", "--parallel-frames", "3")
+    np.testing.assert_array_equal(player.read_results(stream.folder / "results").records["frame"], np.arange(failing))
 
 
 def _darkened(level: int) -> Any:
