@@ -838,14 +838,16 @@ class Stepper:
         self._use_threshold()
 
     def warm_up(self) -> None:
-        """Runs every graph once on an empty frame: a first run is slow."""
+        """Runs every graph on an empty frame: the first run finds out how much memory it takes, the second lays it out,
+        which makes both slow."""
         slot = Slot(self._bundle)
-        self.restart(slot)
-        if self.measures:
-            self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
-        side = self.begin(slot)
-        self.run(side)
-        self.finish(side)
+        for _ in range(2):
+            self.restart(slot)
+            if self.measures:
+                self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
+            side = self.begin(slot)
+            self.run(side)
+            self.finish(side)
 
     def restart(self, slot: Slot) -> int:
         """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""

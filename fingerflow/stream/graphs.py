@@ -75,7 +75,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     known = ContactStep(contact.median_px, median_type, kind, contact.cell_px)
     measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
     table = (tracking.window_px, tracking.reach_px)
-    track = TrackStep(*table, tracking.way_back == "table", tracking.forward_backward_limit_px, kind)
+    track = TrackStep(*table, tracking.way_back, tracking.forward_backward_limit_px, kind)
     fields = FieldsStep(recipe.fields.gauge_px, kind)
     border = tracking.window_px // 2 + tracking.reach_px + 3  # window and table of the key frame
     detect = DetectStep(tracking.points, tracking.corner_distance_px, border, kind)

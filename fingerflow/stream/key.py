@@ -78,7 +78,9 @@ class KeyStep(nn.Module):
         products = torch.stack((*inverse, (above * above).sum(1), *bends, textured))
         gradients = torch.stack((x, y), dim=1)
         square = gradients.unflatten(2, (windows.size, windows.size))
-        table = windows.along_y(patches) @ windows.table_of(square)
+        table = windows.along_y(patches) @ windows.table_of(square).transpose(1, 2)
+        # By function in y, function in x, gradient.
+        table = table.unflatten(2, (2, -1)).transpose(2, 3)
         return Templates(
             start,
             values.unflatten(0, (-1, count)),

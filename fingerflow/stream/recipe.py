@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
+from fingerflow.stream.track import WayBack
 from fingerflow.strict import Number, Odd, Switch, Whole
 
 GraphName = Literal["background", "contact", "detect", "key", "track", "fields", "frame"]
@@ -44,7 +45,7 @@ class TrackingRecipe(_Table):
     points: Annotated[Whole, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 21
     reach_px: Annotated[Whole, Field(ge=1, le=4)] = 1
-    way_back: Literal["table", "step"] = "table"
+    way_back: WayBack = "table"
     forward_backward_limit_px: Annotated[Number, Field(gt=0)] = 1.0
     corner_distance_px: Annotated[Whole, Field(ge=1, le=50)] = 3
 

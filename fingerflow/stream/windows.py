@@ -79,13 +79,12 @@ class Windows(nn.Module):
         return (functions @ self.columns).unflatten(-1, (self.side, self.size))
 
     def table_of(self, gradient: Tensor) -> Tensor:
-        """(P, size * side, 2 taps) of gradients (P, 2, size, size), whose product with `along_y` is the table.
+        """(P, 2 taps, size * side) of gradients (P, 2, size, size): what `along_y` times its transpose is the table of.
 
-        Row b, column 2 a + c of the table (taps, 2 taps) is the coefficient of function b of the shift in y times
-        function a of that in x in the sum of gradient c times the shifted window.
+        Row b, column c taps + a of the table is the coefficient of function b of the shift in y times function a of
+        that in x in the sum of gradient c times the shifted window.
         """
-        spread = gradient[:, :, None] @ self.band  # (P, 2, taps, size, side)
-        return spread.permute(0, 3, 4, 2, 1).flatten(3).flatten(1, 2)
+        return (gradient[:, :, None] @ self.band).flatten(3).flatten(1, 2)
 
     def in_the_middle(self, weights: Tensor) -> Tensor:
         """(P, K, side, side): what weights (P, K, size, size) of a window without a shift are of its patch's pixels."""
