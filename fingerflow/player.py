@@ -781,6 +781,38 @@ class _Tensor(NamedTuple):
         return cls(argument.name, tuple(shape), np.dtype(_NUMPY[argument.type]))
 
 
+class Motion:
+    """Where points are expected: where each was seen last, and on at its own speed.
+
+    Points that are lost move with the median of the others, so that they are found again where the skin has gone.
+    """
+
+    def __init__(self, points: Array, number: int) -> None:
+        """Points (1, N, 2) px in a frame, at rest; NaN where there is none."""
+        # One tuple, which a thread takes whole while another one replaces it.
+        self._seen = points, np.zeros_like(points), number
+
+    def see(self, points: Array, number: int) -> None:
+        """The points of a later frame, NaN where lost."""
+        place, _, before = self._seen
+        frames = max(1, number - before)  # in the frame in which they were chosen they are at rest
+        moved = points - place
+        known = np.isfinite(moved).all(-1, keepdims=True)
+        typical = np.median(moved[known[..., 0]], axis=0) if known.any() else np.zeros(2, points.dtype)
+        moved = np.where(known, moved, typical)
+        self._seen = place + moved, moved / frames, number
+
+    def forget(self, points: Array) -> None:
+        """Those that are NaN in `points` (1, N, 2) are not followed any more."""
+        place, speed, number = self._seen
+        self._seen = np.where(np.isfinite(points), place, np.nan), speed, number
+
+    def expect(self, number: int) -> Array:
+        """(1, N, 2) px in a frame that may not have come yet."""
+        place, speed, before = self._seen
+        return place + speed * (number - before)
+
+
 class Stepper:
     """State of a stream, and what leads from one frame to the next.
 
@@ -790,13 +822,15 @@ class Stepper:
     Where the scene gives no threshold, nothing touches until `measure` has found one.
 
     Frames begin and are finished in their order, and run in between, up to `parallel` of them side by side. They need
-    no more of each other than predictions: a frame begins from the states of the last one that was finished. Where a
-    point was when the contact reached it is kept from the first frame that says so.
+    no more of each other than predictions: a frame begins from the states of the last one that was finished, with
+    points where their motion leads them by then. Where a point was when the contact reached it is kept from the first
+    frame that says so.
 
     Args:
-        parallel: frames that have begun and are not finished, at most.
+        parallel: frames that run side by side, at most.
 
     Attributes:
+        most: frames that have begun and are not finished, at most: one may wait for another that is slower.
         outputs, states: of `frame`, by name; which of them are the next frame's inputs.
         threshold: share of light lost above which a pixel touches; NaN while unknown.
         measures: whether the threshold is found in frames, by the graph `contact`.
@@ -814,7 +848,6 @@ class Stepper:
             self._sessions[_MEASURING] = self._open_measuring()
         self.outputs = outputs["frame"]
         self.found = self.keyed = 0
-        self._key_inputs = inputs["key"]
         self._of_scene: dict[str, Array] = {"topography_to_contact": scene.topography_to_contact}
         self._mask = _region_mask(scene, (1, 1, self._bundle.height, self._bundle.width))
 
@@ -823,14 +856,20 @@ class Stepper:
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
         self.states = {f"next_{name}" for name in states}
-        self.parallel = parallel
+        self.parallel, self.most = parallel, parallel + (parallel > 1)
         # What a frame writes is not written again while the next ones are computed from it.
-        sides = range(2 * parallel)
+        sides = range(2 * self.most)
         self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in sides]
         self._results = [
             {name: np.zeros(t.shape, t.dtype) for name, t in self.outputs.items() if name not in self.states}
             for _ in sides
         ]
+        if "prediction" not in inputs["frame"]:
+            raise PlayerError(f"{engine.bundle.files['frame']}: has no input 'prediction'; use a bundle of fingerflow")
+        self._expected = [self._room(inputs["frame"]["prediction"]) for _ in sides]
+        self._place_type = inputs["frame"]["prediction"].dtype
+        self._numbers = [0 for _ in sides]  # of the frames
+        self._motion = Motion(np.empty(0), 0)
         constants = self._constants(inputs["frame"], {*states, *held})
         self._bindings = [self._binding(side, constants) for side in sides]
         self._next, self._last = 0, len(sides) - 1  # side that is written next, and the last one that was finished
@@ -850,21 +889,21 @@ class Stepper:
             self.finish(side)
 
     def restart(self, slot: Slot) -> int:
-        """Chooses points anew in a frame and makes it the key frame; all states but the prediction become unknown."""
+        """Chooses points anew in a frame and makes it the key frame; all states become unknown."""
         given = {"topography_view": slot.views["topography_view"], "mask": self._mask}
         points = self._run("detect", given)["points"]
         self.found = int(np.isfinite(points).all(-1).sum())
         for value in self._states[self._last].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
+        self._motion = Motion(points, slot.number)
         self.key(slot, points)
         return self.found
 
     def key(self, slot: Slot, points: Array) -> int:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
         self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
-        if (state := self._states[self._last].get("prediction")) is not None:
-            state.update_inplace(np.ascontiguousarray(points, self._key_inputs["points"].dtype))
+        self._motion.forget(points)
         self.keyed = int(np.isfinite(points).all(-1).sum())
         return self.keyed
 
@@ -883,7 +922,10 @@ class Stepper:
         """Makes ready to compute a frame; gives the side that `run` and `finish` are to be called with."""
         side = self._next
         self._next = (side + 1) % len(self._bindings)
-        for name, value in (slot.values | self._states[self._last]).items():
+        self._numbers[side] = slot.number
+        self._expected[side].update_inplace(np.ascontiguousarray(self._motion.expect(slot.number), self._place_type))
+        given = slot.values | self._states[self._last] | {"prediction": self._expected[side]}
+        for name, value in given.items():
             self._bindings[side].bind_ortvalue_input(name, value)
         return side
 
@@ -892,22 +934,21 @@ class Stepper:
         self._engine.frame.run_with_iobinding(self._bindings[side])
 
     def finish(self, side: int) -> dict[str, Array]:
-        """Outputs by name, (1, ...), of a frame that has run; valid until `parallel` more have begun."""
+        """Outputs by name, (1, ...), of a frame that has run; valid until `most` more have begun."""
+        results = self._results[side]
+        self._motion.see(results["points"], self._numbers[side])
         if self.parallel > 1:
             self._learn(side)
         self._last = side
-        return self._results[side]
+        return results
 
     def _learn(self, side: int) -> None:
-        """A frame began without what the one before found: onsets known there stay, and places of points lost here."""
-        for name in ("reference", "prediction"):
-            if name in self._states[side]:
-                before, state = (self._states[one][name].numpy() for one in (self._last, side))
-                kept = np.isfinite(before)
-                if name == "prediction":
-                    kept &= np.isnan(self._results[side]["points"])
-                if (kept & (before != state)).any():
-                    self._states[side][name].update_inplace(np.where(kept, before, state))
+        """A frame began without what the one before found: onsets that are known there stay."""
+        if "reference" in self._states[side]:
+            before, state = (self._states[one]["reference"].numpy() for one in (self._last, side))
+            kept = np.isfinite(before)
+            if (kept & (before != state)).any():
+                self._states[side]["reference"].update_inplace(np.where(kept, before, state))
 
     def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
         arguments = getattr(self._sessions[graph], side)()
@@ -1262,7 +1303,7 @@ class Player:
         self._source, self._open_source = source, open_source
         # One slot is being filled, some computed, one drawn on the page, one becomes the key frame; the others wait.
         # Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.parallel)]
+        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.most)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
@@ -1282,7 +1323,7 @@ class Player:
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # for the source
         self._computing = stepper.parallel  # threads
-        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.parallel)
+        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.most)
         self._first, self._restarted, self._key_frame = math.nan, -math.inf, 0
         self._unmeasured, self._measured = stepper.measures, -math.inf
         self._change: _Change | None = None
