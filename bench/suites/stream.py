@@ -3,12 +3,14 @@
 Each recipe of `export/` is played as fast as it goes, one frame after the other and two side by side (the option
 `--parallel-frames 2`), and then two side by side for 60 s at the rate it is for, as a camera would give the frames.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
-waiting. On cores that do other work latencies mean little.
+waiting. `stalled` is what the machine takes from programs that only read the clock, in gaps of more than 1 ms, mean of
+3 s before and after: on cores that do other work latencies mean little.
 """
 
 from pathlib import Path
 
 from bench.rows import Row
+from bench.stalls import stalled_ms_per_s
 from bench.streams import exported, play
 
 RECIPES = Path(__file__).parents[2] / "export"
@@ -24,6 +26,7 @@ def run(quick: bool) -> list[Row]:
             for pace, parallel in ((None, 1), (None, 2), (rate, 2)):
                 count = 2 * rate if quick else 60 * rate if pace else 10 * rate
                 given = () if pace is None else ("--rate", str(pace))
+                before = stalled_ms_per_s()
                 summary = play(bundle, "--frames", str(count), "--parallel-frames", str(parallel), *given)
                 rows.append(
                     {
@@ -34,6 +37,7 @@ def run(quick: bool) -> list[Row]:
                         "frames": summary["processed"],
                         "dropped": summary["dropped"],
                         "overruns": summary["overruns"],
+                        "stalled_ms_per_s": (before + stalled_ms_per_s()) / 2,
                         # Without a pace the queue is always full, and latency is the wait in it.
                         **({f"{k}_ms": v for k, v in summary["latency_ms"].items()} if pace else {}),
                     }
