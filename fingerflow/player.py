@@ -784,39 +784,45 @@ class _Tensor(NamedTuple):
 class Motion:
     """Where points are expected: where each was seen last, and on at its own speed.
 
-    Points that are lost move with the median of the others, so that they are found again where the skin has gone.
+    A speed is the mean of those seen, the last one with half the weight: that of two positions alone would carry their
+    noise as many frames ahead as are asked for.
     """
+
+    _weight = 0.5
+    _trusted = 4  # frames that a speed is good for: after them a point waits for what comes
 
     def __init__(self, points: Array, number: int) -> None:
         """Points (1, N, 2) px in a frame, at rest; NaN where there is none."""
-        # One tuple, which a thread takes whole while another one replaces it.
-        self._seen = points, np.zeros_like(points), number
+        # One tuple, which a thread takes whole while another one replaces it: place, speed, whether it was seen.
+        self._state = points, np.zeros_like(points), np.isfinite(points), number
 
     def see(self, points: Array, number: int) -> None:
         """The points of a later frame, NaN where lost."""
-        place, _, before = self._seen
-        frames = max(1, number - before)  # in the frame in which they were chosen they are at rest
-        moved = points - place
-        known = np.isfinite(moved).all(-1, keepdims=True)
-        typical = np.median(moved[known[..., 0]], axis=0) if known.any() else np.zeros(2, points.dtype)
-        moved = np.where(known, moved, typical)
-        self._seen = place + moved, moved / frames, number
+        place, speed, before, last = self._state
+        frames = max(1, number - last)  # in the frame in which they were chosen they are at rest
+        seen = np.isfinite(points)
+        # One that was lost may be found beside where it was expected, which is no motion.
+        faster = np.where(seen & before, self._weight * ((points - place) / frames - speed), 0)
+        lasting = np.where(seen, 1, 1 - 1 / self._trusted).astype(points.dtype)
+        moved = speed * min(frames, self._trusted)
+        self._state = np.where(seen, points, place + moved), speed * lasting + faster, seen, number
 
     def forget(self, points: Array) -> None:
         """Those that are NaN in `points` (1, N, 2) are not followed any more."""
-        place, speed, number = self._seen
-        self._seen = np.where(np.isfinite(points), place, np.nan), speed, number
+        place, *others = self._state
+        self._state = np.where(np.isfinite(points), place, np.nan), *others  # type: ignore[assignment]
 
     def expect(self, number: int) -> Array:
         """(1, N, 2) px in a frame that may not have come yet."""
-        place, speed, before = self._seen
-        return place + speed * (number - before)
+        place, speed, _, last = self._state
+        return place + speed * min(number - last, self._trusted)
 
 
 class Stepper:
     """State of a stream, and what leads from one frame to the next.
 
-    Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``), tensors that the
+    Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``, but for the
+    prediction, in which frames that were dropped or are still computed count too: `Motion`), tensors that the
     graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
 
     Where the scene gives no threshold, nothing touches until `measure` has found one.
@@ -1327,6 +1333,7 @@ class Player:
         self._first, self._restarted, self._key_frame = math.nan, -math.inf, 0
         self._unmeasured, self._measured = stepper.measures, -math.inf
         self._change: _Change | None = None
+        self._drawing = False  # a frame is on its way to the page
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -1564,7 +1571,8 @@ class Player:
         drawn = None
         if self._change is None and (cause := self._cause_to_change(slot)):
             self._change = _Change(slot, outputs["points"].copy(), cause)
-        elif self.live.is_due():
+        elif not self._drawing and self.live.is_due():
+            self._drawing = True
             touching = outputs.get("touching")
             drawn = LiveViews(slot, None if touching is None else touching.copy())
         else:
@@ -1617,6 +1625,7 @@ class Player:
             if views is not None:
                 self.live.show(record, views)
                 self._free.put(views.slot)
+                self._drawing = False
             if record["time"] - traced >= _TRACE_INTERVAL:
                 traced = float(record["time"])
                 self.live.trace(record)

@@ -371,30 +371,52 @@ def test_openvino_gives_the_same(stream: Stream) -> None:
         np.testing.assert_allclose(ended.results.records[name], cpu[name], rtol=1e-6, err_msg=name)
 
 
-def test_points_are_expected_where_they_move() -> None:
-    """Each at its own speed, also over frames that were dropped; a lost one with the middle of the others."""
+def _moving() -> tuple[player.Motion, Any, Any]:
+    """Four points that have moved for 60 frames, of which every third was seen, and one that is none."""
     start = np.array([[[10, 20], [30, 40], [50, 60], [70, 80], [np.nan, np.nan]]], np.float32)
-    speed = np.array([[[1, 0], [2, -1], [4, -3], [0, 0], [0, 0]]], np.float32)
+    speed = np.array([[[1, 0], [2, -1], [0.5, -3], [0, 0], [0, 0]]], np.float32)
     motion = player.Motion(start, 7)
     np.testing.assert_array_equal(motion.expect(9), start)
-    motion.see(start, 7)
-    motion.see(start + 3 * speed, 10)
-    np.testing.assert_allclose(motion.expect(15), start + 8 * speed, rtol=1e-6)
-    seen = start + 5 * speed
-    seen[0, 0] = np.nan
-    motion.see(seen, 12)
-    expected = start + 10 * speed
-    expected[0, 0] = start[0, 0] + 3 * speed[0, 0] + 7 * np.array([2, -1])  # of speeds (2, -1), (4, -3) and (0, 0)
-    np.testing.assert_allclose(motion.expect(17), expected, rtol=1e-6)
-    motion.see(np.full_like(start, np.nan), 14)  # all are lost: where they were last
-    expected = start + 5 * speed
-    expected[0, 0] = start[0, 0] + 3 * speed[0, 0] + 2 * np.array([2, -1])
-    np.testing.assert_allclose(motion.expect(20), expected, rtol=1e-6)
-    assert motion.expect(20).dtype == np.float32
+    for frames in range(0, 61, 3):
+        motion.see(start + frames * speed, 7 + frames)
+    return motion, start + 60 * speed, speed
+
+
+def test_points_are_expected_where_they_move() -> None:
+    """Each at its own speed, up to 4 frames ahead."""
+    motion, place, speed = _moving()
+    for ahead, frames in ((0, 0), (1, 1), (4, 4), (5, 4), (100, 4)):
+        assert motion.expect(67 + ahead).dtype == np.float32
+        np.testing.assert_allclose(motion.expect(67 + ahead), place + frames * speed, rtol=1e-5)
+
+
+def test_lost_points_go_on_and_come_to_rest() -> None:
+    motion, place, speed = _moving()
+    seen = place + speed
+    seen[0, 1] = np.nan
+    motion.see(seen, 68)
+    np.testing.assert_allclose(motion.expect(68), place + speed, rtol=1e-5)
+    for frames in range(2, 60):
+        motion.see(np.full_like(place, np.nan), 67 + frames)
+    rest = place + speed + 4 * speed  # 1 + 3/4 + 9/16 ...
+    rest[0, 1] -= speed[0, 1]  # a frame before the others
+    np.testing.assert_allclose(motion.expect(130), rest, rtol=1e-5)
+    motion.see(rest + 0.8, 130)  # found beside: that is no motion
+    np.testing.assert_allclose(motion.expect(134), rest + 0.8, rtol=1e-5)
     motion.forget(seen)
-    assert motion.expect(20).dtype == np.float32
-    np.testing.assert_allclose(motion.expect(20)[0, 1:], expected[0, 1:], rtol=1e-6)
-    assert np.isnan(motion.expect(20)[0, 0]).all()
+    np.testing.assert_allclose(motion.expect(134)[0, [0, 2, 3]], (rest + 0.8)[0, [0, 2, 3]], rtol=1e-5)
+    assert np.isnan(motion.expect(134)[0, [1, 4]]).all()
+
+
+def test_noise_is_not_taken_for_motion() -> None:
+    """What is expected 4 frames ahead has weights 3, -1, -1/2, -1/4 ... of the positions, and 3.2 times their noise; by
+    the last two positions alone it would have weights 5 and -4, and 6.4 times."""
+    generator = np.random.default_rng(3)
+    start = np.full((1, 5000, 2), 100.0)
+    motion = player.Motion(start, 0)
+    for number in range(12):
+        motion.see(start + 0.05 * generator.standard_normal(start.shape), number)
+    assert np.std(motion.expect(100) - start) < 3.5 * 0.05
 
 
 @pytest.mark.parametrize(("newest_first", "order"), [(False, [1, 2, 3]), (True, [3, 2, 1])])
