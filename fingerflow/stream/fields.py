@@ -85,7 +85,7 @@ class FieldsStep(nn.Module):
         determined = determined & (narrowest >= (_LEAST_SPREAD * radius) ** 2) & (determinant > _TINY)
         by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of u and of v
         slopes = torch.stack((by_x * yy - by_y * xy, by_y * xx - by_x * xy), dim=2).flatten(1, 2)
-        gradient = torch.where(determined, slopes / determinant, torch.nan)
+        gradient = slopes / torch.where(determined, determinant, torch.nan)
         linear = self.measures @ gradient
         strain = linear[:, 2:] + self.products @ torch.cat(
             (_squares(gradient[:, :2]), _squares(gradient[:, 2:])), dim=1
