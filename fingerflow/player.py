@@ -809,8 +809,8 @@ class Motion:
 
     def forget(self, points: Array) -> None:
         """Those that are NaN in `points` (1, N, 2) are not followed any more."""
-        place, *others = self._state
-        self._state = np.where(np.isfinite(points), place, np.nan), *others  # type: ignore[assignment]
+        place, speed, before, last = self._state
+        self._state = np.where(np.isfinite(points), place, np.nan), speed, before, last
 
     def expect(self, number: int) -> Array:
         """(1, N, 2) px in a frame that may not have come yet."""
