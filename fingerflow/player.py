@@ -1268,12 +1268,10 @@ _HANGING = 2.0  # s that a stopped stream waits for its source before it is left
 _RESTART_INTERVAL = 1.0  # s; choosing points takes far longer than a step
 _MEASURE_INTERVAL = 0.5  # s between tries to find the threshold, each as long as a step or two
 _REKEY_SHARE = 0.8
+_REKEY = "rekey"  # why the key frame changes while its points stay
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
-
-
-_REKEY = "rekey"
 
 
 class _Change(NamedTuple):

@@ -22,12 +22,12 @@ def run(quick: bool) -> list[Row]:
     rows: list[Row] = []
     for path in sorted(RECIPES.glob("*.toml")):
         with exported(path.read_text(encoding="utf-8")) as bundle:
-            rate = RATES[path.stem]
+            rate, before = RATES[path.stem], stalled_ms_per_s()
             for pace, parallel in ((None, 1), (None, 2), (rate, 2)):
                 count = 2 * rate if quick else 60 * rate if pace else 10 * rate
                 given = () if pace is None else ("--rate", str(pace))
-                before = stalled_ms_per_s()
                 summary = play(bundle, "--frames", str(count), "--parallel-frames", str(parallel), *given)
+                after = stalled_ms_per_s()
                 rows.append(
                     {
                         "recipe": path.stem,
@@ -37,9 +37,10 @@ def run(quick: bool) -> list[Row]:
                         "frames": summary["processed"],
                         "dropped": summary["dropped"],
                         "overruns": summary["overruns"],
-                        "stalled_ms_per_s": (before + stalled_ms_per_s()) / 2,
+                        "stalled_ms_per_s": (before + after) / 2,
                         # Without a pace the queue is always full, and latency is the wait in it.
                         **({f"{k}_ms": v for k, v in summary["latency_ms"].items()} if pace else {}),
                     }
                 )
+                before = after
     return rows

@@ -1,10 +1,10 @@
 """Rounding to bytes by one operation of ONNX: clamp, round and cast are a pass over the frame each."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, library
 
 
-@torch.library.custom_op("fingerflow::nearest_byte", mutates_args=())
+@library.custom_op("fingerflow::nearest_byte", mutates_args=())
 def nearest_byte(values: Tensor) -> Tensor:
     """The whole numbers 0 to 255 (uint8) nearest to float32 values, of two that are as near the even one.
 
