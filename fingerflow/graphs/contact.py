@@ -1,4 +1,4 @@
-"""Torch modules made of ops: exactly what runs for a batch of frames, for any device, without hidden state."""
+"""Frames of the contact view to masks, areas and ellipse."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,8 @@ from fingerflow.ops.contact_classes import contact_classes
 from fingerflow.ops.dense_region import dense_region
 from fingerflow.ops.ellipse import Ellipse, fit_ellipse, mask_moments
 from fingerflow.ops.illumination import dequantize
-from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.otsu import histogram
 from fingerflow.ops.quantile import median_of_counts
-from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.ops.strain_uncertainty import divergence_deviation
-from fingerflow.ops.tracking import Tracks, track_points
 
 
 class Contact(NamedTuple):
@@ -85,86 +81,3 @@ class ContactGraph(nn.Module):
         # Contact without gaps has no valleys: the empty glass stands for them.
         valleys = torch.where(valleys.isfinite(), valleys, contact.classes.means[:, 0])
         return torch.where(apart & contact.threshold.isfinite(), dequantize((ridges + valleys) / 2), torch.nan)
-
-
-class TrackGraph(nn.Module):
-    """Points of one frame of the topography view found in another; settings as in ``ops.track_points``."""
-
-    def __init__(
-        self, window: int = 21, forward_backward_limit: float = 1.0, search: int = 0, gain_offset: bool = False
-    ) -> None:
-        super().__init__()
-        self.window = window
-        self.forward_backward_limit = forward_backward_limit
-        self.search = search
-        self.gain_offset = gain_offset
-
-    def forward(
-        self,
-        previous: Tensor,
-        current: Tensor,
-        points: Tensor,
-        initial: Tensor | None = None,
-        warp: Tensor | None = None,
-        noise: Tensor | None = None,
-    ) -> Tracks:
-        """(B, 1, H, W) images, (B, N, 2) points and predictions, (B, N, 2, 2) deformation gradients, (B,) noise."""
-        return track_points(
-            previous,
-            current,
-            points,
-            self.window,
-            initial=initial,
-            warp=warp,
-            gain_offset=self.gain_offset,
-            search=self.search,
-            noise=noise,
-            forward_backward_limit=self.forward_backward_limit,
-        )
-
-
-class Fields(NamedTuple):
-    """Fields at Q places of B frames.
-
-    Attributes:
-        displacement: (B, Q, 2), unit of the positions.
-        divergence, curl: (B, Q).
-        strain: (B, Q, 3) as (exx, eyy, exy).
-        divergence_std: (B, Q); None without variances.
-    """
-
-    displacement: Tensor
-    divergence: Tensor
-    curl: Tensor
-    strain: Tensor
-    divergence_std: Tensor | None
-
-
-class FieldsGraph(nn.Module):
-    """Displacements of scattered points to divergence, curl and strain by local fits over ``gauge_length``."""
-
-    def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
-        super().__init__()
-        self.gauge_length = gauge_length
-        self.measure = measure
-
-    def forward(
-        self,
-        reference: Tensor,
-        displacement: Tensor,
-        variance: Tensor | None = None,
-        queries: Tensor | None = None,
-    ) -> Fields:
-        """(B, N, 2) reference positions and displacements of one unit; variance (B, N) of a component in its square, if
-        the standard deviation of the divergence is wanted.
-
-        ``queries`` (B, Q, 2) are reference positions too; the points themselves by default.
-        """
-        fit = local_gradients(reference, displacement, queries, gauge_length=self.gauge_length, variance=variance)
-        return Fields(
-            fit.value,
-            divergence(fit.gradient),
-            curl(fit.gradient),
-            green_lagrange(fit.gradient, self.measure),
-            None if fit.covariance is None else divergence_deviation(fit.covariance),
-        )
