@@ -44,6 +44,9 @@ CSV = {
     "tab and decimal comma": "time (s)\tnormal (N)\ttangential [N]\ttrigger (V)\n" + rows("\t", ","),
     "blanks": "time (s) normal (N)  tangential[N] trigger (V)\n" + rows(" "),
     "comments and blank lines": "# taken 2 May\n\n% second\ntime (s),normal (N),tangential [N],trigger (V)\n" + rows(),
+    "comments between the samples": "time (s),normal (N),tangential [N],trigger (V)\n"
+    + rows().replace("\n", "\n\n   \n# paused\n", 3)
+    + "// the end\n",
     "milliseconds": "Time [ms],normal (N),tangential [N],trigger (V)\n" + rows(scale=1000),
     "line of units": "t;normal;tangential;trigger\ns;N;N;V\n" + rows(";"),
     "quotes": '"time (s)","normal (N)","tangential [N]","trigger (V)"\n' + rows(),

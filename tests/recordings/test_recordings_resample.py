@@ -4,10 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import i0
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Forces
-from fingerflow.recordings.forces.low_pass import kernel_half_width
+from fingerflow.recordings.forces.low_pass import (
+    PASS_BAND,
+    STOP_BAND,
+    STOP_BAND_DB,
+    kernel_half_width,
+    low_pass_at,
+)
 
 RATE = 10_000
 TIMES = np.arange(0, 1.5, 1 / RATE)
@@ -99,6 +106,48 @@ def test_constants_everywhere_and_ramps_inside_are_exact(times):
     values = forces(times, constant=np.full(times.size, 7.25), ramp=3 * times - 1).resample(inside)
     np.testing.assert_allclose(values["constant"], 7.25, rtol=1e-13)
     np.testing.assert_allclose(values["ramp"], 3 * inside - 1, rtol=0, atol=1e-12)
+
+
+def one_after_the_other(times: np.ndarray, values: np.ndarray, wanted: np.ndarray, nyquist: float) -> np.ndarray:
+    """What `low_pass_at` gives, frame by frame, by the formulas as they stand in its file."""
+    half_width, beta = kernel_half_width(nyquist), 0.1102 * (STOP_BAND_DB - 8.7)
+    steps = np.minimum(np.diff(times), 2 * np.median(np.diff(times)))
+    stretches = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2
+    result = np.empty((len(values), len(wanted)))
+    for frame, at in enumerate(wanted):
+        used = (times >= at - half_width) & (times <= at + half_width)
+        offset = times[used] - at
+        window = i0(beta * np.sqrt(np.clip(1 - (offset / half_width) ** 2, 0, None))) / i0(beta)
+        weights = np.sinc((PASS_BAND + STOP_BAND) * nyquist * offset) * window * stretches[used]
+        weights /= weights.sum()
+        odd = window * (offset - (window * offset).sum() / window.sum())
+        if at - half_width >= times[0] and at + half_width <= times[-1] and (odd * offset).sum() > 0:
+            weights = weights - (weights * offset).sum() / (odd * offset).sum() * odd
+        result[:, frame] = values[:, used] @ weights
+    return result
+
+
+CLOCKS = {
+    "3 kernels serve all": (TIMES, np.arange(450) / 300),
+    "1 kernel": (np.arange(0, 1.5, 1e-4), np.arange(1490) / 1000),
+    "no two frames alike": (TIMES, 1.49 * np.sort(np.random.default_rng(3).random(200))),
+    "uneven": (uneven_times(), 0.001 + np.arange(400) / 300),
+    "times of 6 digits": (np.round(np.arange(0, 1.5, 1 / 31000), 6), np.arange(449) / 300),
+    "a gap": (TIMES[(TIMES < 0.5) | (TIMES > 0.502)], np.arange(449) / 300),
+    "far from time 0": (1e4 + TIMES, 1e4 + np.arange(449) / 300),
+    "backward": (TIMES, np.arange(449)[::-1] / 300),
+    "shorter than the kernel": (np.arange(0, 0.02, 1e-3), np.arange(5) / 300),
+    "two samples": (np.array([0.0, 0.002]), np.array([0.001])),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_frames_that_share_a_kernel_get_what_each_would_by_itself(clock):
+    """Samples that lie alike to a billionth of a step are taken for the same, so 1e-9 of noise of 1 is the bound."""
+    times, wanted = CLOCKS[clock]
+    values = 5 + np.random.default_rng(1).normal(size=(2, len(times)))
+    expected = one_after_the_other(times, values, wanted, 150.0)
+    np.testing.assert_allclose(low_pass_at(times, values, wanted, 150.0), expected, rtol=0, atol=1e-9)
 
 
 def test_the_ends_of_the_record_are_no_zeros():

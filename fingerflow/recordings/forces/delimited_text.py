@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table, split_unit
@@ -25,38 +26,55 @@ def read_table(path: Path) -> Table:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    lines = [line for line in text.splitlines() if (begun := line.lstrip()) and not begun.startswith(COMMENTS)]
-    if not lines:
+    lines = (line for line in re.finditer(r"[^\r\n]+", text) if _is_read(line.group()))
+    first = next(lines, None)
+    if first is None:
         raise FingerflowError(f"{path}: has no line besides comments")
-    separator = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
+    heading = first.group()
+    separator = next((mark for mark in (";", "\t", ",") if mark in heading), None)
     if separator is None:
-        lines[0] = re.sub(r"\s+([(\[])", r"\1", lines[0])  # the blank before a unit separates no columns
-    split = [cell.strip().strip('"').strip() for cell in lines[0].split(separator)]
+        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit separates no columns
+    split = [cell.strip().strip('"').strip() for cell in heading.split(separator)]
     units: dict[str, str] = {}
+    sample: re.Match[str] | None = first
     if _is_numeric(split, separator):
-        names, rows = [f"column_{number + 1}" for number in range(len(split))], lines
+        names = [f"column_{number + 1}" for number in range(len(split))]
     else:
-        names, units, rows = _heading(path, split, lines[1:], separator)
-    if not rows:
+        sample = next(lines, None)
+        names, units, has_units = _heading(path, split, "" if sample is None else sample.group(), separator)
+        sample = next(lines, None) if has_units else sample
+    if sample is None:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
-    body = "\n".join(rows)
+    body = text[sample.start() :]
     if separator != ",":
         body = body.replace(",", ".")
     try:
-        numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None, usecols=range(len(names)))
-    except ValueError as error:
-        raise FingerflowError(
-            f"{path}: below the heading {split} there is something besides numbers: {error}"
-        ) from None
+        numbers = _numbers(body, separator, len(names))
+    except ValueError:
+        # Among the samples there may be comments: looking at each line takes as long as reading the numbers.
+        try:
+            numbers = _numbers("\n".join(filter(_is_read, body.splitlines())), separator, len(names))
+        except ValueError as error:
+            raise FingerflowError(
+                f"{path}: below the heading {split} there is something besides numbers: {error}"
+            ) from None
     table = Table(path, {}, units)
     for name, column in zip(names, numbers.T, strict=True):
         table.columns[name] = np.ascontiguousarray(column)
     return table
 
 
-def _heading(
-    path: Path, cells: list[str], rows: list[str], separator: str | None
-) -> tuple[list[str], dict[str, str], list[str]]:
+def _is_read(line: str) -> bool:
+    begun = line.lstrip()
+    return bool(begun) and not begun.startswith(COMMENTS)
+
+
+def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
+    return np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None, usecols=range(columns))
+
+
+def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
+    """Names and units of the columns, and whether the line below the heading holds units."""
     while cells and not cells[-1]:
         cells.pop()  # a separator at the end of each line
     names, units = [], {}
@@ -67,12 +85,11 @@ def _heading(
         names.append(name)
         if unit:
             units[name] = unit
-    if rows:
-        second = [cell.strip().strip('"').strip("()[] ") for cell in rows[0].split(separator)][: len(names)]
-        if not any(_is_numeric([cell], separator) for cell in second):
-            units.update({name: unit for name, unit in zip(names, second, strict=False) if unit})
-            rows = rows[1:]
-    return names, units, rows
+    second = [cell.strip().strip('"').strip("()[] ") for cell in below.split(separator)][: len(names)]
+    has_units = bool(below) and not any(_is_numeric([cell], separator) for cell in second)
+    if has_units:
+        units.update({name: unit for name, unit in zip(names, second, strict=False) if unit})
+    return names, units, has_units
 
 
 def _is_numeric(cells: list[str], separator: str | None) -> bool:
