@@ -104,7 +104,7 @@ def _stream(
     def begin(indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, Tensor]:
         with torch.inference_mode():  # of this thread
             with _timed(seconds, "decoding"):
-                frames = recording[indices].read()
+                frames = recording[indices].mapped()
             with _timed(seconds, "contact"):
                 gross = contact.run(indices, frames).gross
                 damaged.extend(indices[~_whole(scene.views.contact.crop(frames))].tolist())

@@ -13,7 +13,7 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import OUTPUTS, plan
-from fingerflow.recordings import open_recording
+from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
@@ -150,6 +150,7 @@ def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPa
     from fingerflow.recordings.frames.npy import NpyRecording
 
     monkeypatch.setattr(NpyRecording, "_read_frame", None)
+    monkeypatch.setattr(NpyRecording, "mapped", None)
     forces = process(scene, ["normal_force"])
     assert set(forces.data_vars) == {"normal_force", "tangential_force"}
 
@@ -251,6 +252,7 @@ def test_no_recording_is_closed_while_it_is_read(
         assert ahead.wait(10)
         raise error("tracking")
 
+    monkeypatch.setattr(Recording, "mapped", Recording.read)
     monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
     monkeypatch.setattr(NpyRecording, "close", noted_close)
     monkeypatch.setattr(TrackingStage, "run", fail)

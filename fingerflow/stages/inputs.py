@@ -36,13 +36,15 @@ class Inputs:
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
-        """A view of frames (n, H, W) as (n, 1, h, w) on the device. uint16 becomes int32, which torch can compute
-        with."""
-        part = np.ascontiguousarray(view.crop(frames))
+        """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
+        memory of the frames. uint16 becomes int32, which torch can compute with."""
+        part = view.crop(frames)
         if part.dtype == np.uint16:
             part = part.astype(np.int32)
         elif part.dtype == np.float64:
             part = part.astype(np.float32)
+        elif not part.flags.writeable:
+            part = np.asarray(_Lent(part))
         return torch.from_numpy(part)[:, None].to(self.device)
 
     def reference(self, view: View) -> Tensor:
@@ -68,8 +70,17 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            mean = still[:_REFERENCE_FRAMES].read().mean(axis=0, dtype=np.float64)
-        return torch.from_numpy(view.crop(mean).astype(np.float32))[None, None].to(self.device)
+            mean = view.crop(still[:_REFERENCE_FRAMES].mapped()).mean(axis=0, dtype=np.float64)
+        return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
+
+
+class _Lent:
+    """An array of a memory map that says it may be written to: torch warns of others, and stages only read."""
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        self._array = array  # alive as long as what is made of this
+        address = array.__array_interface__["data"][0]
+        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
 
 
 def open_inputs(scene: Scene, device: str) -> Inputs:

@@ -106,7 +106,7 @@ class TrackingStage:
             # A point that is lost in one frame may be found again in the next, near where it was last.
             self._last = torch.where(tracks.points.isfinite(), tracks.points, self._last)
         else:
-            self._template, self._noise, self._start, self._last = image, noise, tracks.points, tracks.points
+            self._template, self._noise, self._start, self._last = image.clone(), noise, tracks.points, tracks.points
         return tracks
 
     def _begin(self, image: Tensor) -> None:
@@ -130,7 +130,8 @@ class TrackingStage:
                 f"contact region of the "
                 "topographic view, at least 3 are needed. Check [views.topography], the calibration and the focus."
             )
-        self._template, self._start, self._last = image, points, points
+        # A copy: the image is a part of a batch of frames, which it would keep in memory.
+        self._template, self._start, self._last = image.clone(), points, points
         count = (len(self._inputs.recording), points.shape[1])
         self.series = TrackSeries(
             position=np.full((*count, 2), np.nan),

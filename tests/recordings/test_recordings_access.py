@@ -57,9 +57,32 @@ def test_slices_and_lists_choose_as_numpy_does(path, key):
     view = recording[key]
     assert len(view) == len(expected)
     np.testing.assert_array_equal(view.read(), expected)
+    np.testing.assert_array_equal(view.mapped(), expected)
     assert all(np.array_equal(frame, wanted) for frame, wanted in zip(view, expected, strict=True))
     expected_times = (np.arange(11) / 100)[np.asarray(key, dtype=int) if isinstance(key, (list, range)) else key]
     np.testing.assert_allclose(view.times, expected_times)
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "copies"),
+    [
+        (np.ascontiguousarray, slice(2, 9), False),
+        (np.ascontiguousarray, slice(2, 9, 3), False),
+        (np.ascontiguousarray, [4], False),
+        (np.ascontiguousarray, [4, 5, 7], True),  # at no even distance
+        (np.ascontiguousarray, slice(None, None, -1), True),  # which tensors do not have
+        (np.asfortranarray, slice(2, 9), True),
+        (lambda frames: frames.astype(">u2"), slice(2, 9), True),
+    ],
+)
+def test_frames_that_lie_ready_in_the_file_are_not_copied(tmp_path, reads, change, key, copies):
+    np.save(tmp_path / "frames.npy", change(FRAMES))
+    with open_recording(tmp_path / "frames.npy") as recording:
+        frames = recording[key].mapped()
+        assert bool(reads) == copies
+        assert frames.flags.writeable == copies  # nobody writes into the file
+        assert frames.dtype == np.uint16
+    np.testing.assert_array_equal(frames, FRAMES[key])  # also when the recording is closed
 
 
 def test_slices_of_slices(path):

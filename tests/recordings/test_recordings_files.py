@@ -144,6 +144,7 @@ def test_tiff(tmp_path, frames, bits, options):
     tifffile.imwrite(tmp_path / "a.tif", frames, photometric="minisblack", **options)
     with open_recording(tmp_path / "a.tif") as recording:
         np.testing.assert_array_equal(recording.read(), frames)
+        np.testing.assert_array_equal(recording.mapped(), frames)
         np.testing.assert_array_equal(recording[[5, 0]].read(), frames[[5, 0]])
         assert (recording.dtype, recording.bit_depth, recording.frame_rate) == (frames.dtype, bits, None)
         assert recording[0].dtype.isnative

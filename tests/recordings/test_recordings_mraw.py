@@ -41,6 +41,7 @@ def test_sixteen_bit_from_either_file_of_the_pair(tmp_path, opened):
     write_pair(tmp_path, FRAMES.astype("<u2").tobytes())
     recording = open_recording(tmp_path / opened)
     np.testing.assert_array_equal(recording.read(), FRAMES)
+    np.testing.assert_array_equal(recording.mapped(), FRAMES)
     assert recording.bit_depth == 12
     assert recording.frame_rate == 300  # every tenth of 3000 frames a second was saved
     np.testing.assert_allclose(recording.times, (np.arange(6) * 10 - 20) / 3000)
@@ -51,6 +52,7 @@ def test_bits_on_the_higher_side_are_shifted_down(tmp_path):
     path = write_pair(tmp_path, (FRAMES << 4).astype("<u2").tobytes(), EffectiveBit_Side="Higher")
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
+    np.testing.assert_array_equal(recording.mapped(), FRAMES)
     assert recording.bit_depth == 12
 
 
@@ -58,6 +60,7 @@ def test_twelve_bit_packed(tmp_path):
     path = write_pair(tmp_path, b"".join(pack_bits(frame, 12) for frame in FRAMES), Color_Bit=12)
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
+    np.testing.assert_array_equal(recording.mapped(), FRAMES)
     assert (recording.bit_depth, recording.dtype) == (12, np.dtype(np.uint16))
 
 
@@ -81,6 +84,7 @@ def test_xml_header_between_binary_blocks(tmp_path):
     (tmp_path / "take 1.cihx").write_bytes(b"\x00\xffCIHX" + xml.encode() + b"\x01\x02")
     recording = open_recording(path)
     np.testing.assert_array_equal(recording.read(), FRAMES)
+    np.testing.assert_array_equal(recording.mapped(), FRAMES)
     assert recording.frame_rate == 1000
     assert recording.times[0] == pytest.approx(52 / 2000)
     assert recording.metadata["camera"].startswith("FASTCAM Nova")

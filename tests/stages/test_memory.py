@@ -24,10 +24,10 @@ class Watch:
         self.frames = self.most_frames = self.most_tensors = 0
         self._pixels = pixels
         self._batches = 0
-        read, run = Recording.read, ContactStage.run
+        run = ContactStage.run
 
         def counted_read(recording: Recording) -> np.ndarray[Any, Any]:
-            frames = read(recording)
+            frames = recording.read()  # as from a file that has to be decoded
             self.frames += len(frames)
             self.most_frames = max(self.most_frames, self.frames)
             weakref.finalize(frames, self._let_go, len(frames))
@@ -39,7 +39,7 @@ class Watch:
                 self.most_tensors = max(self.most_tensors, self._tensors())
             return run(stage, *arguments)
 
-        monkeypatch.setattr(Recording, "read", counted_read)
+        monkeypatch.setattr(Recording, "mapped", counted_read)
         monkeypatch.setattr(ContactStage, "run", counted_run)
 
     def _tensors(self) -> int:

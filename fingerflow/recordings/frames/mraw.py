@@ -95,9 +95,9 @@ class MrawRecording(FileRecording):
     """Frames lie one behind the other without any gap."""
 
     def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _Layout) -> None:
-        super().__init__(description, frame_rate)
         self._layout = layout
         self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
+        super().__init__(description, frame_rate, self._as_frames(description.count))
 
     def _read_frame(self, index: int) -> Frames:
         layout = self._layout
@@ -106,7 +106,16 @@ class MrawRecording(FileRecording):
             return unpack_12bit(data, layout.shape[0] * layout.shape[1]).reshape(layout.shape)
         return data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(layout.shift)
 
+    def _as_frames(self, count: int) -> Frames | None:
+        """The bytes as frames (N, H, W), where they are not packed or shifted."""
+        layout = self._layout
+        if layout.stored_bits == 12 or layout.shift:
+            return None
+        pixels = self._bytes[: count * layout.frame_bytes].view(layout.dtype.newbyteorder("<"))
+        return pixels.reshape(count, *layout.shape)
+
     def close(self) -> None:
+        super().close()
         self._bytes = np.empty(0, np.uint8)
 
 

@@ -51,14 +51,15 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
 
 
 class NpyRecording(FileRecording):
-    """Frames copied out of a memory map one at a time."""
+    """Frames in a memory map."""
 
     def __init__(self, description: Description, frame_rate: float | None, frames: np.ndarray[Any, Any]) -> None:
-        super().__init__(description, frame_rate)
+        super().__init__(description, frame_rate, frames)
         self._frames = frames
 
     def _read_frame(self, index: int) -> Frames:
         return np.array(self._frames[index], self.dtype)
 
     def close(self) -> None:
+        super().close()
         self._frames = np.empty((0, *self.frame_shape), self.dtype)

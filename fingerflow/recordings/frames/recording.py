@@ -110,12 +110,22 @@ class Recording(ABC):
             frames[index] = self._read_frame(index)
         return frames
 
+    def mapped(self) -> Frames:
+        """All frames as one array (N, H, W), not to be written to: where the file's pixels are what frames are made of,
+        they are its memory map, and no copy is made; else they are read."""
+        frames = self._memory_map()
+        return self.read() if frames is None else frames
+
     def batches(self, size: int) -> Iterator[Frames]:
         """Arrays (n, H, W) with n = `size`, the last one shorter if need be; one is in memory at a time."""
         if size < 1:
             raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
         for start in range(0, len(self), size):
             yield self[start : start + size].read()
+
+    def _memory_map(self) -> Frames | None:
+        """The frames (N, H, W) as they lie in memory, where they do; None where they have to be read."""
+        return None
 
     def _view(self, indices: Sequence[int]) -> Recording:
         return _View(self, indices)
@@ -128,13 +138,14 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """A recording as it stands in a file. Readers add `_read_frame`.
+    """A recording as it stands in a file. Readers add `_read_frame`, and say `stack` where frames need no decoding: the
+    pixels (N, H, W) in a memory map.
 
     A `frame_rate` given by the user replaces whatever the file says, time stamps included: frame i then lies at
     (first number + i) / frame_rate, so that the trigger keeps its place.
     """
 
-    def __init__(self, description: Description, frame_rate: float | None = None) -> None:
+    def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
         self.path = description.path
         self.frame_shape = description.frame_shape
         self.dtype = description.dtype.newbyteorder("=")
@@ -143,6 +154,9 @@ class FileRecording(Recording):
         self.metadata = description.metadata
         self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
         self._count = description.count
+        # Rows of a frame in one piece and numbers as this processor has them, or a copy would be needed after all.
+        usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
+        self._map = np.asarray(stack) if usable else None
         if frame_rate is None and description.time_stamps is not None:
             self.times = description.time_stamps
         elif self.frame_rate is not None:
@@ -153,8 +167,12 @@ class FileRecording(Recording):
     def __len__(self) -> int:
         return self._count
 
+    def _memory_map(self) -> Frames | None:
+        return self._map
+
     def close(self) -> None:
-        """Nothing to let go of, unless a reader keeps the file open."""
+        """Lets go of the memory map; readers that keep the file open close it."""
+        self._map = None
 
 
 class _View(Recording):
@@ -177,6 +195,16 @@ class _View(Recording):
 
     def _read_frame(self, index: int) -> Frames:
         return self._file._read_frame(self._indices[index])
+
+    def _memory_map(self) -> Frames | None:
+        stack, indices = self._file._memory_map(), self._indices
+        if stack is None or not len(indices):
+            return None
+        first, last = indices[0], indices[-1]
+        step = indices[1] - first if len(indices) > 1 else 1
+        # Tensors have no strides below zero.
+        even = step > 0 and last - first == step * (len(indices) - 1) and np.all(np.diff(indices) == step)
+        return stack[first : last + 1 : step] if even else None
 
     def _view(self, indices: Sequence[int]) -> Recording:
         # A view of a view points to the file at once, so that a chain of slices stays as fast as one.

@@ -46,7 +46,7 @@ class TiffRecording(FileRecording):
     def __init__(
         self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, stack: _Stack
     ) -> None:
-        super().__init__(description, frame_rate)
+        super().__init__(description, frame_rate, stack if isinstance(stack, np.ndarray) else None)
         self._file = file
         self._stack = stack
 
@@ -54,6 +54,7 @@ class TiffRecording(FileRecording):
         return np.array(self._stack[index], self.dtype).reshape(self.frame_shape)
 
     def close(self) -> None:
+        super().close()
         self._stack = []
         self._file.close()
 
