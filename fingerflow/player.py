@@ -29,7 +29,7 @@ import time
 import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -87,7 +87,9 @@ class View(NamedTuple):
 class Scene:
     """Where the views lie in a frame, their scale, and what empty glass looks like.
 
-    ``region`` is the part of the topography view in which points are chosen, None for all of it.
+    Frames count from `first_frame` to `last_frame` of the recording. ``region`` is the part of the topography view in
+    which points are chosen, None for all of it. ``asked`` has the settings that a recipe has decided already, by table
+    and key.
     """
 
     contact: View
@@ -99,10 +101,13 @@ class Scene:
     dark: Path | None = None
     frames: Path | None = None
     frame_rate: float | None = None
+    first_frame: int = 0
+    last_frame: int | None = None
     output: Path | None = None
     region: View | None = None
     rekey_share: float | None = None
     rekey_frames: int | None = None
+    asked: Mapping[str, Any] = field(default_factory=dict)
 
 
 def side_by_side(height: int, width: int) -> Scene:
@@ -132,9 +137,11 @@ class _SceneFile:
             self._refuse_unknown(self.values.get(table, {}), keys, f"{table}.")
 
     def scene(self) -> Scene:
-        unused = [table for table in ("tracking", "fields") if table in self.values]
-        if unused:
-            log.info("%s: [%s] is not used: the bundle's recipe says how", self.path, "], [".join(unused))
+        first, last = self._count("recording.first_frame", 0) or 0, self._count("recording.last_frame", 0)
+        if last is not None and last < first:
+            raise self._wrong(
+                "recording.last_frame", last, f"both are included: first_frame, {first}, or more is needed"
+            )
         scale, transform = self._calibration()
         return Scene(
             contact=self._view("views.contact"),
@@ -146,10 +153,17 @@ class _SceneFile:
             dark=self._file("background.dark"),
             frames=self._file("recording.frames"),
             frame_rate=self._number("recording.frame_rate", 0.0, 1e6),
+            first_frame=first,
+            last_frame=last,
             output=self._file("stream.output"),
             region=None if self._get("stream.region") is None else self._view("stream.region"),
             rekey_share=self._number("stream.rekey_share", 0.0, 1.0),
             rekey_frames=self._count("stream.rekey_frames"),
+            asked={
+                f"{table}.{key}": value
+                for table in ("contact", "tracking", "fields")
+                for key, value in self.values.get(table, {}).items()
+            },
         )
 
     def _threshold(self) -> float | None:
@@ -212,8 +226,8 @@ class _SceneFile:
             raise self._wrong(name, value, f"a number above {above:g} and up to {most:g} is needed")
         return float(value)
 
-    def _count(self, name: str) -> int | None:
-        value = self._number(name, 0, 1e9)
+    def _count(self, name: str, least: int = 1) -> int | None:
+        value = self._number(name, least - 1, 1e9)
         if value is not None and value != int(value):
             raise self._wrong(name, value, "a whole number is needed")
         return None if value is None else int(value)
@@ -246,7 +260,7 @@ PROVIDERS = {
 }
 _PLUGINS = {"openvino": "onnxruntime_ep_openvino"}  # providers that come as a package beside onnxruntime
 _ON_GPU = ("tensorrt", "cuda")  # those whose memory can be bound, so that states and held tensors stay there
-GRAPHS = ("frame", "detect", "key", "background")  # without which nothing can be played
+GRAPHS = ("frame", "fields", "detect", "key", "background")  # without which nothing can be played
 _MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 
 
@@ -583,20 +597,37 @@ def open_camera(name: str) -> Source:
     return Camera(grab)
 
 
-def mean_frame(path: Path, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """The mean of all frames of a file, of their type."""
+_STILLS = 64  # of a recording of the empty glass are averaged: its noise is then an eighth of a frame's
+
+
+def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
+    """A view of the mean of the first frames of a file, (H, W) float32; the frames may be of the view alone.
+
+    Raises PlayerError where the file has no frame, or frames of another size or depth than the camera's.
+    """
     source = open_recording(path, shape, dtype)
+    total, count = np.zeros(view.shape), 0
     try:
-        frame = first = source.read()
-        total, count = np.zeros(() if first is None else first.shape), 0
-        while frame is not None:
-            total, count = total + frame, count + 1
-            frame = source.read()
+        while count < _STILLS and (frame := source.read()) is not None:
+            if frame.dtype.kind != "f" and frame.dtype != bundle.dtype:
+                raise PlayerError(
+                    f"{path}: a frame is {frame.dtype}, the bundle takes {bundle.dtype} (bit_depth "
+                    f"{bundle.bit_depth}): grey levels of two depths cannot be compared; record it with the settings "
+                    "of the stream"
+                )
+            part = frame if frame.shape == view.shape else view.crop(frame)
+            if part.shape != view.shape:
+                raise PlayerError(
+                    f"{path}: a frame is {frame.shape}, the view of the scene needs (H, W) of at least "
+                    f"{(view.rows[1], view.columns[1])}; record it with the settings of the stream"
+                )
+            total, count = total + part, count + 1
     finally:
         source.close()
-    if first is None:
+    if not count:
         raise PlayerError(f"{path}: has no frame; one of the empty glass is needed")
-    return np.rint(total / count).astype(first.dtype)
+    mean: Array = (total / count).astype(np.float32)
+    return mean
 
 
 # --- hand-over between threads ----------------------------------------------------------------------------------------
@@ -661,31 +692,34 @@ class InOrder(Generic[T]):
     Args:
         end: called with one piece after the other, by any of the threads; False stops.
         most: pieces that have begun and not ended, at most.
+
+    Attributes:
+        begun: pieces that have begun.
     """
 
     def __init__(self, end: Callable[[T], bool], most: int) -> None:
         self._end, self._most = end, most
         self._done: dict[int, T] = {}
-        self._begun = self._ended = 0
+        self.begun = self._ended = 0
         self._ending = self._stopped = False
         self._changed = threading.Condition()
 
     def wait_for_room(self) -> bool:
         """Until another may begin; False after a stop."""
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._begun - self._ended < self._most)
+            self._changed.wait_for(lambda: self._stopped or self.begun - self._ended < self._most)
             return not self._stopped
 
     def wait_for_all(self) -> bool:
         """Until all that have begun have ended; False after a stop."""
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._ended == self._begun)
+            self._changed.wait_for(lambda: self._stopped or self._ended == self.begun)
             return not self._stopped
 
     def begin(self) -> int:
         """The number of a piece that begins, by one thread at a time."""
-        self._begun += 1
-        return self._begun - 1
+        self.begun += 1
+        return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
         """Ends a piece, and those that wait for it, unless one before it is missing."""
@@ -781,63 +815,73 @@ class _Tensor(NamedTuple):
         return cls(argument.name, tuple(shape), np.dtype(_NUMPY[argument.type]))
 
 
-class Motion:
+class Motion(NamedTuple):
     """Where points are expected: where each was seen last, and on at its own speed.
 
     A speed is the mean of those seen, the last one with half the weight: that of two positions alone would carry their
     noise as many frames ahead as are asked for.
+
+    Attributes:
+        place: (1, N, 2) px in frame `number`, NaN where there is no point.
+        speed: px a frame.
+        seen: whether it was, in that frame.
     """
 
-    _weight = 0.5
-    _trusted = 4  # frames that a speed is good for: after them a point waits for what comes
+    place: Array
+    speed: Array
+    seen: Array
+    number: int
 
-    def __init__(self, points: Array, number: int) -> None:
-        """Points (1, N, 2) px in a frame, at rest; NaN where there is none."""
-        # One tuple, which a thread takes whole while another one replaces it: place, speed, whether it was seen.
-        self._state = points, np.zeros_like(points), np.isfinite(points), number
+    @classmethod
+    def at_rest(cls, points: Array, number: int) -> Motion:
+        """Points (1, N, 2) px of a frame."""
+        return cls(points, np.zeros_like(points), np.isfinite(points), number)
 
-    def see(self, points: Array, number: int) -> None:
-        """The points of a later frame, NaN where lost."""
-        place, speed, before, last = self._state
-        frames = max(1, number - last)  # in the frame in which they were chosen they are at rest
+    def see(self, points: Array, number: int) -> Motion:
+        """After a later frame with these points, NaN where lost."""
+        frames = max(1, number - self.number)  # in the frame in which they were chosen they are at rest
         seen = np.isfinite(points)
         # One that was lost may be found beside where it was expected, which is no motion.
-        faster = np.where(seen & before, self._weight * ((points - place) / frames - speed), 0)
-        lasting = np.where(seen, 1, 1 - 1 / self._trusted).astype(points.dtype)
-        moved = speed * min(frames, self._trusted)
-        self._state = np.where(seen, points, place + moved), speed * lasting + faster, seen, number
+        faster = np.where(seen & self.seen, _NEWEST * ((points - self.place) / frames - self.speed), 0)
+        lasting = np.where(seen, 1, 1 - 1 / _TRUSTED).astype(points.dtype)
+        moved = self.speed * min(frames, _TRUSTED)
+        return Motion(np.where(seen, points, self.place + moved), self.speed * lasting + faster, seen, number)
 
-    def forget(self, points: Array) -> None:
+    def without(self, points: Array) -> Motion:
         """Those that are NaN in `points` (1, N, 2) are not followed any more."""
-        place, speed, before, last = self._state
-        self._state = np.where(np.isfinite(points), place, np.nan), speed, before, last
+        return self._replace(place=np.where(np.isfinite(points), self.place, np.nan).astype(points.dtype))
 
     def expect(self, number: int) -> Array:
         """(1, N, 2) px in a frame that may not have come yet."""
-        place, speed, _, last = self._state
-        return place + speed * min(number - last, self._trusted)
+        return self.place + self.speed * min(number - self.number, _TRUSTED)
+
+
+_NEWEST = 0.5  # weight of the speed seen last
+_TRUSTED = 4  # frames that a speed is good for: after them a point waits for what comes
+
+
+LAG = 2  # frames: each begins from what the one before the last has found, whether or not a newer one has ended
 
 
 class Stepper:
     """State of a stream, and what leads from one frame to the next.
 
-    Inputs of `frame` are the views, its own states (an output ``next_X`` is the next frame's ``X``, but for the
-    prediction, in which frames that were dropped or are still computed count too: `Motion`), tensors that the
+    Two graphs run for a frame. `frame` needs of the frames before only where points are expected: so frames run side by
+    side, each from the motion that was known `lag` frames before it. `fields` runs when a frame is finished, one after
+    the other, and has states: an output ``next_X`` is the next frame's input ``X``. Other inputs are tensors that the
     graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
 
-    Where the scene gives no threshold, nothing touches until `measure` has found one.
+    Frames begin and are finished in their order. What a frame gives depends on the frames before it and on nothing
+    else, neither the clock nor which of them happened to be done.
 
-    Frames begin and are finished in their order, and run in between, up to `parallel` of them side by side. They need
-    no more of each other than predictions: a frame begins from the states of the last one that was finished, with
-    points where their motion leads them by then. Where a point was when the contact reached it is kept from the first
-    frame that says so.
+    Where the scene gives no threshold, nothing touches until one was measured and set.
 
     Args:
         parallel: frames that run side by side, at most.
 
     Attributes:
-        most: frames that have begun and are not finished, at most: one may wait for another that is slower.
-        outputs, states: of `frame`, by name; which of them are the next frame's inputs.
+        lag: frames that have begun and are not finished, at most.
+        outputs: of both graphs, by name; states are left out.
         threshold: share of light lost above which a pixel touches; NaN while unknown.
         measures: whether the threshold is found in frames, by the graph `contact`.
         found, keyed: points found at the last restart, and given to the last key frame.
@@ -852,109 +896,114 @@ class Stepper:
         self.measures = scene.threshold is None and "threshold" in inputs["background"]
         if self.measures:
             self._sessions[_MEASURING] = self._open_measuring()
-        self.outputs = outputs["frame"]
+        states = [name for name in inputs["fields"] if f"next_{name}" in outputs["fields"]]
+        results = {name: tensor for name, tensor in outputs["fields"].items() if name.removeprefix("next_") == name}
+        self.outputs = outputs["frame"] | results
         self.found = self.keyed = 0
         self._of_scene: dict[str, Array] = {"topography_to_contact": scene.topography_to_contact}
         self._mask = _region_mask(scene, (1, 1, self._bundle.height, self._bundle.width))
+        if "prediction" not in inputs["frame"]:
+            raise PlayerError(f"{engine.bundle.files['frame']}: has no input 'prediction'; use a bundle of fingerflow")
 
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
         self._held = {name: self._room(tensor) for name, tensor in held.items()}
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
-        states = [name for name in inputs["frame"] if f"next_{name}" in self.outputs]
-        self.states = {f"next_{name}" for name in states}
-        self.parallel, self.most = parallel, parallel + (parallel > 1)
-        # What a frame writes is not written again while the next ones are computed from it.
-        sides = range(2 * self.most)
-        self._states = [{name: self._room(inputs["frame"][name]) for name in states} for _ in sides]
-        self._results = [
-            {name: np.zeros(t.shape, t.dtype) for name, t in self.outputs.items() if name not in self.states}
-            for _ in sides
-        ]
-        if "prediction" not in inputs["frame"]:
-            raise PlayerError(f"{engine.bundle.files['frame']}: has no input 'prediction'; use a bundle of fingerflow")
+        self.parallel, self.lag = parallel, max(LAG, parallel)
+        # What a frame writes is not written again while its motion is still asked for.
+        sides = range(2 * self.lag)
+        self._results = [{name: np.zeros(t.shape, t.dtype) for name, t in outputs["frame"].items()} for _ in sides]
+        self._values = [{n: ort.OrtValue.ortvalue_from_numpy(a) for n, a in one.items()} for one in self._results]
         self._expected = [self._room(inputs["frame"]["prediction"]) for _ in sides]
         self._place_type = inputs["frame"]["prediction"].dtype
+        self._slots: list[Slot | None] = [None for _ in sides]
         self._numbers = [0 for _ in sides]  # of the frames
-        self._motion = Motion(np.empty(0), 0)
-        constants = self._constants(inputs["frame"], {*states, *held})
+        self._measured = [math.nan for _ in sides]
+        self._motions = [Motion.at_rest(np.empty(0), 0) for _ in sides]
+        constants = self._constants("frame", inputs["frame"], {"prediction", *held})
         self._bindings = [self._binding(side, constants) for side in sides]
-        self._next, self._last = 0, len(sides) - 1  # side that is written next, and the last one that was finished
+        self._begun = self._finished = 0
+
+        # One side of the states is read and the other written, in turns.
+        self._states = [{name: self._room(inputs["fields"][name]) for name in states} for _ in range(2)]
+        self._fields = {name: np.zeros(tensor.shape, tensor.dtype) for name, tensor in results.items()}
+        constants = self._constants("fields", inputs["fields"], {*states, *outputs["frame"]})
+        self._field_bindings = [self._field_binding(side, constants) for side in range(2)]
+        self._of_frame = [name for name in inputs["fields"] if name in outputs["frame"]]
+
         self._glass = {"background": background[None, None], "dark": dark[None, None]}
-        self._use_threshold()
+        self.use(self.threshold)
 
     def warm_up(self) -> None:
         """Runs every graph on an empty frame: the first run finds out how much memory it takes, the second lays it out,
         which makes both slow."""
         slot = Slot(self._bundle)
         for _ in range(2):
-            self.restart(slot)
-            if self.measures:
-                self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})
-            side = self.begin(slot)
+            self.restart(slot, self.choose(slot))
+            side = self.begin(slot, measure=self.measures)
             self.run(side)
             self.finish(side)
 
-    def restart(self, slot: Slot) -> int:
-        """Chooses points anew in a frame and makes it the key frame; all states become unknown."""
+    def choose(self, slot: Slot) -> Array:
+        """Points (1, N, 2) px worth tracking in a frame, NaN beyond those that were found."""
         given = {"topography_view": slot.views["topography_view"], "mask": self._mask}
-        points = self._run("detect", given)["points"]
-        self.found = int(np.isfinite(points).all(-1).sum())
-        for value in self._states[self._last].values():
+        return self._run("detect", given)["points"]
+
+    def restart(self, slot: Slot, points: Array) -> None:
+        """Follows these points of a frame from now on and makes it the key frame; all states become unknown."""
+        self.found = _count_known(points)
+        for value in self._states[self._finished % 2].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
-        self._motion = Motion(points, slot.number)
+        self._motions = [Motion.at_rest(points, slot.number) for _ in self._motions]
         self.key(slot, points)
-        return self.found
 
-    def key(self, slot: Slot, points: Array) -> int:
+    def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
         self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
-        self._motion.forget(points)
-        self.keyed = int(np.isfinite(points).all(-1).sum())
-        return self.keyed
+        self._motions = [motion.without(points) for motion in self._motions]
+        self.keyed = _count_known(points)
 
-    def measure(self, slot: Slot) -> bool:
-        """Takes the threshold from a frame; False, and the one in use stays, where the frame shows no contact."""
-        threshold = float(self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})["threshold"][0])
-        if math.isfinite(threshold):
-            self.threshold = threshold
-            self._use_threshold()
-        return math.isfinite(threshold)
+    def use(self, threshold: float) -> None:
+        """Makes this the share of light lost above which a pixel touches."""
+        self.threshold = threshold
+        self._run("background", {**self._glass, "threshold": np.array([threshold])})
 
-    def _use_threshold(self) -> None:
-        self._run("background", {**self._glass, "threshold": np.array([self.threshold])})
-
-    def begin(self, slot: Slot) -> int:
-        """Makes ready to compute a frame; gives the side that `run` and `finish` are to be called with."""
-        side = self._next
-        self._next = (side + 1) % len(self._bindings)
-        self._numbers[side] = slot.number
-        self._expected[side].update_inplace(np.ascontiguousarray(self._motion.expect(slot.number), self._place_type))
-        given = slot.values | self._states[self._last] | {"prediction": self._expected[side]}
-        for name, value in given.items():
+    def begin(self, slot: Slot, measure: bool = False) -> int:
+        """Makes ready to compute a frame, and to measure the threshold in it; gives the side that `run` and `finish`
+        are to be called with."""
+        side = self._begun % len(self._bindings)
+        motion = self._motions[(self._begun - self.lag) % len(self._motions)]
+        self._begun += 1
+        self._numbers[side], self._slots[side] = slot.number, slot if measure else None
+        self._expected[side].update_inplace(np.ascontiguousarray(motion.expect(slot.number), self._place_type))
+        for name, value in (slot.values | {"prediction": self._expected[side]}).items():
             self._bindings[side].bind_ortvalue_input(name, value)
         return side
 
     def run(self, side: int) -> None:
         """Computes a frame that has begun, in any thread."""
         self._engine.frame.run_with_iobinding(self._bindings[side])
+        slot = self._slots[side]
+        if slot is not None:
+            found = self._run(_MEASURING, {"contact_view": slot.views["contact_view"]})["threshold"][0]
+            # An empty glass has a threshold too, of noise or below none.
+            self._measured[side] = float(found) if 0 < found < 1 else math.nan
 
     def finish(self, side: int) -> dict[str, Array]:
-        """Outputs by name, (1, ...), of a frame that has run; valid until `most` more have begun."""
-        results = self._results[side]
-        self._motion.see(results["points"], self._numbers[side])
-        if self.parallel > 1:
-            self._learn(side)
-        self._last = side
-        return results
+        """Outputs by name, (1, ...), of a frame that has run; valid until the next one is finished."""
+        results, number = self._results[side], self._numbers[side]
+        before = self._motions[(side - 1) % len(self._motions)]
+        self._motions[side] = before.see(results["points"], number)
+        binding = self._field_bindings[self._finished % 2]
+        for name in self._of_frame:
+            binding.bind_ortvalue_input(name, self._values[side][name])
+        self._sessions["fields"].run_with_iobinding(binding)
+        self._finished += 1
+        return results | self._fields
 
-    def _learn(self, side: int) -> None:
-        """A frame began without what the one before found: onsets that are known there stay."""
-        if "reference" in self._states[side]:
-            before, state = (self._states[one]["reference"].numpy() for one in (self._last, side))
-            kept = np.isfinite(before)
-            if (kept & (before != state)).any():
-                self._states[side]["reference"].update_inplace(np.where(kept, before, state))
+    def measured(self, side: int) -> float | None:
+        """The threshold found in a frame, NaN where it shows no contact; None where it was not asked for."""
+        return None if self._slots[side] is None else self._measured[side]
 
     def _tensors(self, graph: str, side: str) -> dict[str, _Tensor]:
         arguments = getattr(self._sessions[graph], side)()
@@ -972,9 +1021,9 @@ class Stepper:
             )
         return self._engine.open(_MEASURING)
 
-    def _constants(self, inputs: Mapping[str, _Tensor], known: set[str]) -> dict[str, Any]:
+    def _constants(self, graph: str, inputs: Mapping[str, _Tensor], known: set[str]) -> dict[str, Any]:
         """Inputs that the scene gives; raises PlayerError for an input that nothing gives."""
-        path, given = self._bundle.files["frame"], self._of_scene
+        path, given = self._bundle.files[graph], self._of_scene
         constants = {}
         for name, tensor in inputs.items():
             if name in given and name not in known:
@@ -997,9 +1046,17 @@ class Stepper:
         binding = self._engine.frame.io_binding()
         for name, value in constants.items():
             binding.bind_ortvalue_input(name, value)
-        for name, value in self._states[side].items():
+        for name, value in self._values[side].items():
+            binding.bind_ortvalue_output(name, value)
+        return binding
+
+    def _field_binding(self, side: int, constants: Mapping[str, Any]) -> Any:
+        binding = self._sessions["fields"].io_binding()
+        for name, value in {**constants, **self._states[side]}.items():
+            binding.bind_ortvalue_input(name, value)
+        for name, value in self._states[1 - side].items():
             binding.bind_ortvalue_output(f"next_{name}", value)
-        for name, array in self._results[side].items():
+        for name, array in self._fields.items():
             binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
         return binding
 
@@ -1033,6 +1090,104 @@ class Stepper:
         return {name: value.numpy() for name, value in found.items() if name not in self._held}
 
 
+def _count_known(points: Array) -> int:
+    return int(np.isfinite(points).all(-1).sum())
+
+
+class ThresholdSearch:
+    """In which frames the threshold is measured, and from which on it counts: by the order of the frames alone.
+
+    Every fourth frame is tried until one shows contact. What is found there, where a contact is small, is measured
+    again whenever the contact has grown by a fourth.
+
+    Methods are called for frame after frame, `due` and `wants` when it begins, `see` when it has ended.
+
+    Args:
+        lag: frames after which what one has found counts.
+    """
+
+    _EVERY, _GROWTH = 4, 1.25
+
+    def __init__(self, lag: int) -> None:
+        self._lag = lag
+        self._searching = True
+        self._area = math.nan  # at which the threshold was measured that is in use
+        self._asked: int | None = None  # frame in which the contact had grown
+        self._found: tuple[int, float] | None = None
+
+    def begin(self) -> None:
+        """Points were chosen anew: the threshold in use stays until contact is found."""
+        self._searching, self._asked, self._found = True, None, None
+
+    def due(self, index: int) -> float | None:
+        """The threshold that counts from this frame on, None for that in use."""
+        found = self._found
+        return found[1] if found is not None and index >= found[0] + self._lag else None
+
+    def used(self) -> None:
+        """That threshold is in use now; all frames before have ended."""
+        self._searching, self._area, self._asked, self._found = False, math.nan, None, None
+
+    def wants(self, index: int) -> bool:
+        """Whether the threshold is to be measured in this frame."""
+        if self._searching:
+            return index % self._EVERY == 0
+        return self._asked is not None and index == self._asked + self._lag
+
+    def see(self, index: int, area: float, measured: float | None) -> bool:
+        """The area that touched in a frame, and the threshold found in it: NaN for none, None where that was not asked.
+        True where it is to be used."""
+        if self._found is not None:
+            return False
+        if measured is not None and math.isfinite(measured):
+            self._found = index, measured
+        elif math.isnan(self._area) or (measured is not None and not self._searching):
+            self._area, self._asked = area, None
+        elif not self._searching and self._asked is None and area > self._GROWTH * self._area:
+            self._asked = index
+        return self._found is not None
+
+
+class Upkeep:
+    """When points are chosen anew or followed from a newer key frame: by the order and numbers of the frames alone.
+
+    Args:
+        share: a new key frame when less than this share of its points is tracked, several frames in a row.
+        frames: a new key frame after so many frames.
+    """
+
+    _IN_A_ROW = 4  # a single frame may be blurred or dark
+    _RESTART = 64  # frames between two choices of points, each of which takes as long as ten frames
+
+    def __init__(self, share: float, frames: float) -> None:
+        self._share, self._frames = share, frames
+        self.key_frame = 0
+        self._found = self._keyed = self._few = self._lost = self._tried = 0
+
+    def restarted(self, index: int, key_frame: int, found: int) -> None:
+        """Before frame `index` so many points were chosen in a frame."""
+        self.keyed(key_frame, found)
+        self._found, self._tried, self._lost = found, index, 0
+
+    def keyed(self, key_frame: int, points: int) -> None:
+        """So many points are followed from a new key frame."""
+        self.key_frame, self._keyed, self._few = key_frame, points, 0
+
+    def kept(self, index: int) -> None:
+        """Before frame `index` no better points were to be had."""
+        self._tried = index
+
+    def see(self, index: int, number: int, tracked: int) -> str:
+        """Why something is to change after a frame in which so many points were tracked; empty for nothing."""
+        self._lost = self._lost + 1 if tracked < max(self._found / 2, 1) else 0
+        self._few = self._few + 1 if tracked < self._share * self._keyed else 0
+        if self._lost >= self._IN_A_ROW and index - self._tried >= self._RESTART:
+            return "lost"
+        if tracked and (self._few >= self._IN_A_ROW or number - self.key_frame >= self._frames):
+            return _REKEY
+        return ""
+
+
 def _region_mask(scene: Scene, shape: tuple[int, ...]) -> Array:
     mask = np.zeros(shape, np.bool_)
     region = scene.region or View((0, shape[-2]), (0, shape[-1]))
@@ -1048,7 +1203,7 @@ _IN_MM = {  # outputs in px that are stored in mm: name, power of mm_per_px
     "semi_axes": ("semi_axes_mm", 1),
 }
 _OWN_FIELDS = [  # name, type, unit of what the player adds to a record
-    ("frame", "<i8", "number of the frame as it came in, from 0; gaps are dropped frames"),
+    ("frame", "<i8", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames"),
     ("time", "<f8", "s since the first frame"),
     ("latency", "<f4", "s from the frame's arrival to its result"),
     ("key_frame", "<i8", "number of the frame with which this one was compared"),
@@ -1179,16 +1334,14 @@ class Sink:
 
 
 class RecordLayout:
-    """Which outputs of `frame` a record holds, in which units, and how they get there."""
+    """Which outputs of the graphs a record holds, in which units, and how they get there."""
 
-    def __init__(
-        self, outputs: Mapping[str, _Tensor], states: set[str], mm_per_px: float, units: Mapping[str, str]
-    ) -> None:
+    def __init__(self, outputs: Mapping[str, _Tensor], mm_per_px: float, units: Mapping[str, str]) -> None:
         own: list[tuple[str, str, tuple[int, ...]]] = [(name, kind, ()) for name, kind, _ in _OWN_FIELDS]
         self._copied: list[tuple[str, str, float | None]] = []
         said = {name: unit for name, _, unit in _OWN_FIELDS}
         for name, tensor in outputs.items():
-            if name in states or len(tensor.shape) > 3:  # images are for the live page
+            if len(tensor.shape) > 3:  # images are for the live page
                 continue
             stored, power = _IN_MM.get(name, (name, 0))
             self._copied.append((name, stored, mm_per_px**power if power else None))
@@ -1250,6 +1403,7 @@ class Settings:
         every: process every frame, the source waits for room; else the newest frame, those it overtakes are dropped.
         queue: frames that wait at most; 1 in the policy `latest`.
         rate: Hz at which a recording is played, None as fast as it goes.
+        first: number of the first frame in the source.
         frames: end after so many, None at the source's end.
         give_up: s without a frame after which the stream ends with an error.
         page: host and port of the live page, None for none; port 0 takes a free one.
@@ -1258,6 +1412,7 @@ class Settings:
     every: bool = True
     queue: int = 32
     rate: float | None = None
+    first: int = 0
     frames: int | None = None
     give_up: float = 30.0
     page: tuple[str, int] | None = None
@@ -1265,18 +1420,19 @@ class Settings:
 
 _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
-_RESTART_INTERVAL = 1.0  # s; choosing points takes far longer than a step
-_MEASURE_INTERVAL = 0.5  # s between tries to find the threshold, each as long as a step or two
 _REKEY_SHARE = 0.8
 _REKEY = "rekey"  # why the key frame changes while its points stay
+_PAGE = "page"  # somebody asked for other points
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
 
 
 class _Change(NamedTuple):
-    """The next key frame and the points found in it. They are followed where the cause is _REKEY, else chosen anew."""
+    """The next key frame, and the points found in it: they are followed where the cause is _REKEY, else chosen anew.
+    Decided after frame number `after` of those that were computed."""
 
+    after: int
     key: Slot
     points: Array
     cause: str
@@ -1307,7 +1463,7 @@ class Player:
         self._source, self._open_source = source, open_source
         # One slot is being filled, some computed, one drawn on the page, one becomes the key frame; the others wait.
         # Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.most)]
+        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.lag)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
@@ -1327,9 +1483,10 @@ class Player:
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # for the source
         self._computing = stepper.parallel  # threads
-        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.most)
-        self._first, self._restarted, self._key_frame = math.nan, -math.inf, 0
-        self._unmeasured, self._measured = stepper.measures, -math.inf
+        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
+        self._first = math.nan
+        self._search = ThresholdSearch(stepper.lag)
+        self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: _Change | None = None
         self._drawing = False  # a frame is on its way to the page
         self._last_trouble = ""
@@ -1418,7 +1575,7 @@ class Player:
             if silent > _STALL_WARNING and not stalled:
                 self.stalls += 1
                 log.warning("%s: no frame for %.0f s", self.source_name, silent)
-                self._sink.event("stall", self.frames_in)
+                self._sink.event("stall", self.settings.first + self.frames_in)
             stalled = silent > _STALL_WARNING
             if silent > self.settings.give_up:
                 trouble = f" (last error: {self._last_trouble})" if self._last_trouble else ""
@@ -1450,7 +1607,7 @@ class Player:
             while not self._stop.is_set() and self.frames_in != self.settings.frames:
                 self._waiting_since = self._waiting_since or time.perf_counter()
                 try:
-                    source = source or self._open_source(self.frames_in)
+                    source = source or self._open_source(self.settings.first + self.frames_in)
                     frame = source.read()
                 except PlayerError:
                     raise
@@ -1480,7 +1637,7 @@ class Player:
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
         log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
-        self._sink.event("reconnect", self.frames_in, error=self._last_trouble)
+        self._sink.event("reconnect", self.settings.first + self.frames_in, error=self._last_trouble)
         if source is not None:
             _close_quietly(source)
         self._stop.wait(delay)
@@ -1492,7 +1649,7 @@ class Player:
             slot = self._free.get()
         if slot is None:  # the stream has failed
             return
-        slot.number, slot.arrival = self.frames_in, arrival
+        slot.number, slot.arrival = self.settings.first + self.frames_in, arrival
         slot.fill(frame, self.scene, self.bundle, self.source_name)
         self.frames_in += 1
         if self.settings.every:
@@ -1519,9 +1676,10 @@ class Player:
             if not self._order.wait_for_room():
                 return None
             slot = self._frames.get()
-            if slot is None or not self._prepare(slot):
+            if slot is None or not self._prepare(slot, self._order.begun):
                 return None
-            side = self._stepper.begin(slot)
+            measure = self._stepper.measures and self._search.wants(self._order.begun)
+            side = self._stepper.begin(slot, measure)
             return self._order.begin(), (slot, side)
 
     def _close_records(self) -> None:
@@ -1531,44 +1689,64 @@ class Player:
             if not self._computing:
                 self._records.close()
 
-    def _prepare(self, slot: Slot) -> bool:
+    def _prepare(self, slot: Slot, index: int) -> bool:
         """What changes before a frame begins; False where the stream has failed."""
-        if not self.restarts:
+        change, threshold = self._change, self._search.due(index)
+        if index == 0:
             self._first = slot.arrival
-            self._change = _Change(slot, np.empty(0), "start")
-        if self._change is None and not self._is_to_be_measured(slot):
+            self._restart(index, slot, self._stepper.choose(slot), "start")
+        if change is not None and index < change.after + self._stepper.lag:
+            change = None
+        if change is None and threshold is None:
             return True
         if not self._order.wait_for_all():  # they read what changes now
             return False
-        if self._change is not None:
-            key, points, cause = self._change
-            self._change, self._key_frame = None, key.number
-            if cause == _REKEY:
-                self._sink.event("key_frame", key.number, points=self._stepper.key(key, points))
-                self.keys += 1
+        if threshold is not None:
+            self._stepper.use(threshold)
+            self._search.used()
+        if change is not None:
+            if change.cause == _REKEY:
+                self._rekey(change.key, change.points)
             else:
-                self._restarted, self._unmeasured = key.arrival, self._stepper.measures
-                self._restart(key, cause)
-            if key is not slot:
-                self._free.put(key)
-        if self._is_to_be_measured(slot):
-            self._measured, self._unmeasured = slot.arrival, not self._measure(slot)
+                self._choose(index, change)
+            self._change = None
+            self._free.put(change.key)
         return True
 
-    def _is_to_be_measured(self, slot: Slot) -> bool:
-        # A recording that waits is tried in every frame: that gives the same result each time.
-        interval = _MEASURE_INTERVAL if self._source.live or self.settings.rate else 0.0
-        return self._unmeasured and slot.arrival - self._measured >= interval
+    def _choose(self, index: int, change: _Change) -> None:
+        """Takes new points where they are more than those that are followed."""
+        points = self._stepper.choose(change.key)
+        if _count_known(points) > (0 if change.cause == _PAGE else _count_known(change.points)):
+            self._restart(index, change.key, points, change.cause)
+        else:
+            self._upkeep.kept(index)
+
+    def _restart(self, index: int, slot: Slot, points: Array, cause: str) -> None:
+        self._stepper.restart(slot, points)
+        self._upkeep.restarted(index, slot.number, self._stepper.found)
+        self._search.begin()
+        self.restarts += 1
+        self._sink.event("restart", slot.number, cause=cause, points=self._stepper.found)
+        log.info("frame %d: %d points chosen (%s)", slot.number, self._stepper.found, cause)
+
+    def _rekey(self, slot: Slot, points: Array) -> None:
+        self._stepper.key(slot, points)
+        self._upkeep.keyed(slot.number, self._stepper.keyed)
+        self.keys += 1
+        self._sink.event("key_frame", slot.number, points=self._stepper.keyed)
 
     def _end(self, computed: tuple[Slot, int]) -> bool:
         """Hands a record on and decides whether something is to change; False where the stream has failed."""
         slot, side = computed
         outputs = self._stepper.finish(side)
-        place = self.processed % len(self._room)
+        index = self.processed
+        place = index % len(self._room)
         self._fill(slot, outputs, place)
+        if self._stepper.measures:
+            self._learn_threshold(slot, index, float(outputs["real_area_px"][0]), self._stepper.measured(side))
         drawn = None
-        if self._change is None and (cause := self._cause_to_change(slot)):
-            self._change = _Change(slot, outputs["points"].copy(), cause)
+        if self._change is None and (cause := self._cause_to_change(slot, index)):
+            self._change = _Change(index, slot, outputs["points"].copy(), cause)
         elif not self._drawing and self.live.is_due():
             self._drawing = True
             touching = outputs.get("touching")
@@ -1577,15 +1755,17 @@ class Player:
             self._free.put(slot)
         return self._records.put((place, drawn))
 
-    def _cause_to_change(self, slot: Slot) -> str:
+    def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
         if self.restart_wanted.is_set():
             self.restart_wanted.clear()
-            return "page"
-        if slot.arrival - self._restarted >= _RESTART_INTERVAL and self.tracked < max(self._stepper.found / 2, 1):
-            return "lost"
-        few = 0 < self.tracked < (self.scene.rekey_share or _REKEY_SHARE) * self._stepper.keyed
-        return _REKEY if few or slot.number - self._key_frame >= (self.scene.rekey_frames or math.inf) else ""
+            return _PAGE
+        return self._upkeep.see(index, slot.number, self.tracked)
+
+    def _learn_threshold(self, slot: Slot, index: int, area: float, measured: float | None) -> None:
+        if self._search.see(index, area, measured) and measured is not None:
+            self._sink.event("threshold", slot.number, threshold=measured)
+            log.info("frame %d: threshold %.4f of the light lost", slot.number, measured)
 
     def _fill(self, slot: Slot, outputs: dict[str, Array], place: int) -> None:
         self._layout.fill(self._fields, place, outputs)
@@ -1593,24 +1773,12 @@ class Player:
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
-            *(("key_frame", self._key_frame), ("restart", self.restarts)),
+            *(("key_frame", self._upkeep.key_frame), ("restart", self.restarts)),
         ):
             self._fields[name][place] = value
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1
-
-    def _restart(self, slot: Slot, cause: str) -> None:
-        self._sink.event("restart", slot.number, cause=cause, points=self._stepper.restart(slot))
-        self.restarts += 1
-        log.info("frame %d: %d points chosen (%s)", slot.number, self._stepper.found, cause)
-
-    def _measure(self, slot: Slot) -> bool:
-        found = self._stepper.measure(slot)
-        if found:
-            self._sink.event("threshold", slot.number, threshold=self._stepper.threshold)
-            log.info("frame %d: threshold %.4f of the light lost", slot.number, self._stepper.threshold)
-        return found
 
     # Sink: records -> disk and page.
 
@@ -1984,7 +2152,10 @@ def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
 
 def _stream(options: argparse.Namespace) -> int:
     bundle = load_bundle(options.bundle)
-    scene, name, open_source, background, dark = _inputs(options, bundle)
+    played = _played(options, bundle)
+    scene, name = played.scene, played.name
+    for said in (warnings := contradictions(scene, bundle.recipe)):
+        log.warning("%s", said)
     parallel = options.parallel_frames
     # Frames side by side share the threads inside operators, beside the one that each has itself.
     threads = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
@@ -1993,12 +2164,10 @@ def _stream(options: argparse.Namespace) -> int:
         raise PlayerError(
             "--parallel-frames: DirectML computes one frame at a time; leave it out, or add --provider cpu"
         )
-    stepper = Stepper(engine, scene, background, dark, parallel)
+    stepper = Stepper(engine, scene, played.glass, played.dark, parallel)
     stepper.warm_up()
     properties = engine.frame.get_modelmeta().custom_metadata_map
-    layout = RecordLayout(
-        stepper.outputs, stepper.states, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}"))
-    )
+    layout = RecordLayout(stepper.outputs, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}")))
     folder = options.output or scene.output or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
     every = options.policy == "every" if options.policy else not live
@@ -2006,7 +2175,8 @@ def _stream(options: argparse.Namespace) -> int:
         every=every,
         queue=options.queue if every else 1,
         rate=options.rate or (None if live else scene.frame_rate),
-        frames=options.frames,
+        first=played.first,
+        frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
         page=options.page,
     )
@@ -2023,18 +2193,19 @@ def _stream(options: argparse.Namespace) -> int:
         "topography_to_contact": scene.topography_to_contact.tolist(),
         "threshold": "measured" if stepper.measures else scene.threshold,
         "coordinates": properties.get("fingerflow.coordinates", ""),
+        "warnings": warnings,
         "record_bytes": layout.dtype.itemsize,
         "fields": layout.fields,
     }
     log.info("results: %s, %.1f kB a frame", folder, layout.dtype.itemsize / 1e3)
     sink = Sink(folder, header)
     try:
-        source = open_source(0)
+        source = played.open_source(played.first)
     except PlayerError:
         raise
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {_first_line(error)})") from error
-    player = Player(stepper, engine.provider, bundle, scene, source, open_source, sink, layout, settings, name)
+    player = Player(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name)
     with _stopped_by_signals(player) as received:
         summary = player.run()
     text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)
@@ -2049,8 +2220,19 @@ def _stream(options: argparse.Namespace) -> int:
     return 128 + received[0] if received else 0
 
 
-def _inputs(options: argparse.Namespace, bundle: Bundle) -> tuple[Scene, str, OpenSource, Array, Array]:
-    """Scene, name of the source, how to open it, and the contact views of empty glass and of darkness."""
+class _Played(NamedTuple):
+    """What is played: a source by name, which of its frames count, the contact views of empty glass and darkness."""
+
+    scene: Scene
+    name: str
+    open_source: OpenSource
+    glass: Array
+    dark: Array
+    first: int = 0
+    frames: int | None = None
+
+
+def _played(options: argparse.Namespace, bundle: Bundle) -> _Played:
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
     shape = None if options.shape is None else (options.shape[0], options.shape[1])
@@ -2060,28 +2242,30 @@ def _inputs(options: argparse.Namespace, bundle: Bundle) -> tuple[Scene, str, Op
         path = options.bundle / "scene.toml"
     scene = side_by_side(bundle.height, bundle.width) if path is None else load_scene(path)
     check_scene(scene, bundle)
-    empty = np.zeros((bundle.height, bundle.width), bundle.dtype)
+    black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth)
-        return scene, "synthetic", lambda first: drawn.from_frame(first), scene.contact.crop(drawn.background), empty
-    pictures = []
-    for file in (scene.background, scene.dark):
-        picture = empty if file is None else mean_frame(file, shape, options.dtype)
-        if file is not None and picture.shape != empty.shape:
-            slot = Slot(bundle)
-            slot.fill(picture, scene, bundle, str(file))
-            picture = slot.views["contact_view"][0, 0]
-        pictures.append(picture)
+        return _Played(scene, "synthetic", drawn.from_frame, scene.contact.crop(drawn.background), black)
     if scene.background is None:
         raise PlayerError(
             f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
         )
+    glass, dark = (
+        black if file is None else mean_view(file, scene.contact, bundle, shape, options.dtype)
+        for file in (scene.background, scene.dark)
+    )
     if options.camera:
-        return scene, options.camera, lambda _: open_camera(options.camera), pictures[0], pictures[1]
+        return _Played(scene, options.camera, lambda _: open_camera(options.camera), glass, dark)
     file = Path(options.source) if options.source else scene.frames
     if file is None:
         raise PlayerError("no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY")
-    return scene, str(file), lambda first: open_recording(file, shape, options.dtype, first), pictures[0], pictures[1]
+    first, frames = 0, None
+    if file.resolve() == scene.frames:  # the range is that of the scene's own recording
+        first = scene.first_frame
+        frames = None if scene.last_frame is None else scene.last_frame + 1 - first
+    return _Played(
+        scene, str(file), lambda number: open_recording(file, shape, options.dtype, number), glass, dark, first, frames
+    )
 
 
 def check_scene(scene: Scene, bundle: Bundle) -> None:
@@ -2095,6 +2279,33 @@ def check_scene(scene: Scene, bundle: Bundle) -> None:
             )
     if scene.region and (scene.region.rows[1] > size[0] or scene.region.columns[1] > size[1]):
         raise PlayerError(f"stream.region of the scene ends beyond the topography view of {size[0]} x {size[1]} px")
+
+
+_PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
+    "contact.threshold": "reference_frame",
+    "tracking.direction": "forward",
+    "tracking.template": "keyframe",
+    "fields.strain": "green_lagrange",
+}
+
+
+def contradictions(scene: Scene, recipe: Mapping[str, Any]) -> list[str]:
+    """One sentence for each setting of the scene that the recipe has decided otherwise."""
+    decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
+    wrong = [
+        f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"
+        for name, value in scene.asked.items()
+        if name in decided and value != decided[name] and not (name == "contact.threshold" and scene.threshold)
+    ]
+    if (gauge := scene.asked.get("fields.gauge_length_mm")) is not None:
+        # Of the topography view, in whose pixels the bundle has it.
+        size = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
+        if abs(recipe["fields"]["gauge_px"] * size / gauge - 1) > 0.01:
+            wrong.append(
+                f"fields.gauge_length_mm of the scene is {gauge!r}; the bundle plays with "
+                f"{recipe['fields']['gauge_px'] * size:.3g}, {recipe['fields']['gauge_px']:g} px"
+            )
+    return wrong
 
 
 @contextlib.contextmanager

@@ -93,9 +93,11 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
     folder, _ = bundle
     recipe = load_recipe(folder.parent / "recipe.toml")
     case = cases(recipe, 1)[0].inputs
-    sessions = {name: onnxruntime.InferenceSession(folder / f"{name}.onnx") for name in ("background", "key", "frame")}
+    names = ("background", "key", "frame", "fields")
+    sessions = {name: onnxruntime.InferenceSession(folder / f"{name}.onnx") for name in names}
     known = {name: tensor.numpy() for name, tensor in case.items()}
     known["reference"] = np.full_like(known["points"], np.nan)
+    known["reached"] = np.zeros(known["points"].shape[:2], np.uint8)
 
     def run(name: str) -> dict[str, np.ndarray]:
         session = sessions[name]
@@ -106,17 +108,27 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
 
     known |= run("background")
     known |= run("key")
-    first = run("frame")
-    known |= {name.removeprefix("next_"): value for name, value in first.items() if name.startswith("next_")}
-    second = run("frame")
-    tracked = first["status"] == 0
+    known |= (frame := run("frame"))
+    tracked, covered = frame["status"] == 0, frame["covered"] == 1
     assert tracked.sum() >= 10
-    # The first frame is the reference of the second, and nothing moved between them.
-    np.testing.assert_allclose(second["points"][tracked], first["points"][tracked], rtol=0, atol=1e-3)
-    covered = np.isfinite(first["next_reference"]).all(-1)
-    assert 0 < covered.sum() < tracked.sum() + 1
-    np.testing.assert_allclose(np.nan_to_num(second["divergence"]), 0, atol=1e-4)
-    assert np.isfinite(second["next_reference"]).all(-1).sum() == covered.sum()
+    first = run("fields")
+    arrived = np.isfinite(first["next_reference"]).all(-1)
+    np.testing.assert_array_equal(arrived, tracked & covered)
+    assert 0 < arrived.sum() < tracked.sum()
+    np.testing.assert_array_equal(first["next_reached"], frame["covered"])
+    # A point moves, one is lost, the others arrive; what was lost at its arrival has no onset.
+    known |= {name.removeprefix("next_"): value for name, value in first.items() if name.startswith("next_")}
+    here = np.flatnonzero(arrived[0])
+    known["points"] = np.where(arrived[..., None], frame["points"] * 1.01, frame["points"])
+    known["points"][0, here[0]] = np.nan
+    known["covered"] = np.ones_like(frame["covered"])
+    second = run("fields")
+    np.testing.assert_array_equal(second["next_reference"][arrived], first["next_reference"][arrived])
+    np.testing.assert_array_equal(np.isfinite(second["next_reference"]).all(-1), arrived | (tracked & ~covered))
+    assert np.isnan(second["divergence"][0, here[0]])
+    known |= {name.removeprefix("next_"): value for name, value in second.items() if name.startswith("next_")}
+    known["points"] = np.where(np.isnan(frame["points"]), 40.0, frame["points"]).astype(np.float32)
+    np.testing.assert_array_equal(run("fields")["next_reference"], second["next_reference"])
 
 
 SCENE = """
@@ -153,7 +165,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         return torch.from_numpy(picture[None, None].copy())
 
     known: dict[str, Tensor] = {
-        "background": tensor(scene.contact.crop(drawn.background)),
+        "background": tensor(scene.contact.crop(drawn.background)).float(),
         "threshold": torch.full((1,), torch.nan),
         "mask": torch.ones(1, 1, 96, 120, dtype=torch.bool),
         "topography_to_contact": torch.tensor(scene.topography_to_contact, dtype=torch.float32),
@@ -165,39 +177,57 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         with torch.inference_mode():
             return dict(zip(graph.outputs, graph.module(*(known[one] for one in graph.inputs)), strict=True))
 
-    def choose() -> None:
-        known["points"] = known["prediction"] = run("detect")["points"]
-        known["reference"] = torch.full_like(known["points"], torch.nan)
+    def key(view: Tensor, points: Tensor) -> None:
+        now = known["topography_view"]
+        known.update({"topography_view": view, "points": points})
         known.update(run("key"))
+        known["topography_view"] = now
 
-    measured = []
+    def choose(view: Tensor, number: int) -> list[player.Motion]:
+        known["topography_view"] = view
+        points = run("detect")["points"]
+        known["reference"] = torch.full_like(points, torch.nan)
+        known["reached"] = torch.zeros(points.shape[:2], dtype=torch.uint8)
+        key(view, points)
+        return [player.Motion.at_rest(points.numpy(), number)] * player.LAG
+
+    measured, views, tracks = [], [], []
+    motions: list[player.Motion] = []  # after each of the last frames
     for number, record in enumerate(records):
         picture = drawn.read()
-        known["topography_view"] = tensor(scene.topography.crop(picture))
+        views.append(tensor(scene.topography.crop(picture)))
         known["contact_view"] = tensor(scene.contact.crop(picture))
+        changed = number - player.LAG  # what was decided there counts now
         if number == 0:
             known |= run("background")
-            choose()
-        if not measured and (threshold := run("contact")["threshold"]).isfinite():
-            measured.append((number, threshold.item()))
-            known["threshold"] = threshold
+            motions = choose(views[0], 0)
+        if changed in keyed:
+            motions = [motion.without(tracks[changed].numpy()) for motion in motions]
+            key(views[changed], tracks[changed])
+        if changed > 0 and changed in chosen:
+            motions = choose(views[changed], changed)
+        if measured and measured[-1][0] == changed:
+            known["threshold"] = measured[-1][1]
             known |= run("background")
+        known["topography_view"] = views[number]
+        known["prediction"] = torch.from_numpy(motions[0].expect(number))
+        if any(event["frame"] == number for event in events if event["event"] == "threshold"):
+            measured.append((number, run("contact")["threshold"]))
         results = run("frame")
+        known |= results
+        results |= run("fields")
+        known |= {name.removeprefix("next_"): value for name, value in results.items() if name.startswith("next_")}
+        tracks.append(results["points"])
+        motions = [*motions[1:], motions[-1].see(results["points"].numpy(), number)]
         np.testing.assert_array_equal(record["status"], results["status"][0])
         np.testing.assert_allclose(record["points"], results["points"][0], rtol=0, atol=1e-3)
         for name in ("real_area", "gross_area"):
             np.testing.assert_allclose(record[f"{name}_mm2"], results[f"{name}_px"][0] * 0.1**2, rtol=1e-5)
         np.testing.assert_allclose(record["divergence"], results["divergence"][0], rtol=0, atol=2e-4)
-        known |= {name.removeprefix("next_"): value for name, value in results.items() if name.startswith("next_")}
-        if number in keyed:
-            known["points"] = known["prediction"] = results["points"]
-            known |= run("key")
-        if number in chosen and number > 0:
-            choose()
     found = [(event["frame"], event["threshold"]) for event in events if event["event"] == "threshold"]
-    assert found[0] == (measured[0][0], pytest.approx(measured[0][1], abs=1e-4))
+    assert found == [(number, pytest.approx(threshold.item(), abs=1e-4)) for number, threshold in measured]
     assert np.isfinite(records["points"]).all(-1).sum(1).min() >= 10
-    assert records["real_area_mm2"][-1] > records["real_area_mm2"][0] > 0
+    assert records["real_area_mm2"][-1] > records["real_area_mm2"][player.LAG] > records["real_area_mm2"][0] == 0
     assert np.isfinite(records["median_divergence"][-1])
 
 

@@ -34,10 +34,14 @@ class BackgroundStep(nn.Module):
 
     With s levels a unit of light lost, gain is s / (background - dark) and offset s (1 - low) + gain * dark. Where the
     glass is not lit, gain is 0 and the level that of no contact.
+
+    Args:
+        frames: type of the frames, uint8 or uint16; the background may be a mean of several.
     """
 
-    def __init__(self, precision: torch.dtype = torch.float32) -> None:
+    def __init__(self, frames: torch.dtype = torch.uint8, precision: torch.dtype = torch.float32) -> None:
         super().__init__()
+        self.frames = frames
         self.precision = precision
 
     def forward(self, background: Tensor, dark: Tensor, threshold: Tensor) -> Background:
@@ -54,14 +58,14 @@ class BackgroundStep(nn.Module):
         gain = torch.where(lit, scale / torch.where(lit, light, 1.0), 0.0)
         offset = torch.where(lit, -low * scale + scale, -low * scale) + gain * black
         whole = whole_level(threshold.to(self.precision)).reshape(-1, 1, 1, 1)
-        most = 255.0 if background.dtype == torch.uint8 else 65535.0
+        most = 255.0 if self.frames == torch.uint8 else 65535.0
         # Solved for the count, then tried: rounding must decide here as it does on levels.
         near = ((offset - whole - 0.5) / torch.where(lit, gain, 1.0)).floor()
         limit = torch.zeros_like(near)
         for step in (-1, 0, 1):
             count = (near + step).clamp_min(0.0).clamp_max(most - 1)
             limit = torch.where(lit & (levels(count, gain, offset) > whole), count + 1, limit)
-        kept = limit.to(torch.uint8) if background.dtype == torch.uint8 else limit
+        kept = limit.to(torch.uint8) if self.frames == torch.uint8 else limit
         return Background(gain, offset, lit.to(torch.uint8), kept)
 
 

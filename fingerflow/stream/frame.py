@@ -14,11 +14,10 @@ from fingerflow.stream.track import TrackStep
 
 
 class FrameResult(NamedTuple):
-    """Contact (`StreamContact`), tracks (`StreamTracks`) and fields (`StreamFields`) of B frames.
+    """Contact (`StreamContact`) and tracks (`StreamTracks`) of B frames.
 
-    `deviation` (B, N) px is the standard deviation of a component of the position. `next_prediction` and
-    `next_reference` (B, N, 2) go into the next step: where a point was seen last, and where it was when the contact
-    reached it.
+    `deviation` (B, N) px is the standard deviation of a component of the position; `covered` (B, N) uint8 says which
+    points the gross contact covers, those that are lost where they were expected.
     """
 
     touching: Tensor
@@ -31,22 +30,16 @@ class FrameResult(NamedTuple):
     error: Tensor
     deviation: Tensor
     status: Tensor
-    next_prediction: Tensor
-    next_reference: Tensor
-    divergence: Tensor
-    curl: Tensor
-    strain: Tensor
-    median_divergence: Tensor
+    covered: Tensor
 
 
 class FrameStep(nn.Module):
-    """Contact, tracking, onset and fields in one graph."""
+    """Contact and tracking in one graph: all of a frame that needs nothing of the frames before but predictions."""
 
-    def __init__(self, contact: ContactStep, track: TrackStep, fields: FieldsStep) -> None:
+    def __init__(self, contact: ContactStep, track: TrackStep) -> None:
         super().__init__()
         self.contact = contact
         self.track = track
-        self.fields = fields
 
     def forward(
         self,
@@ -54,29 +47,21 @@ class FrameStep(nn.Module):
         topography_view: Tensor,
         topography_to_contact: Tensor,
         prediction: Tensor,
-        reference: Tensor,
         limit: Tensor,
         valid: Tensor,
         templates: Templates,
     ) -> FrameResult:
-        """Views (B, 1, H, W), transform (2, 3), prediction and reference (B, N, 2) px of the topography view, limit and
-        valid pixels of `BackgroundStep`, and the templates of `KeyStep`."""
+        """Views (B, 1, H, W), transform (2, 3), prediction (B, N, 2) px of the topography view, limit and valid pixels
+        of `BackgroundStep`, and the templates of `KeyStep`."""
         contact = self.contact(contact_view, limit, valid)
         tracks = self.track(topography_view, prediction, templates)
         # Components before points, as in the parts.
-        points = components_first(tracks.points)
-        kind = points.dtype
-        tracked = (tracks.status == 0)[:, None]
-        matrix = topography_to_contact.to(kind)
+        place = torch.where((tracks.status == 0)[..., None], tracks.points, prediction.to(tracks.points.dtype))
+        known = components_first(torch.where(finite(place), place, -1e4))  # a point that is none lies nowhere near
+        matrix = topography_to_contact.to(place.dtype)
         cell = self.contact.region.cell
-        # In cells; a point that is lost lies nowhere near.
-        under = matrix[:, :2] @ torch.where(tracked, points, -1e4) + matrix[:, 2:]
+        under = matrix[:, :2] @ known + matrix[:, 2:]
         covered = _interpolate(contact.excess, (under - (cell - 1) / 2) / cell) > 0
-        earlier = components_first(reference.to(kind))
-        arriving = ~finite(earlier) & (covered[:, None] & tracked)
-        onset = torch.where(arriving, points, earlier)
-        fields = self.fields.of_components(points, onset)
-        expected = components_first(prediction.to(kind))
         variance = (tracks.covariance[..., 0, 0] + tracks.covariance[..., 1, 1]) / 2
         return FrameResult(
             contact.touching,
@@ -89,10 +74,40 @@ class FrameStep(nn.Module):
             tracks.error,
             variance.sqrt(),
             tracks.status,
-            torch.where(tracked, points, expected).transpose(1, 2),
-            onset.transpose(1, 2),
-            *fields,
+            covered.to(torch.uint8),
         )
+
+
+class SinceOnsetResult(NamedTuple):
+    """Fields (`StreamFields`), and what the next frame needs to know: `next_reference` (B, N, 2) px, where a point was
+    when the contact reached it, NaN where that is not known, and `next_reached` (B, N) uint8, whether it ever did."""
+
+    next_reference: Tensor
+    next_reached: Tensor
+    divergence: Tensor
+    curl: Tensor
+    strain: Tensor
+    median_divergence: Tensor
+
+
+class SinceOnsetStep(nn.Module):
+    """Onset of contact of each point, and the fields that count from there.
+
+    A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
+    """
+
+    def __init__(self, fields: FieldsStep) -> None:
+        super().__init__()
+        self.fields = fields
+
+    def forward(self, points: Tensor, covered: Tensor, reference: Tensor, reached: Tensor) -> SinceOnsetResult:
+        """Points (B, N, 2) px, NaN where lost, and those that the contact covers (B, N) (`FrameResult`); reference and
+        reached as the frame before gave them, NaN and 0 in the first."""
+        now, then = (components_first(one.to(self.fields.precision)) for one in (points, reference))
+        arriving = torch.minimum(covered, 1 - reached)
+        onset = torch.where(arriving[:, None] > 0, now, then)
+        fields = self.fields.of_components(now, onset)
+        return SinceOnsetResult(onset.transpose(1, 2), torch.maximum(reached, covered), *fields)
 
 
 def _interpolate(cells: Tensor, place: Tensor) -> Tensor:

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from fingerflow.stream.background import Background, BackgroundStep
 from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.detect import DetectStep
-from fingerflow.stream.fields import FieldsStep, StreamFields
-from fingerflow.stream.frame import FrameResult, FrameStep
+from fingerflow.stream.fields import FieldsStep
+from fingerflow.stream.frame import FrameResult, FrameStep, SinceOnsetResult, SinceOnsetStep
 from fingerflow.stream.key import KeyStep, Templates
 from fingerflow.stream.measured_contact import MeasuredContact, MeasuredContactStep
 from fingerflow.stream.recipe import GraphName, Recipe
@@ -21,11 +21,12 @@ _TYPES = {"uint8": torch.uint8, "float16": torch.float16, "float32": torch.float
 UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "limit", "template_values"), "counts"),
     **dict.fromkeys(("template_level",), "counts"),
-    **dict.fromkeys(("points", "prediction", "reference", "next_prediction", "next_reference"), "px"),
+    **dict.fromkeys(("points", "prediction", "reference", "next_reference"), "px"),
     **dict.fromkeys(("template_start", "error", "deviation", "center", "semi_axes"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px", "covariance"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold"), "1"),
     **dict.fromkeys(("mask", "touching", "valid", "status", "topography_to_contact"), "1"),
+    **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
     "angle": "rad",
     "gain": "levels/count",
     "offset": "levels",
@@ -70,28 +71,29 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     """
     kind = precision or _TYPES[recipe.export.precision]
     contact, tracking = recipe.contact, recipe.tracking
+    pixel = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
     median_type = _TYPES[contact.median_type]
     scatter = contact.count_by == "scatter"
     known = ContactStep(contact.median_px, median_type, kind, contact.cell_px)
     measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
     table = (tracking.window_px, tracking.reach_px)
     track = TrackStep(*table, tracking.way_back, tracking.forward_backward_limit_px, kind)
-    fields = FieldsStep(recipe.fields.gauge_px, kind)
+    fields = SinceOnsetStep(FieldsStep(recipe.fields.gauge_px, kind))
     border = tracking.window_px // 2 + tracking.reach_px + 3  # window and table of the key frame
-    detect = DetectStep(tracking.points, tracking.corner_distance_px, border, kind)
+    detect = DetectStep(tracking.points, tracking.min_distance_px, border, kind)
     templates = Templates._fields
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
     described = {
-        "background": (BackgroundStep(kind), ("background", "dark", "threshold"), Background._fields),
+        "background": (BackgroundStep(pixel, kind), ("background", "dark", "threshold"), Background._fields),
         "contact": (measured, ("contact_view", "gain", "offset", "valid"), MeasuredContact._fields),
         "detect": (detect, ("topography_view", "mask"), ("points", "response")),
         "key": (KeyStep(*table, kind), ("topography_view", "points"), templates),
         "track": (track, ("topography_view", "prediction", *templates), StreamTracks._fields),
-        "fields": (fields, ("points", "reference"), StreamFields._fields),
+        "fields": (fields, ("points", "covered", "reference", "reached"), SinceOnsetResult._fields),
         "frame": (
-            FrameStep(known, track, fields),
+            FrameStep(known, track),
             (
-                *("contact_view", "topography_view", "topography_to_contact", "prediction", "reference"),
+                *("contact_view", "topography_view", "topography_to_contact", "prediction"),
                 *("limit", "valid", *templates),
             ),
             FrameResult._fields,

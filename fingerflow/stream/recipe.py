@@ -47,7 +47,7 @@ class TrackingRecipe(_Table):
     reach_px: Annotated[Whole, Field(ge=1, le=4)] = 1
     way_back: WayBack = "table"
     forward_backward_limit_px: Annotated[Number, Field(gt=0)] = 1.0
-    corner_distance_px: Annotated[Whole, Field(ge=1, le=50)] = 3
+    min_distance_px: Annotated[Whole, Field(ge=1, le=50)] = 3
 
 
 class FieldsRecipe(_Table):

@@ -34,7 +34,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     skin, moved = (_skin(size, shift) for shift in ((0.0, 0.0), (0.37, -0.22)))
     ridges = 1 - 0.6 * (_radius(size) < 0.6) * (_ridges(size) > 0)
     blank = torch.full(size, 0.5)
-    empty, dark = view(glass), torch.zeros(batch, 1, *size, dtype=torch.int32).to(kind)
+    empty, dark = view(glass).to(torch.float32), torch.zeros(batch, 1, *size)
     points = _points(size, recipe.tracking.points).expand(batch, -1, -1).contiguous()
     lost = points.clone()
     lost[:, ::5] = torch.nan
@@ -50,6 +50,8 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "mask": torch.ones(batch, 1, *size, dtype=torch.bool),
         "topography_to_contact": matrix,
         "reference": _strained(points),
+        "reached": torch.isfinite(late[..., 0]).to(torch.uint8),
+        "covered": (torch.arange(points.shape[1]) % 7 > 0).to(torch.uint8).expand(batch, -1).contiguous(),
     }
     press = {"contact_view": view(glass * ridges), "topography_view": view(moved), "key_view": view(skin)}
     white = torch.ones(size)

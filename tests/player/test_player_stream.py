@@ -1,6 +1,7 @@
 """What a stream does with its frames: policies, key frames, restarts, errors of the source, results."""
 
 import json
+import math
 import os
 import signal
 import threading
@@ -94,23 +95,59 @@ def test_the_policy_latest_takes_the_newest_frame(stream: Stream, monkeypatch: p
     assert summary["overruns"] == 0
 
 
-@pytest.mark.parametrize("parallel", ["2", "3"])
-def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str) -> None:
-    """Every frame in its order with its own result; a key frame or restart comes before all frames that begin later."""
-    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
-    found = [10, 10, 9, 8, 7, 7, 7, 7, 6, 6, 4, 10, 10, 10, 10, 10, 10, 10]
-    frames = [frame(found=number) for number in found]
+#: Found in a stream with a new key frame (7 of 10 four times) and a restart (4 of 10 four times).
+FOUND = [10] * 4 + [7] * 6 + [6] * 2 + [4] * 4 + [10] * 6
+
+
+@pytest.mark.parametrize(("parallel", "lag"), [("1", 2), ("2", 2), ("3", 3)])
+def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str, lag: int) -> None:
+    """Every frame in its order with its own result; key frame and restart count from a frame known beforehand."""
+    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    frames = [frame(found=number) for number in FOUND]
     ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", parallel)
     records, events = ended.results.records, ended.results.events
-    np.testing.assert_array_equal(records["frame"], np.arange(len(found)))
-    # A frame that had begun before the restart still follows the points of the key frame.
-    followed = np.where((records["key_frame"] == 4) & (records["frame"] > 10), 7, found)
-    np.testing.assert_array_equal(np.isfinite(records["points"][..., 0]).sum(1), followed)
-    assert [(event["event"], event["frame"]) for event in events] == [("restart", 0), ("key_frame", 4), ("restart", 10)]
-    for column, number, frame_number in (("key_frame", 4, 4), ("restart", 2, 10)):
-        changed = int(np.argmax(records[column] == number))
-        assert frame_number < changed <= frame_number + int(parallel) + 1
-        assert (records[column][changed:] >= number).all()
+    number = np.arange(len(FOUND))
+    np.testing.assert_array_equal(records["frame"], number)
+    assert [(event["event"], event["frame"]) for event in events] == [("restart", 0), ("key_frame", 7), ("restart", 15)]
+    np.testing.assert_array_equal(records["key_frame"], np.select([number < 7 + lag, number < 15 + lag], [0, 7], 15))
+    np.testing.assert_array_equal(records["restart"], np.where(number < 15 + lag, 1, 2))
+    # Points lost before the key frame are not in it, until others are chosen.
+    most = np.where((number >= 7 + lag) & (number < 15 + lag), 7, 10)
+    np.testing.assert_array_equal(np.isfinite(records["points"][..., 0]).sum(1), np.minimum(FOUND, most))
+
+
+@pytest.mark.parametrize(
+    ("parallel", "arguments"), [("1", ("--rate", "1500")), ("2", ()), ("2", ("--rate", "1500"))], ids=str
+)
+def test_results_do_not_depend_on_the_clock(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str, arguments: tuple[str, ...]
+) -> None:
+    """Bit for bit the same, whatever the pace, the frames side by side and the time that each takes."""
+    monkeypatch.setattr(player.Upkeep, "_RESTART", 10)
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
+    generator = np.random.default_rng(5)
+    found = FOUND + [10] * 20 + FOUND * 3
+    moved = np.cumsum(generator.integers(-3, 4, len(found))).clip(-60, 60)
+    frames = np.stack([frame(f, 4 * i % 700, m) for i, (f, m) in enumerate(zip(found, moved.tolist(), strict=True))])
+    np.save(stream.folder / "frames.npy", frames)
+    source = ("--source", str(stream.folder / "frames.npy"))
+    plain = stream.run(*source)
+    assert len(plain.results.events) > 6
+    (stream.folder / "results").rename(stream.folder / "plain")
+    run = player.Stepper.run
+
+    def uneven(stepper: player.Stepper, side: int) -> None:
+        time.sleep(float(generator.choice((0, 0, 0, 0.004))))
+        run(stepper, side)
+
+    monkeypatch.setattr(player.Stepper, "run", uneven)
+    other = stream.run(*source, "--parallel-frames", parallel, *arguments)
+    reference = player.read_results(stream.folder / "plain").records
+    assert np.ptp(reference["expected"][:, 0]) > 5
+    for name in set(reference.dtype.names or ()) - {"time", "latency"}:
+        assert other.results.records[name].tobytes() == reference[name].tobytes(), name
+    said = [[(e["event"], e["frame"]) for e in events] for events in (plain.results.events, other.results.events)]
+    assert said[0] == said[1]
 
 
 def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,8 +173,8 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     begin, run, failed = player.Stepper.begin, player.Stepper.run, threading.Event()
     sides: list[int] = []
 
-    def note(stepper: player.Stepper, slot: player.Slot) -> int:
-        sides.append(begin(stepper, slot))
+    def note(stepper: player.Stepper, slot: player.Slot, measure: bool = False) -> int:
+        sides.append(begin(stepper, slot, measure))
         return sides[-1]
 
     def fail(stepper: player.Stepper, side: int) -> None:
@@ -165,54 +202,132 @@ def _darkened(level: int) -> Any:
 
 @pytest.mark.parametrize("setting", ["", 'threshold = "reference_frame"'])
 def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str) -> None:
-    """Of the first frame with contact: 0.4 of the light, half of what it loses; the later, darker ones keep it."""
+    """Of the first of every four frames that shows contact: 0.4 of the light, half of what it loses. It counts two
+    frames later, and darker ones keep it."""
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
-    frames = np.stack([frame(), frame(), _darkened(40), _darkened(10), _darkened(130)])
-    np.save(stream.folder / "frames.npy", frames)
+    levels = (200, 40, 40, 40, 40, 40, 40, 10, 130, 10)
+    np.save(stream.folder / "frames.npy", np.stack([_darkened(level) for level in levels]))
     ended = stream.run("--source", str(stream.folder / "frames.npy"))
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0, 24 / 4, 24 / 4, 0])
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0, 0, 0, 0, 0, 6, 6, 0, 6])
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
-    assert event["frame"] == 2
+    assert event["frame"] == 4
     assert event["threshold"] == pytest.approx(0.4, abs=1e-6)
     assert ended.summary["threshold"] == event["threshold"]
     assert ended.results.header["threshold"] == "measured"
-    assert "frame 2: threshold 0.4000" in ended.said
+    assert "frame 4: threshold 0.4000" in ended.said
+
+
+def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A graph that finds one in frames brighter than the empty glass."""
+    run = player.Stepper._run
+
+    def wrong(stepper: player.Stepper, graph: str, given: Any) -> Any:
+        found = run(stepper, graph, given)
+        return found | {"threshold": np.array([-0.127])} if graph == "contact" else found
+
+    monkeypatch.setattr(player.Stepper, "_run", wrong)
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
+    ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
+    assert ended.summary["threshold"] is None
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], 0)
 
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
-    monkeypatch.setattr(player, "_MEASURE_INTERVAL", 0.0)
+    """The old one stays in use until the next is found."""
+    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
-    frames = [_darkened(40), _darkened(40), _darkened(130), frame(), _darkened(100)]
-    frames[1][0, 0] = 0  # all points lost
+    frames = [_darkened(40) for _ in range(4)] + [_darkened(110) for _ in range(12)]
+    for picture in frames[4:8]:  # points are lost: others are chosen in frame 7 and followed from 9 on
+        picture[0, 0] = 0
     ended = stream.run(*stream.frames(frames), "--policy", "every")
-    # 0.35 of light lost is under 0.4; measured again after the restart in frame 1, it is over the half of it.
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [6, 6, 6, 0, 6])
+    # 0.45 of light lost is over 0.4; measured again in frame 12, the half of it.
     found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
-    assert found == [(0, pytest.approx(0.4, abs=1e-6)), (2, pytest.approx(0.175, abs=1e-6))]
+    assert found == [(0, pytest.approx(0.4, abs=1e-6)), (12, pytest.approx(0.225, abs=1e-6))]
+    assert [event["frame"] for event in ended.results.events if event["event"] == "restart"] == [0, 7]
+    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0] + [6] * 14)
+
+
+def test_a_growing_contact_measures_the_threshold_again() -> None:
+    """Where it had grown by a fourth since the threshold counts, two frames later; and so on."""
+    search = player.ThresholdSearch(2)
+    used, measured = {}, []
+    for index in range(40):
+        threshold = search.due(index)
+        if threshold is not None:
+            search.used()
+            used[index] = threshold
+        if search.wants(index):
+            measured.append(index)
+        area = max(0.0, index - 5)
+        search.see(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
+    assert measured[:3] == [0, 4, 8]
+    # The threshold counts from 10 on, where the area is 5: beyond 6.25 in frame 12, measured in 14, counts from 16 on.
+    assert measured[3:6] == [14, 21, 30]
+    assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
+
+
+def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
+    search = player.ThresholdSearch(2)
+    assert search.see(0, 1.0, 0.3)
+    assert (search.due(1), search.due(2)) == (None, 0.3)
+    search.used()
+    assert not search.see(2, 10.0, None)
+    assert not search.see(3, 20.0, None)
+    assert [search.wants(index) for index in (4, 5, 6)] == [False, True, False]
+    assert not search.see(5, 20.0, math.nan)
+    assert not search.see(6, 24.0, None)
+    assert not search.wants(8)
+    assert not search.see(7, 26.0, None)
+    assert search.wants(9)
 
 
 def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player, "_RESTART_INTERVAL", 0.0)
-    found = [10, 10, 9, 8, 7, 7, 6, 4, 10, 10]
-    ended = stream.run(*stream.frames(frame(found=number) for number in found), "--policy", "every")
-    records = ended.results.records
-    # 7 of 10 is under the share of 0.8: key frame at 4. 6 of 7 is not. 4 is under half of 10: chosen anew.
-    np.testing.assert_array_equal(records["key_frame"], [0, 0, 0, 0, 0, 4, 4, 4, 7, 7])
-    np.testing.assert_array_equal(records["restart"], [1, 1, 1, 1, 1, 1, 1, 1, 2, 2])
+    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    ended = stream.run(*stream.frames(frame(found=number) for number in FOUND), "--policy", "every")
+    records, number = ended.results.records, np.arange(len(FOUND))
     # `error` is the pixel of the key frame: what `key` gave is held until it runs again.
-    np.testing.assert_array_equal(records["error"][:, 0], [10, 10, 10, 10, 10, 7, 7, 7, 4, 4])
-    assert np.isnan(records["started"][5, 7:]).all()  # points lost before the key frame are not in it
-    np.testing.assert_array_equal(records["divergence"][:, 0], [0, 1, 2, 3, 4, 5, 6, 7, 0, 1])  # NaN after a restart
+    np.testing.assert_array_equal(records["error"][:, 0], np.select([number < 9, number < 17], [10, 7], 4))
+    assert np.isnan(records["started"][9:17, 7:]).all()  # points lost before the key frame are not in it
+    np.testing.assert_array_equal(records["divergence"][:, 0], np.where(number < 17, number, number - 17))
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
-    assert events == [("restart", 0, 10), ("key_frame", 4, 7), ("restart", 7, 10)]
+    assert events == [("restart", 0, 10), ("key_frame", 7, 7), ("restart", 15, 10)]
+
+
+def test_single_frames_change_nothing() -> None:
+    """Nor do four that are not in a row; lost points are chosen anew, and not again at once."""
+    upkeep = player.Upkeep(0.8, math.inf)
+    upkeep.restarted(0, 0, 100)
+    tracked = [100, 10, 100, 10, 10, 10, 100, 70, 70, 70, 100]
+    assert [upkeep.see(i, i, count) for i, count in enumerate(tracked)] == [""] * len(tracked)
+    assert [upkeep.see(i, i, 70) for i in range(4)] == ["", "", "", "rekey"]
+    upkeep.keyed(3, 70)
+    assert [upkeep.see(i, i, 40) for i in range(4, 8)] == ["", "", "", "rekey"]
+    upkeep.keyed(7, 40)
+    assert {upkeep.see(i, i, 0) for i in range(8, 64)} == {""}
+    assert upkeep.see(64, 64, 0) == "lost"
+    upkeep.kept(66)
+    assert {upkeep.see(i, i, 0) for i in range(67, 130)} == {""}
+    assert upkeep.see(130, 130, 0) == "lost"
+
+
+def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that are covered for a while are found again: they are the same as before."""
+    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    black = frame(found=0)
+    black[:, :WIDTH] = 0
+    frames = [frame()] * 4 + [black] * 10 + [frame()] * 10
+    ended = stream.run(*stream.frames(frames), "--policy", "every")
+    assert [event["event"] for event in ended.results.events] == ["restart"]
+    np.testing.assert_array_equal(
+        np.isfinite(ended.results.records["points"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
+    )
 
 
 def test_a_scene_may_key_by_number_and_limit_the_region(stream: Stream) -> None:
     text = stream.scene.read_text()
     stream.scene.write_text(f"{text}[stream]\nrekey_frames = 3\nregion = {{rows = [0, 5], columns = [2, 9]}}\n")
     ended = stream.run(*stream.frames(frame() for _ in range(8)), "--policy", "every")
-    np.testing.assert_array_equal(ended.results.records["key_frame"], [0, 0, 0, 0, 3, 3, 3, 6])
+    np.testing.assert_array_equal(ended.results.records["key_frame"], [0, 0, 0, 0, 0, 3, 3, 3])
     dark = frame()
     dark[:5, 2:9] = 0
     (stream.folder / "results").rename(stream.folder / "first")
@@ -375,10 +490,10 @@ def _moving() -> tuple[player.Motion, Any, Any]:
     """Four points that have moved for 60 frames, of which every third was seen, and one that is none."""
     start = np.array([[[10, 20], [30, 40], [50, 60], [70, 80], [np.nan, np.nan]]], np.float32)
     speed = np.array([[[1, 0], [2, -1], [0.5, -3], [0, 0], [0, 0]]], np.float32)
-    motion = player.Motion(start, 7)
+    motion = player.Motion.at_rest(start, 7)
     np.testing.assert_array_equal(motion.expect(9), start)
     for frames in range(0, 61, 3):
-        motion.see(start + frames * speed, 7 + frames)
+        motion = motion.see(start + frames * speed, 7 + frames)
     return motion, start + 60 * speed, speed
 
 
@@ -394,16 +509,16 @@ def test_lost_points_go_on_and_come_to_rest() -> None:
     motion, place, speed = _moving()
     seen = place + speed
     seen[0, 1] = np.nan
-    motion.see(seen, 68)
+    motion = motion.see(seen, 68)
     np.testing.assert_allclose(motion.expect(68), place + speed, rtol=1e-5)
     for frames in range(2, 60):
-        motion.see(np.full_like(place, np.nan), 67 + frames)
+        motion = motion.see(np.full_like(place, np.nan), 67 + frames)
     rest = place + speed + 4 * speed  # 1 + 3/4 + 9/16 ...
     rest[0, 1] -= speed[0, 1]  # a frame before the others
     np.testing.assert_allclose(motion.expect(130), rest, rtol=1e-5)
-    motion.see(rest + 0.8, 130)  # found beside: that is no motion
+    motion = motion.see(rest + 0.8, 130)  # found beside: that is no motion
     np.testing.assert_allclose(motion.expect(134), rest + 0.8, rtol=1e-5)
-    motion.forget(seen)
+    motion = motion.without(seen)
     np.testing.assert_allclose(motion.expect(134)[0, [0, 2, 3]], (rest + 0.8)[0, [0, 2, 3]], rtol=1e-5)
     assert np.isnan(motion.expect(134)[0, [1, 4]]).all()
 
@@ -413,9 +528,9 @@ def test_noise_is_not_taken_for_motion() -> None:
     the last two positions alone it would have weights 5 and -4, and 6.4 times."""
     generator = np.random.default_rng(3)
     start = np.full((1, 5000, 2), 100.0)
-    motion = player.Motion(start, 0)
+    motion = player.Motion.at_rest(start, 0)
     for number in range(12):
-        motion.see(start + 0.05 * generator.standard_normal(start.shape), number)
+        motion = motion.see(start + 0.05 * generator.standard_normal(start.shape), number)
     assert np.std(motion.expect(100) - start) < 3.5 * 0.05
 
 

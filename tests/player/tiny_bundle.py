@@ -1,9 +1,10 @@
 """A bundle of graphs small enough to know by heart, with the inputs and outputs that the export writes.
 
-Pixel (0, 0) of the topography view says how many of the points are found: what is lost is told by the test. The other
-outputs are simple: `error` is the number that pixel had in the key frame, `divergence` counts frames since the restart
-(a state), areas are the pixels that lose more than the threshold of light. Where the scene gives none it is half of
-what the darkest pixel loses, and unknown while that is less than 0.2.
+Pixel (0, 0) of the topography view says how many of the points are found: what is lost is told by the test; pixel
+(0, 1) says how far they have moved since the key frame. The other outputs are simple: `error` is the number that pixel
+(0, 0) had in the key frame, `expected` is x or y of the prediction, `divergence` counts frames since the restart (a
+state), areas are the pixels that lose more than the threshold of light. Where the scene gives none it is half of what
+the darkest pixel loses, and unknown while that is less than 0.2.
 """
 
 import hashlib
@@ -33,12 +34,12 @@ def write_bundle(folder: Path, bit_depth: int = 8, without: str = "", **changes:
         if name == without:
             continue
         model.metadata_props.add(key="fingerflow.graph", value=name)
-        model.metadata_props.add(key="fingerflow.units", value=json.dumps({"error": "px", "divergence": "1"}))
+        model.metadata_props.add(key="fingerflow.units", value=json.dumps({"error": "px", "expected": "px"}))
         onnx.checker.check_model(model)
         data = model.SerializeToString()
         (folder / f"{name}.onnx").write_bytes(data)
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
-    recipe = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": bit_depth}}
+    recipe = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": bit_depth}, "fields": {"gauge_px": 8.0}}
     facts = {"format": 1, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
     (folder / "bundle.json").write_text(json.dumps(facts | changes))
     return folder
@@ -67,11 +68,11 @@ threshold = 0.5
     return path
 
 
-def frame(found: int = POINTS, contact_px: int = 0) -> np.ndarray[Any, Any]:
-    """A frame in which so many points are found and so many pixels touch."""
+def frame(found: int = POINTS, contact_px: int = 0, moved: int = 0) -> np.ndarray[Any, Any]:
+    """A frame in which so many points are found, moved by quarters of a pixel, and so many pixels touch."""
     picture = np.full((HEIGHT, 2 * WIDTH), 200, np.uint8)
     picture[:, :WIDTH] = 90
-    picture[0, 0] = found
+    picture[0, 0], picture[0, 1] = found, 90 + moved
     picture[:, WIDTH:].reshape(-1)[:0] = 0
     contact = np.full(HEIGHT * WIDTH, 200, np.uint8)
     contact[:contact_px] = 20
@@ -97,13 +98,11 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
     return {
         "background": _model(
             [
-                helper.make_node("Cast", ["background"], ["light"], to=TensorProto.FLOAT),
-                helper.make_node("Cast", ["dark"], ["darkness"], to=TensorProto.FLOAT),
-                helper.make_node("Sub", ["light", "darkness"], ["difference"]),
+                helper.make_node("Sub", ["background", "dark"], ["difference"]),
                 helper.make_node("Reciprocal", ["difference"], ["gain"]),
                 helper.make_node("Identity", ["threshold"], ["limit"]),
             ],
-            {"background": (pixel, view), "dark": (pixel, view), "threshold": ("float", (1,))},
+            {"background": ("float", view), "dark": ("float", view), "threshold": ("float", (1,))},
             {"gain": ("float", view), "limit": ("float", (1,))},
             {},
         ),
@@ -162,13 +161,15 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 *corner,
                 helper.make_node("Less", ["names", "pixel"], ["seen"]),
                 helper.make_node("Unsqueeze", ["seen", "last"], ["seen2"]),
-                helper.make_node("Where", ["seen2", "prediction", "nan3"], ["found"]),
-                helper.make_node("Add", ["found", "zeros"], ["points"]),
-                helper.make_node("Identity", ["prediction"], ["next_prediction"]),
-                helper.make_node("IsNaN", ["reference"], ["unknown"]),
-                helper.make_node("Where", ["unknown", "zeros", "reference"], ["known"]),
-                helper.make_node("Add", ["known", "one"], ["next_reference"]),
-                helper.make_node("ReduceMax", ["known", "last"], ["divergence"], keepdims=0),
+                helper.make_node("Slice", ["topography", "second", "third", "axes"], ["motion4"]),
+                helper.make_node("Reshape", ["motion4", "flat3"], ["motion"]),
+                helper.make_node("Sub", ["motion", "rest"], ["quarters"]),
+                helper.make_node("Mul", ["quarters", "quarter"], ["shift"]),
+                helper.make_node("Mul", ["prediction", "nothing"], ["known_ones"]),
+                helper.make_node("Add", ["template_points", "known_ones"], ["start"]),
+                helper.make_node("Add", ["start", "shift"], ["place"]),
+                helper.make_node("Where", ["seen2", "place", "nan3"], ["points"]),
+                helper.make_node("ReduceMin", ["prediction", "last"], ["expected"], keepdims=0),
                 helper.make_node("Add", ["noughts", "template_pixel"], ["error"]),
                 helper.make_node("ReduceMax", ["template_points", "last"], ["started"], keepdims=0),
                 helper.make_node("Cast", ["contact_view"], ["contact"], to=TensorProto.FLOAT),
@@ -184,7 +185,6 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "contact_view": (pixel, view),
                 "topography_view": (pixel, view),
                 "prediction": ("float", (1, POINTS, 2)),
-                "reference": ("float", (1, POINTS, 2)),
                 "topography_to_contact": ("float", (2, 3)),
                 "limit": ("float", (1,)),
                 "gain": ("float", view),
@@ -198,10 +198,8 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "error": ("float", (1, POINTS)),
                 "started": ("float", (1, POINTS)),
                 "status": ("uint8", (1, POINTS)),
-                "divergence": ("float", (1, POINTS)),
+                "expected": ("float", (1, POINTS)),
                 "touching": ("bool", view),
-                "next_prediction": ("float", (1, POINTS, 2)),
-                "next_reference": ("float", (1, POINTS, 2)),
             },
             {
                 **corner_constants,
@@ -209,10 +207,30 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "last": np.array([2]),
                 "image": np.array([1, 2, 3]),
                 "nan3": np.full((1, 1, 1), np.nan, np.float32),
-                "zeros": np.zeros((1, POINTS, 2), np.float32),
+                "second": np.array([0, 1]),
+                "third": np.array([1, 2]),
+                "flat3": np.array([1, 1, 1]),
+                "rest": np.full(1, 90, np.float32),
+                "quarter": np.full(1, 0.25, np.float32),
+                "nothing": np.zeros(1, np.float32),
                 "noughts": np.zeros((1, POINTS), np.float32),
                 "one": np.ones(1, np.float32),
                 "middle": np.array([[WIDTH / 2, HEIGHT / 2, 1]], np.float32),
+            },
+        ),
+        "fields": _model(
+            [
+                helper.make_node("IsNaN", ["reference"], ["unknown"]),
+                helper.make_node("Where", ["unknown", "zeros", "reference"], ["known"]),
+                helper.make_node("Add", ["known", "one"], ["next_reference"]),
+                helper.make_node("ReduceMax", ["known", "last"], ["divergence"], keepdims=0),
+            ],
+            {"points": ("float", (1, POINTS, 2)), "reference": ("float", (1, POINTS, 2))},
+            {"divergence": ("float", (1, POINTS)), "next_reference": ("float", (1, POINTS, 2))},
+            {
+                "last": np.array([2]),
+                "zeros": np.zeros((1, POINTS, 2), np.float32),
+                "one": np.ones(1, np.float32),
             },
         ),
     }
