@@ -27,11 +27,11 @@ ARROWS: dict[str, set[str]] = {
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "whole_file"},
     "pipeline": {"errors", "plan", "result", "scene", "stages"},
-    "stream": {"errors", "ops", "strict"},
+    "stream": {"ops"},
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
-    "export": {"errors", "stream"},
+    "export": {"errors", "stream", "strict", "synthetic"},
     "player": set(),
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below

@@ -34,10 +34,10 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from bench.trackers import track_opencv
-from fingerflow.export import write_graph
+from fingerflow.export.build import build
+from fingerflow.export.bundle import write_graph
+from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.ops.corners import detect_corners
-from fingerflow.stream.graphs import build
-from fingerflow.stream.recipe import GraphName, Recipe
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press

@@ -37,6 +37,8 @@ def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
         ('frames = "empty.npy"', "", "background.frames is missing"),
         ('frames = "empty.npy"', 'frames = "nothing.npy"', "nothing.npy: is no file"),
         ('frames = "empty.npy"', "frames = 3", "background.frames is 3; a path"),
+        ("[contact]", "[recording]\nfirst_frame = 3\nlast_frame = 2\n[contact]", "first_frame, 3, or more is needed"),
+        ("[contact]", "[recording]\nfirst_frame = -1\n[contact]", "recording.first_frame is -1"),
         ("[contact]", "[stream]\nrekey_share = 2.0\n[contact]", "stream.rekey_share is 2.0"),
         ("[contact]", "[stream]\nrekey_frames = 2.5\n[contact]", "stream.rekey_frames is 2.5"),
         ("[contact]", "[stream]\nregion = {rows = [0, 99], columns = [0, 9]}\n[contact]", "ends beyond"),
@@ -76,6 +78,96 @@ def test_a_calibration_file_is_read(stream: Stream) -> None:
     records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
     assert records["real_area_mm2"][0] == 1.0
     np.testing.assert_array_equal(records["center"][0], (WIDTH / 2 + 2, HEIGHT / 2 + 3))
+
+
+def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
+    """In floating point, as `fingerflow process` has it; 0.5 of the light is lost below half of 200.25 counts."""
+    pictures = np.full((70, HEIGHT, 2 * WIDTH), 200, np.uint8)
+    pictures[:16] += 1
+    pictures[64:] = 0  # beyond the first 64
+    np.save(stream.bundle / "empty.npy", pictures)
+    picture = frame()
+    picture[5, WIDTH:] = 100
+    [event] = stream.run(*stream.frames([picture])).results.records["real_area_mm2"]
+    assert event == WIDTH / 4
+    mean = player.mean_view(
+        stream.bundle / "empty.npy",
+        player.View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
+        player.load_bundle(stream.bundle),
+        None,
+        "",
+    )
+    assert mean.dtype == np.float32
+    np.testing.assert_array_equal(mean, np.full((HEIGHT, WIDTH), 200.25))
+
+
+@pytest.mark.parametrize(
+    ("pictures", "said"),
+    [
+        (np.full((HEIGHT, 2 * WIDTH), 200, np.uint16), "empty.npy: a frame is uint16, the bundle takes uint8"),
+        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "needs (H, W) of at least (24, 64)"),
+        (np.zeros((0, HEIGHT, WIDTH), np.uint8), "at least one is needed"),
+    ],
+)
+def test_a_wrong_background_is_named(stream: Stream, pictures: Any, said: str) -> None:
+    np.save(stream.bundle / "empty.npy", pictures)
+    ended = stream.run(*stream.frames([frame()]))
+    assert ended.code == 2
+    assert said in ended.said
+
+
+def test_the_frames_that_count(stream: Stream) -> None:
+    """Those of the scene, and with their numbers, where its own recording is played; else all."""
+    np.save(stream.bundle / "frames.npy", np.stack([frame(contact_px=number) for number in range(12)]))
+    np.save(stream.bundle / "others.npy", np.stack([frame()] * 12))
+    text = stream.scene.read_text()
+    stream.scene.write_text(f'[recording]\nframes = "frames.npy"\nfirst_frame = 3\nlast_frame = 8\n{text}')
+    for arguments, numbers in (
+        ((), np.arange(3, 9)),
+        (("--frames", "2"), np.arange(3, 5)),
+        (("--source", str(stream.bundle / "frames.npy")), np.arange(3, 9)),
+        (("--source", str(stream.bundle / "others.npy")), np.arange(12)),
+    ):
+        ended = stream.run(*arguments)
+        np.testing.assert_array_equal(ended.results.records["frame"], numbers)
+        if "others" not in "".join(arguments):
+            np.testing.assert_array_equal(ended.results.records["real_area_mm2"], numbers / 4)
+        (stream.folder / "results").rename(stream.folder / f"results{len(list(stream.folder.iterdir()))}")
+
+
+def test_settings_that_the_bundle_has_decided_otherwise_are_said(stream: Stream) -> None:
+    """In the log and in the results, one sentence each; what agrees is not."""
+    recipe = {"tracking": {"points": 10, "window_px": 21}, "contact": {"median_px": 3}, "fields": {"gauge_px": 8.0}}
+    views = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": 8}}
+    _rewritten(stream.bundle, recipe=views | recipe)
+    text = stream.scene.read_text()
+    scene_text = """[tracking]
+points = 700
+window_px = 21
+template = "previous"
+[fields]
+gauge_length_mm = 4.0
+strain = "as_printed"
+"""
+    stream.scene.write_text(text + "median_px = 9\n" + scene_text)
+    ended = stream.run(*stream.frames([frame()]))
+    said = [
+        "contact.median_px of the scene is 9; the bundle plays with 3",
+        "tracking.points of the scene is 700; the bundle plays with 10",
+        "tracking.template of the scene is 'previous'; the bundle plays with 'keyframe'",
+        "fields.strain of the scene is 'as_printed'; the bundle plays with 'green_lagrange'",
+    ]
+    assert ended.code == 0
+    assert ended.results.header["warnings"] == said
+    assert all(sentence in ended.said for sentence in said)
+    stream.scene.write_text(
+        text.replace("threshold = 0.5", 'threshold = "per_frame"') + "[fields]\ngauge_length_mm = 4.1\n"
+    )
+    (stream.folder / "results").rename(stream.folder / "first")
+    assert stream.run(*stream.frames([frame()])).results.header["warnings"] == [
+        "contact.threshold of the scene is 'per_frame'; the bundle plays with 'reference_frame'",
+        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 4, 8 px",
+    ]
 
 
 def _rewritten(folder: Path, **changes: Any) -> None:

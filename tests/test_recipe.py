@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from fingerflow.errors import FingerflowError
-from fingerflow.stream.recipe import load_recipe
+from fingerflow.export.recipe import load_recipe
 
-RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
+RECIPES = sorted((Path(__file__).parents[1] / "export").glob("*.toml"))
 
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.stream.background import Background, BackgroundStep
 from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.detect import DetectStep
@@ -12,7 +13,6 @@ from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.frame import FrameResult, FrameStep, SinceOnsetResult, SinceOnsetStep
 from fingerflow.stream.key import KeyStep, Templates
 from fingerflow.stream.measured_contact import MeasuredContact, MeasuredContactStep
-from fingerflow.stream.recipe import GraphName, Recipe
 from fingerflow.stream.track import StreamTracks, TrackStep
 
 _TYPES = {"uint8": torch.uint8, "float16": torch.float16, "float32": torch.float32, "float64": torch.float64}
