@@ -1,0 +1,156 @@
+"""Which tracked points are off what their neighbours say, and which are far more uncertain than they."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+NEIGHBOURS = 16  # of a point that are asked; the nearest
+LEAST_NEIGHBOURS = 5  # below which there is nobody to judge by
+#: Times its neighbours' disagreement that a point's may be. Of true displacements none in 10,000 exceed it where the
+#: field is a plane, and 2 in 1000 where it bends strongly; of those off by 12 standard deviations 98 in 100 do, by 8 half.
+MOST_DISAGREEMENT = 3.0
+#: Times the (harmonic) mean standard deviation of its neighbours that a point's may be.
+MOST_UNCERTAINTY = 4.0
+_SPREAD = 4.0  # squared: of agreement, within which a neighbour has at least half a say in the plane
+_LEAST_DEVIATION = 1e-6  # in the unit of the positions: those of the first frame are 0
+_LEAST = 1e-30
+_RIDGE = 1e-3  # of the spread of neighbours: for those on one line
+
+
+class Neighbours(NamedTuple):
+    """The k nearest neighbours of N points, nearest first: numbers (P, k, N), offsets (P, k, N, 2), and whether they
+    lie within the gauge length and are known, (P, k, N) of 0 and 1."""
+
+    number: Tensor
+    offset: Tensor
+    within: Tensor
+
+
+class Outliers(NamedTuple):
+    """(B, N) bool each; neither where a displacement is unknown or has fewer than five neighbours that are known.
+
+    Attributes:
+        off_neighbours: the displacement is not what any local plane through its neighbours allows.
+        uncertain: the standard deviation is far above that of the neighbours.
+    """
+
+    off_neighbours: Tensor
+    uncertain: Tensor
+
+
+def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
+    """The points to judge each point by, once for all frames of the same points.
+
+    Args:
+        positions: (P, N, 2) of reference, NaN where there is none. N is 2 or more.
+        gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
+    """
+    if positions.shape[1] < 2:
+        raise ValueError(f"{positions.shape[1]} points have no neighbours: give 2 or more")
+    steps = positions[:, :, None] - positions[:, None]  # from the second point to the first
+    distance = steps.square().sum(-1)
+    apart = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
+    distance = torch.where(apart & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is nowhere near
+    nearest = distance.topk(min(NEIGHBOURS, positions.shape[1] - 1), dim=1, largest=False)
+    within = nearest.values < torch.inf
+    offset = steps.gather(1, nearest.indices[..., None].expand(-1, -1, -1, 2))
+    return Neighbours(nearest.indices, torch.where(within[..., None], offset, 0.0), within.to(positions.dtype))
+
+
+def find_outliers(neighbours: Neighbours, displacement: Tensor, deviation: Tensor) -> Outliers:
+    """Points whose displacement or uncertainty stands out among their neighbours.
+
+    A neighbour agrees with a point where both lie on one plane of slope G to within their standard deviations: it
+    leaves z^2 = |u_j - u_i - G (x_j - x_i)|^2 / (s_i^2 + s_j^2). The disagreement of a point is the harmonic mean of
+    1 + z^2 over its neighbours, which the few that agree decide: of a point beside a slip front half do, at a corner of
+    one a quarter, and of a wrong match none. It is compared with the neighbours' own, so that what the texture of a
+    field adds to all counts for nothing: the idea of the normalised median test (Westerweel & Scarano 2005,
+    Experiments in Fluids 39, 1096), which takes medians for both and knows no slope.
+
+    G is tried in three ways, and the best counts: none; the slope of a plane through those neighbours that are close to
+    the point (one step of reweighting, and not through the point itself); and the mean of these slopes over the
+    neighbourhood, by how well each fits, which beside a front is that of the side without it.
+
+    A point that agrees with a neighbour, because both are wrong alike, is not told from one at a front.
+
+    Args:
+        neighbours: from :func:`find_neighbours`, for P = B, or P = 1 for all frames.
+        displacement: (B, N, 2) in the unit of the positions; NaN where it is unknown.
+        deviation: (B, N) standard deviation of a component.
+    """
+    index, offset, within = neighbours
+    x, y = offset.unbind(-1)  # (P, k, N), broadcast over frames
+    known = (displacement.sum(-1) + deviation).isfinite()
+    one = known.to(displacement.dtype)
+    sure = torch.where(known, deviation, 1.0).clamp_min(_LEAST_DEVIATION)
+    u, v = torch.where(known[..., None], displacement, 0.0).unbind(-1)
+    there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
+    weight = there * within
+    number = weight.sum(1)  # (B, N)
+    u, v = there_u - u[:, None], there_v - v[:, None]
+    precision = 1 / (variance + sure.square()[:, None])
+
+    distance, level = _agreement(u, v, precision, weight, number)
+    slope = _plane(x, y, u, v, weight / (1 + distance / (_SPREAD * level[:, None])))
+    _, fitted = _agreement(*_above(slope, x, y, u, v), precision, weight, number)
+    trust = one / fitted.square()
+    donated = (*(part * trust for part in slope), trust)
+    *slopes, total = (
+        (part * within).sum(1) + own for part, own in zip(_of_neighbours(index, *donated), donated, strict=True)
+    )
+    total = total.clamp_min(_LEAST)
+    _, borrowed = _agreement(*_above([part / total for part in slopes], x, y, u, v), precision, weight, number)
+    disagreement = torch.minimum(torch.minimum(level, fitted), borrowed).sqrt()
+    # Harmonic means over the neighbours of their disagreement and deviation: the outliers among them hardly count.
+    usual, usual_deviation = (
+        number / (part * weight).sum(1).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
+    )
+    judged = known & (number >= LEAST_NEIGHBOURS)
+    return Outliers(
+        judged & (disagreement > MOST_DISAGREEMENT * usual), judged & (sure > MOST_UNCERTAINTY * usual_deviation)
+    )
+
+
+def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
+    """Values (B, N) each of the neighbours, (B, k, N) each, by numbers (1 or B, k, N)."""
+    batch = values[0].shape[0]
+    if index.shape[0] == 1:
+        there = torch.stack(values).flatten(0, 1).index_select(1, index.flatten())
+        return there.reshape(len(values), batch, *index.shape[1:]).unbind()
+    return tuple(one.gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
+
+
+def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
+    """z^2 (B, k, N) of differences, and the harmonic mean (B, N) of 1 + z^2 over the neighbours, 1 where none are."""
+    distance = (u * u + v * v) * precision
+    agreeing = (weight / (1 + distance)).sum(1)
+    return distance, torch.where(number > 0, number / agreeing.clamp_min(_LEAST), 1.0)
+
+
+def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
+    """Slopes (B, N) du/dx, du/dy, dv/dx, dv/dy of the planes through differences (B, k, N) at offsets x and y, by least
+    squares with weights (B, k, N)."""
+    by_x, by_y = weight * x, weight * y
+    total, sum_x, sum_y = (part.sum(1) for part in (weight, by_x, by_y))
+    total = total.clamp_min(_LEAST)
+    mean_x, mean_y = sum_x / total, sum_y / total
+    xx = (by_x * x).sum(1) - mean_x * sum_x
+    xy = (by_x * y).sum(1) - mean_x * sum_y
+    yy = (by_y * y).sum(1) - mean_y * sum_y
+    ridge = _RIDGE * (xx + yy) + _LEAST
+    xx, yy = xx + ridge, yy + ridge
+    determinant = (xx * yy - xy * xy).clamp_min(_LEAST)
+    slopes = []
+    for moved in (u, v):
+        rise = (weight * moved).sum(1)
+        along_x = (by_x * moved).sum(1) - mean_x * rise
+        along_y = (by_y * moved).sum(1) - mean_y * rise
+        slopes += [(yy * along_x - xy * along_y) / determinant, (xx * along_y - xy * along_x) / determinant]
+    return slopes
+
+
+def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """What differences (B, k, N) leave above planes of slopes (B, N)."""
+    ux, uy, vx, vy = (part[:, None] for part in slope)
+    return u - ux * x - uy * y, v - vx * x - vy * y
