@@ -12,6 +12,7 @@ from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.synthetic import Camera, Press
 
 _SHIPPED = (512, 640)  # px of the views that the default press is made for
+_BORDER = 0.6  # of the contact for the fields, as a share of half the view
 _KEY, _FRAME = 180, 183  # of its frames: skin under contact that moves and spreads
 
 
@@ -53,8 +54,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     lost[:, ::5] = torch.nan
     lost[:, 1::5] = -3.0
     lost[:, 2::5] += 40.0
-    late = _strained(points)
-    late[:, ::5] = torch.nan
+    radius = _radius(points, size)
     press = {
         "background": pictures.glass.expand(batch, 1, *size).contiguous(),
         "dark": pictures.dark.expand(batch, 1, *size).contiguous(),
@@ -66,16 +66,16 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "key_view": view(pictures.key),
         "points": points,
         "prediction": points,
-        "reference": _strained(points),
-        "reached": torch.isfinite(late[..., 0]).to(torch.uint8),
-        "covered": (torch.arange(points.shape[1]) % 7 > 0).to(torch.uint8).expand(batch, -1).contiguous(),
+        "reference": _reference(points, size),
+        "reached": (radius < _BORDER - 0.05).to(torch.uint8),
+        "covered": (radius < _BORDER).to(torch.uint8),
     }
     noise = view((torch.rand(size, generator=generator) * most).round())
     hard = {"blank": flat(0.5), "black": flat(0.0), "saturated": flat(2.0), "noise": noise}
     return [
         Case("press", press),
-        Case("lost and foreign points", {**press, "prediction": lost, "reference": late}),
-        Case("points that are none", {**press, "points": lost, "reference": _strained(lost)}),
+        Case("lost and foreign points", {**press, "prediction": lost}),
+        Case("points that are none", {**press, "points": lost}),
         *(
             Case(name, {**press, "contact_view": frame, "topography_view": frame, "key_view": frame})
             for name, frame in hard.items()
@@ -114,9 +114,18 @@ def _press(height: int, width: int, bit_depth: int) -> _Pictures:
     )
 
 
-def _strained(points: Tensor) -> Tensor:
-    """Where the points were before a deformation of some per cent."""
-    return points - 0.03 * points.flip(2) + 0.05 * points + 0.7 * torch.sin(points / 25)
+def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
+    """Distance (B, N) of points from the middle of the view, 1 at its sides."""
+    return torch.hypot(2 * points[..., 0] / size[1] - 1, 2 * points[..., 1] / size[0] - 1)
+
+
+def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
+    """Where points were at the onset of contact, if it came to those outside last: spread and turned by some per cent
+    since then. NaN where it has not come yet."""
+    radius = _radius(points, size)[..., None]
+    arm = points - torch.tensor([size[1] / 2, size[0] / 2])
+    moved = (_BORDER - radius) * (0.2 * arm + 0.05 * torch.stack((-arm[..., 1], arm[..., 0]), dim=-1))
+    return torch.where(radius < _BORDER - 0.05, points - moved, torch.nan)
 
 
 def _points(size: tuple[int, int], count: int) -> Tensor:
