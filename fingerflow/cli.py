@@ -155,6 +155,7 @@ def process(
     outputs: Outputs = None,
     to: Annotated[Path | None, typer.Option(help="Result file; default result.h5 beside the scene.")] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda ...")] = "auto",
+    engine: Annotated[str, typer.Option(help="torch, or onnx: the graphs of a bundle, by ONNX Runtime.")] = "torch",
     as_json: AsJson = False,
 ) -> None:
     """Compute a scene and save the result."""
@@ -165,7 +166,7 @@ def process(
     loaded = load_scene(scene)
     forces = None if loaded.forces is None else loaded.forces.file
     _spare(path, scene, loaded.recording.frames, loaded.background.frames, loaded.background.dark, forces)
-    result = _process(loaded, outputs, quiet=as_json, device=device)
+    result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine)
     save_result(result, path)
     if as_json:
         _print_json(
@@ -325,10 +326,10 @@ def _views(
     return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}
 
 
-def _process(scene: Any, outputs: list[str] | None, quiet: bool, device: str = "auto") -> Any:
+def _process(scene: Any, outputs: list[str] | None, quiet: bool, device: str = "auto", engine: str = "torch") -> Any:
     from fingerflow.pipeline import process as run
 
-    return run(scene, outputs, device=device, progress=not quiet)
+    return run(scene, outputs, device=device, progress=not quiet, engine=engine)
 
 
 def _print_json(facts: Any) -> None:

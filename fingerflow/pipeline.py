@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ import xarray as xr
 from torch import Tensor
 from tqdm import tqdm
 
+from fingerflow.errors import FingerflowError
 from fingerflow.plan import plan
 from fingerflow.result import Outcome, label
 from fingerflow.scene import Scene
@@ -21,13 +22,20 @@ from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.loading import load
 from fingerflow.stages.tracking import TrackingStage, TrackSeries
 
+if TYPE_CHECKING:
+    from fingerflow.export.runtime import OnnxRuntime
+
 _BATCH = 8  # frames in memory at a time, and as many on their way
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 
 
 def process(
-    scene: Scene, outputs: Iterable[str] | None = None, device: str = "auto", progress: bool = False
+    scene: Scene,
+    outputs: Iterable[str] | None = None,
+    device: str = "auto",
+    progress: bool = False,
+    engine: str = "torch",
 ) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
@@ -36,6 +44,8 @@ def process(
         outputs: names of variables, or one name, see ``fingerflow.plan.OUTPUTS``; None for all that the scene allows.
         device: "auto" (CUDA where it is there), "cpu", "cuda" ...
         progress: show a bar.
+        engine: what runs the modules of `fingerflow.graphs`: "torch" with its compiled kernels, or "onnx", ONNX Runtime
+            on the processor, from graphs as an exported bundle has them. The results agree to rounding.
 
     Returns:
         The data set of :mod:`fingerflow.result`: with what the stages that ran have given.
@@ -46,7 +56,10 @@ def process(
     wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
     stages = plan(wanted, scene.views.topography is not None, scene.forces is not None)
     seconds: dict[str, float] = {}
-    inputs = open_inputs(scene, device)
+    runtime = _onnx_runtime(engine, device)
+    inputs = open_inputs(scene, device if runtime is None else "cpu")
+    if runtime is not None:
+        inputs.engine = runtime
     outcome = Outcome(inputs=inputs, seconds=seconds)
     with torch.inference_mode(), inputs.recording:
         with _timed(seconds, "loading"):
@@ -68,7 +81,21 @@ def process(
                     outcome.fields = deformation.fields(inputs, outcome.displacement, outcome.contact)
                 if "strain" in stages and outcome.displacement is not None:
                     outcome.strain = deformation.strains(inputs, outcome.displacement)
+    if runtime is not None:
+        seconds["export"] = runtime.seconds  # part of the stages that asked for it
     return label(outcome)
+
+
+def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
+    if engine == "torch":
+        return None
+    if engine != "onnx":
+        raise FingerflowError(f"the engine {engine!r} is not known; choose torch or onnx")
+    if device not in ("auto", "cpu"):
+        raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
+    from fingerflow.export.runtime import OnnxRuntime  # what it needs to load is not needed otherwise
+
+    return OnnxRuntime(torch.get_num_threads())
 
 
 def _tracking(inputs: Inputs, contact: ContactStage) -> TrackingStage | None:

@@ -26,7 +26,7 @@ ARROWS: dict[str, set[str]] = {
     "stages": {"errors", "graphs", "ops", "recordings", "scene", "views"},
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "whole_file"},
-    "pipeline": {"errors", "plan", "result", "scene", "stages"},
+    "pipeline": {"export", "errors", "plan", "result", "scene", "stages"},
     "stream": {"ops"},
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},

@@ -112,8 +112,8 @@ def _inputs(scene: Press) -> dict[str, Tensor]:
         "contact_view": view("contact", last),
         "topography_view": view("topography", last),
         "topography_before": view("topography", scene.render(_FROM)),
-        "background": empty,
-        "dark": torch.zeros_like(empty),
+        "background": empty.float(),
+        "dark": torch.zeros(empty.shape),
         "threshold": torch.tensor([0.267]),
         "topography_to_contact": torch.eye(2, 3),
     }
@@ -132,7 +132,7 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     if "points" in tensors:
         key = {**tensors, "topography_view": tensors["topography_before"]}
         tensors.update(zip(graphs["key"].outputs, _apply(graphs["key"], key), strict=True))
-        tensors |= {"prediction": tensors["points"], "reference": tensors["points"]}
+        tensors["prediction"] = tensors["points"]
     with tempfile.TemporaryDirectory() as folder:
         write_graph(recipe, name, graphs[name], Path(folder))
         file = Path(folder) / f"{name}.onnx"

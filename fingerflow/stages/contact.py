@@ -45,7 +45,7 @@ class ContactStage:
         self._inputs = inputs
         self.recording = inputs.recording
         self._view = inputs.scene.views.contact
-        self._graph = ContactGraph(settings.median_px, settings.gross_radius_px)
+        self._graph = inputs.engine(ContactGraph(settings.median_px, settings.gross_radius_px))
         self._reference = inputs.reference(self._view)
         self._dark = inputs.dark(self._view)
         self.reference_frame = self._most_contact(normal_force)

@@ -1,12 +1,12 @@
 """What a trial is computed from, opened and checked: frames, background, forces, calibration."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
@@ -16,15 +16,30 @@ from fingerflow.views import View
 _REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
 
 
+M = TypeVar("M", bound=nn.Module)
+
+
+class Engine(Protocol):
+    """Gives the module to call in place of one: itself, or one that computes the same elsewhere."""
+
+    def __call__(self, module: M) -> M: ...
+
+
+def as_it_is(module: M) -> M:
+    """The engine that is torch."""
+    return module
+
+
 @dataclass
 class Inputs:
-    """An opened scene on a device."""
+    """An opened scene on a device; the stages run their modules by the engine."""
 
     scene: Scene
     recording: Recording
     times: NDArray[np.float64]
     device: torch.device
     warnings: list[str]
+    engine: Engine = as_it_is
 
     @property
     def mm_per_px(self) -> float:

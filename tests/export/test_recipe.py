@@ -7,7 +7,7 @@ import pytest
 from fingerflow.errors import FingerflowError
 from fingerflow.export.recipe import load_recipe
 
-RECIPES = sorted((Path(__file__).parents[1] / "export").glob("*.toml"))
+RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
 
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)

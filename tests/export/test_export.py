@@ -274,7 +274,7 @@ def test_an_existing_folder_is_kept(tmp_path: Path) -> None:
 
 def test_float64_reference_is_another_precision() -> None:
     """The verification compares with numbers that are really computed in float64."""
-    recipe = load_recipe(Path(__file__).parents[1] / "export" / "fast.toml")
+    recipe = load_recipe(Path(__file__).parents[2] / "export" / "fast.toml")
     fields = build(recipe, torch.float64)["fields"]
     case = cases(recipe, 1)[0].inputs
     results = fields.module(*feed("fields", fields, case))

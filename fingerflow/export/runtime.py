@@ -1,0 +1,192 @@
+"""Graph modules executed by ONNX Runtime, for whoever calls them as they are."""
+
+import functools
+import hashlib
+import inspect
+import json
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import torch
+from torch import Tensor, nn
+from torch.utils import _pytree as tree
+
+from fingerflow.export.standard_model import need_packages, standard_model
+
+M = TypeVar("M", bound=nn.Module)
+_SOURCES = ("graphs", "ops")  # rooms whose code a graph is made of
+_OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
+log = logging.getLogger(__name__)
+
+
+class OnnxRuntime:
+    """Gives a module back with its forward, and its other methods, executed by ONNX Runtime on the processor.
+
+    A method is exported when it is first called with tensors of new shapes, one recording at a time: a batch is a loop.
+    Graphs are kept in a folder for the next time: by settings, shapes and the code that they come from.
+
+    Args:
+        threads: inside an operator.
+        folder: of the graphs; by default one of this user's among the temporary files.
+
+    Attributes:
+        exported, seconds: graphs that were exported, and how long that took in all.
+
+    Raises:
+        FingerflowError: packages are missing, or a method is not of standard operators.
+    """
+
+    def __init__(self, threads: int, folder: Path | None = None) -> None:
+        need_packages()
+        self.folder = folder or _own_folder()
+        self.threads = threads
+        self.exported, self.seconds = 0, 0.0
+
+    def __call__(self, module: M) -> M:
+        """The module to call in place of this one."""
+        return cast(M, _Executed(module, self))
+
+    def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
+        """An open session of a method with tensors of these shapes."""
+        import onnxruntime
+
+        file = self.folder / f"{self._name(leaves, tensors, inputs)}.onnx"
+        if not file.exists():
+            begun = time.perf_counter()
+            names = [f"result_{place}" for place in range(outputs)]
+            # A tensor that stands for two inputs would be taken for one.
+            with torch.inference_mode(False):
+                model = standard_model(leaves, tuple(one.clone() for one in tensors), inputs, names)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            part = file.with_suffix(f".{os.getpid()}")
+            part.write_bytes(model.SerializeToString(deterministic=True))
+            part.replace(file)
+            seconds = time.perf_counter() - begun
+            self.exported, self.seconds = self.exported + 1, self.seconds + seconds
+            log.info("%s exported to ONNX in %.1f s: %s", leaves.title, seconds, file)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = self.threads
+        return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
+
+    def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
+        """Of a file: of everything that decides what is in it."""
+        shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
+        facts = [_code(), torch.__version__, leaves.title, _settings(leaves.module), shapes, repr(leaves.values)]
+        digest = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+        return f"{leaves.title}-{digest[:24]}"
+
+
+class _Executed:
+    """What `OnnxRuntime` gives: the attributes of a module, and its methods by ONNX Runtime."""
+
+    def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
+        self._module, self._runtime = module, runtime
+        self._sessions: dict[Any, tuple[Any, list[Any], Any]] = {}
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._run("forward", *arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        return functools.partial(self._run, name) if inspect.ismethod(value) else value
+
+    def _run(self, method: str, *arguments: Any, **named: Any) -> Any:
+        bound = inspect.signature(getattr(self._module, method)).bind(*arguments, **named)
+        bound.apply_defaults()
+        parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
+        names = [tree.keystr(path) for path, _ in parts]
+        values = [value for _, value in parts]
+        own = [isinstance(value, Tensor) for value in values]
+        shared = [any(name in path for name in _OF_ALL) for path in names]
+        batch = max(
+            len(value) for value, tensor, of_all in zip(values, own, shared, strict=True) if tensor and not of_all
+        )
+        results = []
+        for one in range(batch):
+            single = [
+                value[one : one + 1] if tensor and not of_all and len(value) == batch > 1 else value
+                for value, tensor, of_all in zip(values, own, shared, strict=True)
+            ]
+            results.append(self._run_one(method, names, single, structure))
+        if batch == 1:
+            return results[0]
+        flat = [tree.tree_flatten(result) for result in results]
+        joined = [
+            torch.cat(some) if isinstance(some[0], Tensor) else some[0]
+            for some in zip(*(leaves for leaves, _ in flat), strict=True)
+        ]
+        return tree.tree_unflatten(joined, flat[0][1])
+
+    def _run_one(self, method: str, names: list[str], values: list[Any], structure: Any) -> Any:
+        tensors = [value for value in values if isinstance(value, Tensor)]
+        inputs = [name for name, value in zip(names, values, strict=True) if isinstance(value, Tensor)]
+        plain = repr([None if isinstance(value, Tensor) else value for value in values])
+        key = method, plain, tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True))
+        if key not in self._sessions:
+            leaves = _Leaves(self._module, method, values, structure)
+            result, result_structure = tree.tree_flatten(leaves.result(*tensors))
+            count = sum(isinstance(one, Tensor) for one in result)
+            session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
+            self._sessions[key] = session, result, result_structure
+        session, result, result_structure = self._sessions[key]
+        feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
+        known = {one.name for one in session.get_inputs()}  # what is not used is not among them
+        found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
+        joined = [torch.from_numpy(next(found)) if isinstance(one, Tensor) else one for one in result]
+        return tree.tree_unflatten(joined, result_structure)
+
+
+class _Leaves(nn.Module):
+    """A method of a module with the tensors of its arguments by position, and those of its result as a tuple."""
+
+    def __init__(self, module: nn.Module, method: str, values: list[Any], structure: Any) -> None:
+        super().__init__()
+        self.module, self.method, self.structure = module, method, structure
+        self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
+        self.values = [None if isinstance(value, Tensor) else value for value in values]
+        self.places = [place for place, value in enumerate(values) if isinstance(value, Tensor)]
+
+    def result(self, *tensors: Tensor) -> Any:
+        """As the method gives it."""
+        values = list(self.values)
+        for place, tensor in zip(self.places, tensors, strict=True):
+            values[place] = tensor
+        return getattr(self.module, self.method)(**tree.tree_unflatten(values, self.structure))
+
+    def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        return tuple(one for one in tree.tree_leaves(self.result(*tensors)) if isinstance(one, Tensor))
+
+
+def _own_folder() -> Path:
+    """Among the temporary files; one that others may write to is not used again."""
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
+    folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder if folder.stat().st_uid in (user, 0) else Path(tempfile.mkdtemp(prefix=folder.name))
+
+
+def _settings(module: nn.Module) -> list[Any]:
+    """What modules of one class differ in: attributes that are plain values, and buffers."""
+    found: list[Any] = []
+    for name, part in module.named_modules():
+        plain = {key: repr(value) for key, value in vars(part).items() if isinstance(value, int | float | str | None)}
+        found.append([name, type(part).__name__, sorted(plain.items())])
+    return [*found, *([name, tensor.tolist()] for name, tensor in module.named_buffers())]
+
+
+@functools.cache
+def _code() -> str:
+    """A digest of the code that graphs are made of."""
+    digest = hashlib.sha256()
+    package = resources.files("fingerflow")
+    for room in _SOURCES:
+        for file in sorted((package / room).iterdir(), key=lambda one: one.name):
+            if file.name.endswith(".py"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,101 @@
+"""A torch module as an ONNX model of standard operators: no control flow, nothing of this machine in it."""
+
+import contextlib
+import importlib.util
+import logging
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from fingerflow.errors import FingerflowError
+
+OPSET = 18  # newer ones make execution providers fall back to the processor without a word
+_PACKAGES = ("onnx", "onnxscript", "onnxruntime")
+_BYTE = 2  # uint8 among the types of ONNX
+_CONTROL_FLOW = {"Loop", "If", "Scan"}
+
+
+def standard_model(
+    module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], shapes: Any = None
+) -> Any:
+    """The `onnx.ModelProto` of a module that takes tensors by position and gives a tuple of them.
+
+    Args:
+        module: without branches on data.
+        tensors: an example; sizes are fixed to its own, but for those that ``shapes`` leaves open.
+        inputs, outputs: their names.
+        shapes: `dynamic_shapes` of `torch.onnx.export`.
+
+    Raises:
+        FingerflowError: it needs operators that are not standard, or control flow.
+    """
+    import onnxscript.optimizer
+
+    with _quiet():
+        program = torch.onnx.export(
+            module,
+            tensors,
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_shapes=shapes,
+            custom_translation_table={torch.ops.fingerflow.nearest_byte.default: _nearest_byte},
+            optimize=False,
+            verbose=False,
+        )
+    assert program is not None
+    # The exporter's own optimisation also looks for patterns of transformers, which takes longer than all the rest.
+    for _ in range(2):
+        onnxscript.optimizer.fold_constants(program.model)
+        onnxscript.optimizer.remove_unused_nodes(program.model)
+    model = program.model_proto
+    for node in model.graph.node:  # stack traces of this machine
+        node.doc_string = ""
+        del node.metadata_props[:]
+    for value in (*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer):
+        value.doc_string = ""
+        del value.metadata_props[:]
+    del model.metadata_props[:], model.graph.metadata_props[:]
+    model.doc_string = model.graph.doc_string = ""
+    foreign = {
+        f"{node.domain}:{node.op_type}" for node in model.graph.node if node.domain or node.op_type in _CONTROL_FLOW
+    }
+    if foreign or model.functions or [opset.version for opset in model.opset_import] != [OPSET]:
+        name = type(module).__name__
+        raise FingerflowError(f"the graph of {name} is not of standard operators of opset {OPSET}: {sorted(foreign)}")
+    return model
+
+
+def need_packages() -> None:
+    """Raises FingerflowError where what exports and runs graphs is not installed."""
+    missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise FingerflowError(
+            f"graphs in ONNX need {', '.join(missing)}, not installed here: pip install 'fingerflow-engine[export]'"
+        )
+
+
+def _nearest_byte(values: Any) -> Any:
+    import onnxscript
+
+    operators: Any = onnxscript.opset18
+    zero = operators.Cast(operators.Constant(value_int=0), to=_BYTE)
+    return operators.QuantizeLinear(values, operators.Constant(value_float=1.0), zero)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The exporter warns of what it does not need and logs every step."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,108 @@
+"""Modules executed by ONNX Runtime: called like the module itself, with the same results."""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from fingerflow.errors import FingerflowError
+from fingerflow.export.runtime import OnnxRuntime
+
+
+class Pair(NamedTuple):
+    first: Tensor
+    second: Tensor | None
+
+
+class Scaled(nn.Module):
+    """Takes and gives what the graphs do: named tuples, None, settings, tensors of one recording and of all."""
+
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+        self.register_buffer("offset", torch.tensor([0.5]))
+
+    def forward(self, frames: Tensor, pair: Pair, topography_to_contact: Tensor, *, deep: bool = False) -> Pair:
+        second = None if pair.second is None else pair.second + topography_to_contact[0, 2]
+        return Pair((frames.float() * self.factor + pair.first) * (2 if deep else 1) + self.offset, second)
+
+    def largest(self, frames: Tensor) -> Tensor:
+        return frames.float().amax((1, 2))
+
+
+class Branching(nn.Module):
+    def forward(self, frames: Tensor) -> Tensor:
+        return frames + 1 if frames.sum() > 0 else frames
+
+
+@pytest.fixture
+def runtime(tmp_path: Path) -> OnnxRuntime:
+    return OnnxRuntime(1, tmp_path / "graphs")
+
+
+@pytest.mark.parametrize("batch", [1, 2, 5])
+@pytest.mark.parametrize("second", [False, True])
+def test_a_module_gives_the_same(runtime: OnnxRuntime, batch: int, second: bool) -> None:
+    module = Scaled(3.0)
+    executed = runtime(module)
+    generator = torch.Generator().manual_seed(2)
+    frames = torch.randint(0, 255, (batch, 4, 6), generator=generator, dtype=torch.uint8)
+    pair = Pair(torch.rand(1, 4, 6, generator=generator), torch.rand(batch, 3, generator=generator) if second else None)
+    matrix = torch.rand(2, 3, generator=generator)
+    for deep in (False, True):
+        expected, found = (one(frames, pair, matrix, deep=deep) for one in (module, executed))
+        assert isinstance(found, Pair)
+        torch.testing.assert_close(found.first, expected.first)
+        assert found.second is None if expected.second is None else torch.equal(found.second, expected.second)
+    assert torch.equal(executed.largest(frames), module.largest(frames))
+    assert executed.factor == 3.0
+    assert runtime.exported == 3
+    assert runtime.seconds > 0
+
+
+def test_graphs_are_kept_for_the_next_time(runtime: OnnxRuntime) -> None:
+    """By settings, buffers and shapes."""
+    frames = torch.ones(1, 4, 6)
+    pair, matrix = Pair(frames, None), torch.eye(2, 3)
+    runtime(Scaled(3.0))(frames, pair, matrix)
+    again = OnnxRuntime(1, runtime.folder)
+    torch.testing.assert_close(again(Scaled(3.0))(frames, pair, matrix).first, frames * 4.5)
+    assert (again.exported, again.seconds) == (0, 0.0)
+    torch.testing.assert_close(again(Scaled(2.0))(frames, pair, matrix).first, frames * 3.5)
+    other = Scaled(2.0)
+    other.offset += 1
+    torch.testing.assert_close(again(other)(frames, pair, matrix).first, frames * 4.5)
+    again(Scaled(2.0))(frames[:, :3], Pair(frames[:, :3], None), matrix)
+    assert again.exported == 3
+
+
+def test_a_branch_on_data_is_refused(runtime: OnnxRuntime) -> None:
+    with pytest.raises(Exception, match=r"(?i)data-dependent|guard|standard operators"):
+        runtime(Branching())(torch.ones(1, 3))
+    assert not runtime.folder.exists() or not list(runtime.folder.iterdir())
+
+
+def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(FingerflowError, match=r"onnx, onnxscript, onnxruntime, not installed.*\[export\]"):
+        OnnxRuntime(1)
+
+
+def test_a_folder_of_another_user_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not hasattr(os, "getuid"):
+        pytest.skip("files have no user here")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    own = OnnxRuntime(1).folder
+    assert own == OnnxRuntime(1).folder
+    assert own.stat().st_mode & 0o777 == 0o700
+    user = os.getuid()
+    monkeypatch.setattr("os.getuid", lambda: user + 1000)
+    foreign = tmp_path / f"fingerflow-graphs-{user + 1000}"
+    foreign.mkdir()  # by the present user, who is not that one
+    if user == 0:
+        os.chown(foreign, 1, 1)
+    assert OnnxRuntime(1).folder != foreign
