@@ -23,14 +23,24 @@ def exported(recipe: str) -> Iterator[Path]:
         yield Path(folder) / "bundle"
 
 
-def play(bundle: Path, *arguments: str, watch: Callable[[int], None] = lambda pid: None) -> dict[str, Any]:
-    """The summary of a stream of the synthetic source; ``watch`` is called ten times a second with the process id.
+def play(
+    bundle: Path,
+    *arguments: str,
+    watch: Callable[[int], None] = lambda pid: None,
+    scene: Path | None = None,
+    results: Path | None = None,
+) -> dict[str, Any]:
+    """The summary of a stream of the synthetic source, or of the recording of a scene.
+
+    ``watch`` is called ten times a second with the process id; ``results`` is a folder to keep the records in.
 
     Raises RuntimeError with what the player said where it ends with an error.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, str(bundle / "player.py"), "--source", "synthetic", "--page", "off"]
-        options = ["--provider", "cpu", "--output", f"{folder}/results", "--json", f"{folder}/summary.json"]
+        source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
+        command = [sys.executable, str(bundle / "player.py"), *source, "--page", "off"]
+        options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
+        options += ["--provider", "cpu"]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,

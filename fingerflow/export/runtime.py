@@ -127,7 +127,12 @@ class _Executed:
         tensors = [value for value in values if isinstance(value, Tensor)]
         inputs = [name for name, value in zip(names, values, strict=True) if isinstance(value, Tensor)]
         plain = repr([None if isinstance(value, Tensor) else value for value in values])
-        key = method, plain, tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True))
+        key = (
+            method,
+            plain,
+            tuple(names),
+            tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True)),
+        )
         if key not in self._sessions:
             leaves = _Leaves(self._module, method, values, structure)
             result, result_structure = tree.tree_flatten(leaves.result(*tensors))
