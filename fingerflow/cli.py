@@ -143,9 +143,28 @@ def calibrate(
 
 
 @app.command()
-def simulate(kind: Annotated[str, typer.Argument(help="press or slide")], folder: Path) -> None:
+def simulate(
+    kind: Annotated[str, typer.Argument(help="press or slide")],
+    folder: Path,
+    skin: Annotated[
+        str | None,
+        typer.Option(
+            help="loop, whorl or arch: a fingerprint with minutiae and pores, whose ridges break at the border of the "
+            "contact. Default: even rings of ridges, whole up to the border."
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--print",
+            help="A picture of a fingerprint, dark ridges on bright glass, as the skin. Where it is blank, and beyond "
+            "it, the skin is smooth and never touches. It is copied into the folder: the truth needs it.",
+        ),
+    ] = None,
+    dpi: Annotated[float | None, typer.Option(help="Pixels an inch of that picture. Default: 500.")] = None,
+) -> None:
     """Write a synthetic recording with known truth, and a scene file for it."""
-    _simulate(kind, folder)
+    _simulate(kind, folder, skin, picture, dpi)
     typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
 
 
@@ -292,13 +311,23 @@ def main() -> None:
     sys.exit(code)
 
 
-def _simulate(kind: str, folder: Path) -> None:
-    from fingerflow.synthetic import Press, Slide, write_recording
+def _simulate(
+    kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
+) -> None:
+    from fingerflow.synthetic import FingerprintTexture, Press, Slide, scene_of_print, write_recording
 
     kinds = {"press": Press, "slide": Slide}
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
-    write_recording(folder, kinds[kind]())
+    if skin is not None and picture is not None:
+        raise FingerflowError("--skin and --print are two skins; give one of them")
+    if dpi is not None and picture is None:
+        raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
+    if picture is not None:
+        scene = scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
+    else:
+        scene = kinds[kind]() if skin is None else kinds[kind](texture=FingerprintTexture(pattern=skin))
+    write_recording(folder, scene)
 
 
 def _first_frame(path: Path) -> Any:

@@ -1,7 +1,9 @@
 """Scenes of a finger on glass with exactly known motion, contact and forces: for the demo, the tests and the bench."""
 
 from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump, Ellipse
+from fingerflow.synthetic.picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Forces, Scene
 from fingerflow.synthetic.slide import Slide
@@ -13,14 +15,17 @@ __all__ = [
     "Bump",
     "Camera",
     "Ellipse",
+    "FingerprintTexture",
     "Forces",
     "Medians",
+    "PictureTexture",
     "Press",
     "RidgeTexture",
     "Scene",
     "Slide",
     "Truth",
     "rebuild_scene",
+    "scene_of_print",
     "texture_image",
     "write_recording",
 ]

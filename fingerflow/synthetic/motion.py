@@ -27,6 +27,12 @@ class Ellipse:
         """mm²."""
         return math.pi * self.semi_axes[0] * self.semi_axes[1]
 
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Largest distance (mm) of the edge from the centre along x and along y."""
+        (first, second), cosine, sine = self.semi_axes, math.cos(self.angle), math.sin(self.angle)
+        return math.hypot(first * cosine, second * sine), math.hypot(first * sine, second * cosine)
+
     def radius(self, x: Tensor, y: Tensor) -> Tensor:
         """Distance from the centre as a share of the distance to the edge in that direction: 1 on the edge."""
         along, across = self._principal(x, y)

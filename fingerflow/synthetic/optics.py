@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.synthetic.motion import Ellipse
-from fingerflow.synthetic.texture import RidgeTexture
+from fingerflow.synthetic.skin import Skin
 
 #: Grey levels of a surface lit in full: the mean of the skin in the grazing light, what ridges add or take there, and
 #: the glass in the bright field.
@@ -16,6 +16,8 @@ CONTACT_LOSS, VALLEY_LOSS = 0.5, 0.04
 #: Width (mm) of the logistic blur of an edge in focus, of the finger's outline and of the rim of the lit disc.
 #: In focus it is 0.35 px, close to a Gaussian of standard deviation 0.6 px.
 EDGE_WIDTH, OUTLINE_WIDTH, DISC_WIDTH = 0.0114, 0.4, 0.2
+#: Distance (mm) from the edge of the contact beyond which there is nothing but glass: the blur of the edge is 1e-15 there.
+GLASS_FROM = 0.4
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Lights:
         return 2 + GLASS_LEVEL * uneven * torch.sigmoid(disc / DISC_WIDTH)
 
 
-def topography(texture: RidgeTexture, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
+def topography(texture: Skin, outline: Ellipse, x: Tensor, y: Tensor, grazing: Tensor, stray: Tensor) -> Tensor:
     """Skin with material coordinates (x, y) under the grazing light, over what the glass shows without it.
 
     The outline of the finger is in material coordinates: like the ridges it moves with the skin.

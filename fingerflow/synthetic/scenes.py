@@ -13,6 +13,7 @@ from torch import Tensor
 from fingerflow.synthetic import optics
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.motion import Ellipse, SkinMotion
+from fingerflow.synthetic.skin import Skin
 from fingerflow.synthetic.texture import RidgeTexture
 from fingerflow.synthetic.truth import Truth
 from fingerflow.views import View
@@ -62,7 +63,7 @@ class Scene:
         (1.01 * math.cos(math.radians(0.5)), -1.01 * math.sin(math.radians(0.5)), 3.4),
         (1.01 * math.sin(math.radians(0.5)), 1.01 * math.cos(math.radians(0.5)), -6.2),
     )
-    texture: RidgeTexture = field(default_factory=lambda: RidgeTexture(centre=(0.4, -0.9)))
+    texture: Skin = field(default_factory=lambda: RidgeTexture(centre=(0.4, -0.9)))
     contact_fraction: float = 0.5
     finger: tuple[float, float] = (7.6, 6.4)
     camera: Camera = field(default_factory=Camera)
@@ -157,16 +158,13 @@ class Scene:
         return 0.5 * (columns - 1) * self.mm_per_px + 0.15, 0.5 * (rows - 1) * self.mm_per_px + 0.1
 
     @cached_property
-    def skin(self) -> RidgeTexture:
+    def skin(self) -> Skin:
         """The texture in material coordinates."""
         (x, y), (right, down) = self.contact_centre, self.texture.centre
         return replace(self.texture, centre=(x + right, y + down))
 
-    def _ridge_margin(self, x: Tensor, y: Tensor) -> Tensor:
-        """Distance (mm) to the edge of the touching part of a ridge, > 0 on it; exact in sign, else of first order."""
-        half_width = math.pi * self.contact_fraction
-        slope = 2 * math.pi / self.texture.period * math.sin(half_width)
-        return torch.cos(self.skin.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
+    def _ridge_margin(self, x: Tensor, y: Tensor, depth: Tensor) -> Tensor:
+        return self.skin.ridge_margin(x, y, self.contact_fraction, depth)
 
     def _picture(self, progress: Tensor | None, dtype: torch.dtype) -> NDArray[np.floating]:
         """A whole frame without noise; progress None is the glass without a finger."""
@@ -184,8 +182,25 @@ class Scene:
         ellipse = None if progress is None else self.motion.ellipse(float(progress))
         if progress is None or ellipse is None:
             return bright_field
-        ridge_margin = self._ridge_margin(*self.motion.material(x, y, progress))
-        return optics.contact(ridge_margin, ellipse.distance(x, y), bright_field)
+        part = self._pixels_around(ellipse)
+        x, y, glass = x[part], y[part], bright_field[part]
+        depth = ellipse.distance(x, y)
+        ridge_margin = self._ridge_margin(*self.motion.material(x, y, progress), depth)
+        view = bright_field.clone()
+        view[part] = optics.contact(ridge_margin, depth, glass)
+        return view
+
+    def _pixels_around(self, ellipse: Ellipse) -> tuple[slice, slice]:
+        """Rows and columns of the contact view that are not all glass."""
+        ends = zip(ellipse.centre, ellipse.reach, strict=True)
+        right, down = (
+            slice(
+                max(0, math.floor((middle - reach - optics.GLASS_FROM) / self.mm_per_px)),
+                max(0, math.ceil((middle + reach + optics.GLASS_FROM) / self.mm_per_px) + 1),
+            )
+            for middle, reach in ends
+        )
+        return down, right
 
     def _checked(self, frame: int) -> int:
         if not 0 <= frame < self.n_frames:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
+
 #: Share by which one of the three undulations changes the frequency of the ridges at most.
 UNDULATION = 0.09
 
@@ -38,19 +40,27 @@ class RidgeTexture:
     seed: int = 0
     pores: float = 0.6
     grain: float = 0.45
-    _undulation: list[list[float]] = field(init=False, repr=False, compare=False)
-    _pore_rows: list[list[float]] = field(init=False, repr=False, compare=False)
-    _grain: list[list[float]] = field(init=False, repr=False, compare=False)
+    _undulation: Waves = field(init=False, repr=False, compare=False)
+    _pore_rows: Waves = field(init=False, repr=False, compare=False)
+    _grain: Waves = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         generator = torch.Generator().manual_seed(self.seed)
-        object.__setattr__(self, "_undulation", _plane_waves([3.5, 5.0, 7.0], generator))
-        object.__setattr__(self, "_pore_rows", _pore_lattice(0.62, 0.74, generator))
-        object.__setattr__(self, "_grain", _plane_waves([0.25, 0.31, 0.39, 0.5, 0.68, 1.0], generator))
+        object.__setattr__(self, "_undulation", plane_waves([3.5, 5.0, 7.0], generator))
+        object.__setattr__(self, "_pore_rows", pore_lattice(0.62, 0.74, generator))
+        object.__setattr__(self, "_grain", plane_waves([0.25, 0.31, 0.39, 0.5, 0.68, 1.0], generator))
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Contrast at the material positions (x, y), in mm."""
-        return self.contrast(x, y, torch.cos(self.ridge_phase(x, y)))
+        ridge = torch.cos(self.ridge_phase(x, y))
+        contrast = (1 - self.grain) * ridge - (ridge + 1) * pores_at(self._pore_rows, x, y) * (self.pores / 32)
+        return add_waves(contrast, self._grain, self.grain / len(self._grain), x, y)
+
+    def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
+        """As of `Skin`: the same part of every ridge touches, up to the edge of the contact."""
+        half_width = math.pi * share
+        slope = 2 * math.pi / self.period * math.sin(half_width)
+        return torch.cos(self.ridge_phase(x, y)).sub_(math.cos(half_width)).div_(slope)
 
     def ridge_phase(self, x: Tensor, y: Tensor) -> Tensor:
         """Phase of the ridges at (x, y) in rad: 2 pi from crest to crest, so its gradient is close to 2 pi / period."""
@@ -61,18 +71,6 @@ class RidgeTexture:
             wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))
             distance = distance.add(wave, alpha=UNDULATION / math.hypot(wave_x, wave_y))
         return distance * (2 * math.pi / self.period)
-
-    def contrast(self, x: Tensor, y: Tensor, ridge: Tensor) -> Tensor:
-        """The contrast at (x, y) where the cosine of the ridge phase is at hand already."""
-        (a_x, a_y, a_offset), (b_x, b_y, b_offset) = self._pore_rows
-        rows = torch.cos((a_x * x).add(y, alpha=a_y).add(a_offset))
-        crossing_rows = torch.cos((b_x * x).add(y, alpha=b_y).add(b_offset))
-        dots = ((rows + 1) * (crossing_rows + 1)).square()
-        contrast = (1 - self.grain) * ridge - (ridge + 1) * dots * (self.pores / 32)
-        for wave_x, wave_y, offset in self._grain:
-            wave = torch.sin((wave_x * x).add(y, alpha=wave_y).add(offset))
-            contrast = contrast.add(wave, alpha=self.grain / len(self._grain))
-        return contrast
 
 
 def texture_image(
@@ -102,26 +100,3 @@ def texture_image(
     if mapping is not None:
         x, y = mapping(x, y)
     return texture(x, y)[None, None]
-
-
-def _plane_waves(wavelengths: list[float], generator: torch.Generator) -> list[list[float]]:
-    """Wave vector (rad/mm) and phase of one wave a wavelength (mm); the directions are spread over the half circle."""
-    count = len(wavelengths)
-    angles = (torch.arange(count) * 0.618 + torch.rand(1, generator=generator)) * math.pi
-    angles = angles + 0.3 * (torch.rand(count, generator=generator) - 0.5)
-    phases = 2 * math.pi * torch.rand(count, generator=generator)
-    return [
-        [2 * math.pi / length * math.cos(angle), 2 * math.pi / length * math.sin(angle), phase]
-        for length, angle, phase in zip(wavelengths, angles.tolist(), phases.tolist(), strict=True)
-    ]
-
-
-def _pore_lattice(first: float, second: float, generator: torch.Generator) -> list[list[float]]:
-    """Two waves (wavelengths in mm) that cross at 70 degrees; a pore can be where both are at their maximum."""
-    angle = math.pi * torch.rand(1, generator=generator).item()
-    phases = (2 * math.pi * torch.rand(2, generator=generator)).tolist()
-    directions = (angle, angle + math.radians(70))
-    return [
-        [2 * math.pi / length * math.cos(direction), 2 * math.pi / length * math.sin(direction), phase]
-        for length, direction, phase in zip((first, second), directions, phases, strict=True)
-    ]

@@ -53,7 +53,8 @@ class Truth:
         motion: the movement.
         progress: of the movement at each frame, (frames,), never falling.
         time_of: the time (s) at which a progress was reached.
-        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y).
+        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y) and a distance (mm)
+            to the edge of the gross contact.
         mm_per_px: of the contact view.
         contact_shape: rows and columns of the contact view.
         topography_to_contact: 2 x 3, from pixels of the topography view to pixels of the contact view.
@@ -64,7 +65,7 @@ class Truth:
         motion: SkinMotion,
         progress: Array,
         time_of: Callable[[Array], Array],
-        touches: Callable[[Tensor, Tensor], Tensor],
+        touches: Callable[[Tensor, Tensor, Tensor], Tensor],
         mm_per_px: float,
         contact_shape: tuple[int, int],
         topography_to_contact: Array,
@@ -205,8 +206,8 @@ class Truth:
         return x.expand(self._contact_shape), y[:, None].expand(self._contact_shape)
 
     def _contact_margin(self, x: Tensor, y: Tensor, frame: int, ellipse: Ellipse) -> Tensor:
-        ridge = self._touches(*self._motion.material(x, y, self._at(frame)))
-        return torch.minimum(ridge, ellipse.distance(x, y))
+        depth = ellipse.distance(x, y)
+        return torch.minimum(self._touches(*self._motion.material(x, y, self._at(frame)), depth), depth)
 
     def _displacement(self, points: Tensor, frame: int, onset: Tensor, place: Tensor) -> Tensor:
         moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place

@@ -5,6 +5,7 @@ import json
 import secrets
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,17 @@ from tqdm import tqdm
 from fingerflow.errors import FingerflowError
 from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump
+from fingerflow.synthetic.picture import PictureTexture
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Scene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
 
 #: What the settings of a scene are made of.
-KINDS = {kind.__name__: kind for kind in (Press, Slide, RidgeTexture, Camera, Bump)}
+KINDS = {kind.__name__: kind for kind in (Press, Slide, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)}
+FILE = "File"
 REFERENCE_PICTURES = 8
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
@@ -32,7 +36,8 @@ def write_recording(folder: Path, scene: Scene) -> None:
 
     frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the mean of eight
     pictures without a finger and without light; forces.csv at 10 kHz, seconds from the trigger; scene.toml, with which
-    it is processed; truth.json, from which `rebuild_scene` gives the scene and with it the truth.
+    it is processed; truth.json, from which `rebuild_scene` gives the scene and with it the truth; and the picture of
+    the print where the skin is one.
 
     Raises FingerflowError where the folder exists already or cannot be made.
     """
@@ -49,7 +54,7 @@ def write_recording(folder: Path, scene: Scene) -> None:
         columns = np.stack(scene.forces(), axis=1)
         np.savetxt(unfinished / "forces.csv", columns, fmt="%.6f", delimiter=",", header=FORCE_COLUMNS, comments="")
         (unfinished / "scene.toml").write_text(_scene_file(scene), encoding="utf-8")
-        (unfinished / "truth.json").write_text(json.dumps(scene, default=_settings, indent=1), encoding="utf-8")
+        (unfinished / "truth.json").write_text(_truth_file(scene, unfinished), encoding="utf-8")
         unfinished.rename(folder)
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -63,7 +68,7 @@ def rebuild_scene(folder: Path) -> Scene:
     """
     path = Path(folder) / "truth.json"
     try:
-        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=_object)
+        scene = json.loads(path.read_text(encoding="utf-8"), object_hook=partial(_object, path.parent))
     except FileNotFoundError:
         raise FingerflowError(f"{path} does not exist; only a synthetic recording has a truth to rebuild") from None
     except (ValueError, TypeError, KeyError) as error:
@@ -120,13 +125,22 @@ def _scene_file(scene: Scene) -> str:
     )
 
 
-def _settings(part: Any) -> dict[str, Any]:
-    """A scene or a part of one as its kind and the arguments that make it."""
-    arguments = {field.name: getattr(part, field.name) for field in dataclasses.fields(part) if field.init}
-    return {"kind": type(part).__name__, **arguments}
+def _truth_file(scene: Scene, folder: Path) -> str:
+    """The settings of a scene. A file that is one of them is copied into the folder: the truth goes where it goes."""
+
+    def settings(part: Any) -> dict[str, Any]:
+        if isinstance(part, Path):
+            shutil.copyfile(part, folder / f"print{part.suffix}")
+            return {"kind": FILE, "name": f"print{part.suffix}"}
+        arguments = {field.name: getattr(part, field.name) for field in dataclasses.fields(part) if field.init}
+        return {"kind": type(part).__name__, **arguments}
+
+    return json.dumps(scene, default=settings, indent=1)
 
 
-def _object(settings: dict[str, Any]) -> Any:
+def _object(folder: Path, settings: dict[str, Any]) -> Any:
+    if settings["kind"] == FILE:
+        return folder / settings["name"]
     arguments = {name: _tuples(value) for name, value in settings.items() if name != "kind"}
     return KINDS[settings["kind"]](**arguments)
 

@@ -1,0 +1,241 @@
+"""Skin from a picture of a fingerprint: a spline through its pixels, which is exact at every real-valued position."""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, spline_filter
+from torch import Tensor
+
+from fingerflow.errors import FingerflowError
+from fingerflow.synthetic.scenes import Scene
+
+Plane = NDArray[np.float64]
+
+MM_PER_INCH = 25.4
+#: Resolution (dots an inch) of most sensors of fingerprints.
+DPI = 500.0
+#: Distances of ridges (mm) that skin can have, from a child's finger to a broad thumb with room to spare.
+RIDGE_DISTANCES = (0.25, 0.8)
+#: Blur (px) of the picture, so that its pixels and their noise are not seen in a finer camera.
+BLUR = 0.7
+#: What surrounds the picture, in its pixels.
+SURROUND = 8
+#: Share of the contrast between glass and ridges that a pixel must be darker than the glass to touch at all.
+LEAST = 0.35
+#: Slope of the level of touching, in 1/mm, under which a distance is no longer taken from it.
+LEAST_SLOPE = 1.0
+
+
+class Levels(NamedTuple):
+    """Coefficients (rows, columns) of cubic splines over a picture and its surround, and the picture's rows and columns.
+
+    `contrast` is the skin's, `touching` is positive where it touches: 1 from ridge to glass.
+    """
+
+    contrast: Tensor
+    touching: Tensor
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class PictureTexture:
+    """The skin of a print in a picture, dark where ridges touch on bright glass, as optical sensors deliver it.
+
+    The picture, freed of uneven light and pressure within a ridge's distance and blurred by 0.7 of its pixels, is
+    interpolated by a cubic spline, so grey level and contact are known everywhere and twice continuously
+    differentiable. Ridges touch where they are darker than their surroundings, so gaps, pores and dirt are those of the
+    picture, and so is the share of the skin that touches. Where the picture is blank, and beyond it, the skin is smooth
+    and never touches.
+
+    Args:
+        picture: any file that OpenCV reads.
+        dpi: pixels of the picture an inch.
+        centre: where the middle of the picture lies, mm.
+        border: how much of the contrast from ridge to glass touches no longer at the edge of the contact.
+        border_width: over which distance (mm) from the edge it falls to 1/e.
+
+    Raises:
+        FingerflowError: the picture cannot be read, has no ridges, or they are not those of skin at this resolution.
+    """
+
+    picture: Path
+    dpi: float = DPI
+    centre: tuple[float, float] = (0.0, 0.0)
+    border: float = 0.15
+    border_width: float = 0.5
+    _levels: Levels = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_levels", _levels(Path(self.picture), self.dpi))
+
+    @property
+    def mm_per_px(self) -> float:
+        """Of the picture."""
+        return MM_PER_INCH / self.dpi
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the picture, mm, between the centres of its outermost pixels."""
+        rows, columns = self._levels.shape
+        return (columns - 1) * self.mm_per_px, (rows - 1) * self.mm_per_px
+
+    def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+        """Contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""
+        value, _, _ = _spline(self._levels.contrast, *self._pixels(x, y))
+        return value.clamp_(-1, 1)
+
+    def ridge_margin(self, x: Tensor, y: Tensor, share: float, depth: Tensor) -> Tensor:
+        """As of `Skin`; the share that touches is the picture's, not the one that is asked for."""
+        value, by_column, by_row = _spline(self._levels.touching, *self._pixels(x, y))
+        slope = torch.sqrt((by_column.square() + by_row.square()) / self.mm_per_px**2 + LEAST_SLOPE**2)
+        loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
+        return (value - self.border * loose) / slope
+
+    def _pixels(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Column and row of positions (mm), counted in pixels of the picture with its surround."""
+        rows, columns = self._levels.shape
+        column = (x - self.centre[0]) / self.mm_per_px + (0.5 * (columns - 1) + SURROUND)
+        return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
+
+
+def scene_of_print(kind: type[Scene], picture: Path, dpi: float = DPI) -> Scene:
+    """A press or slide of the finger in a picture, as near the middle of its print as the contact fits in.
+
+    Raises:
+        FingerflowError: as of `PictureTexture`, or the picture is smaller than the skin that comes into contact.
+    """
+    texture = PictureTexture(Path(picture), dpi)
+    plain = kind()
+    # The skin under the edge of the contact: at its start and, where it travels, as it enters at the front.
+    edges = [_skin_under_edge(plain, frame) for frame in range(0, plain.n_frames, 20)] + [
+        _skin_under_edge(plain, plain.n_frames - 1)
+    ]
+    outline = np.concatenate(edges) - plain.contact_centre
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    half = np.array(texture.size) / 2
+    if (high - low > 2 * half).any():
+        width, height = high - low
+        raise FingerflowError(
+            f"{picture} shows {texture.size[0]:.1f} x {texture.size[1]:.1f} mm at {dpi:g} dpi, and the contact needs "
+            f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
+        )
+    middle = _middle(texture)
+    centre = np.clip(-middle, high - half, low + half)
+    return replace(plain, texture=replace(texture, centre=tuple(float(part) for part in centre)))
+
+
+def _skin_under_edge(scene: Scene, frame: int) -> Plane:
+    """Material positions (64, 2) in mm under the edge of the gross contact; none (0, 2) before it."""
+    ellipse = scene.truth.ellipse(frame)
+    if ellipse is None:
+        return np.zeros((0, 2))
+    turn = np.exp(2j * np.pi * np.arange(64) / 64)
+    around = np.exp(1j * ellipse.angle) * (ellipse.semi_axes[0] * turn.real + 1j * ellipse.semi_axes[1] * turn.imag)
+    return scene.truth.material(np.stack((around.real, around.imag), axis=-1) + ellipse.centre, frame)
+
+
+def _middle(texture: PictureTexture) -> Plane:
+    """Centre (x, y) of the ridges in a picture, mm from its middle."""
+    rows, columns = texture._levels.shape
+    down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
+    y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
+    touching = replace(texture, centre=(0.0, 0.0)).ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
+    return np.array([float(x[touching].mean()), float(y[touching].mean())])
+
+
+@lru_cache(maxsize=4)
+def _levels(picture: Path, dpi: float) -> Levels:
+    grey = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if grey is None:
+        reason = "cannot be read as a picture" if picture.exists() else "does not exist"
+        raise FingerflowError(f"{picture} {reason}; give a PNG, TIFF, BMP or JPEG of a fingerprint")
+    if not 50 <= dpi <= 10_000:
+        raise FingerflowError(f"dpi is {dpi:g}; a picture that shows ridges has 50 to 10,000 pixels an inch, most 500")
+    if min(grey.shape) < 64:
+        raise FingerflowError(f"{picture} has {grey.shape[0]} x {grey.shape[1]} pixels; 64 x 64 are the least")
+    plane = gaussian_filter(grey.astype(np.float64), BLUR)
+    distance = _ridge_distance(plane, picture) * MM_PER_INCH / dpi
+    if not RIDGE_DISTANCES[0] <= distance <= RIDGE_DISTANCES[1]:
+        raise FingerflowError(
+            f"{picture}: its ridges are {distance:.2f} mm apart at {dpi:g} dpi, those of skin "
+            f"{RIDGE_DISTANCES[0]} to {RIDGE_DISTANCES[1]} mm; give the picture's resolution (--dpi)"
+        )
+    period = distance * dpi / MM_PER_INCH
+    mean = gaussian_filter(plane, 0.75 * period)
+    spread = np.sqrt(gaussian_filter((plane - mean) ** 2, 1.5 * period))
+    glass = gaussian_filter(_upper_envelope(plane, period), 2 * period)
+    dark = np.quantile(plane, 0.03)
+    contrast = np.maximum(glass - dark, 0.2 * (glass.max() - dark) + 1e-9)
+    touching = (np.minimum(mean, glass - LEAST * contrast) - plane) / contrast
+    # A sine has the amplitude of 1.4 times its deviation; a blank part keeps less of its noise.
+    full = np.quantile(spread, 0.8)
+    skin = np.tanh((mean - plane) / (1.6 * spread + 0.3 * full)) * np.clip(spread / (0.4 * full), 0, 1)
+    skin *= _fading(plane.shape[0], period)[:, None] * _fading(plane.shape[1], period)
+    return Levels(_coefficients(skin, 0.0), _coefficients(touching, -LEAST), grey.shape)
+
+
+def _fading(count: int, period: float) -> Plane:
+    """0 at both ends of a row of pixels and 1 from one distance of ridges on: no edge where the picture ends."""
+    inward = np.minimum(np.arange(count), np.arange(count)[::-1])
+    return 0.5 - 0.5 * np.cos(np.pi * np.minimum(inward / period, 1))
+
+
+def _upper_envelope(plane: Plane, period: float) -> Plane:
+    """The brightest level within a ridge's distance: that of glass or of a valley."""
+    size = 2 * round(period) + 1
+    return cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+
+
+def _ridge_distance(plane: Plane, picture: Path) -> float:
+    """Distance of ridges in pixels: the peak of the power over the rings of the spectrum, from 4 to 40 px."""
+    flat = plane - gaussian_filter(plane, 12.0)
+    if flat.std() < 1e-3 * max(np.ptp(plane), 1.0):
+        raise FingerflowError(f"{picture} shows no ridges; give a picture of a fingerprint")
+    window = np.hanning(plane.shape[0])[:, None] * np.hanning(plane.shape[1])
+    power = np.abs(np.fft.rfft2(flat * window)) ** 2
+    frequency = np.hypot(np.fft.fftfreq(plane.shape[0])[:, None], np.fft.rfftfreq(plane.shape[1]))
+    edges = np.linspace(1 / 40, 1 / 4, 46)
+    rings = np.histogram(frequency, edges, weights=power)[0]
+    peak = int(np.argmax(rings))
+    return float(2 / (edges[peak] + edges[peak + 1]))
+
+
+def _coefficients(plane: Plane, outside: float) -> Tensor:
+    """Coefficients of the cubic spline through a plane, surrounded by a constant."""
+    around = np.pad(plane, SURROUND, constant_values=outside)
+    return torch.from_numpy(spline_filter(around, order=3, mode="mirror"))
+
+
+def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Value of a cubic spline at positions in px, and its derivatives by column and row (1/px); constant beyond it."""
+    rows, columns = coefficients.shape
+    flat = coefficients.to(column.dtype).flatten()
+    column, row = column.clamp(1, columns - 2 - 1e-3), row.clamp(1, rows - 2 - 1e-3)
+    left, top = torch.floor(column), torch.floor(row)
+    across, across_slope = _weights(column - left)
+    down, down_slope = _weights(row - top)
+    start = (top.long() - 1) * columns + left.long() - 1
+    value, by_column, by_row = torch.zeros_like(column), torch.zeros_like(column), torch.zeros_like(column)
+    for i in range(4):
+        line, slope = torch.zeros_like(column), torch.zeros_like(column)
+        for j in range(4):
+            taken = torch.take(flat, start + (i * columns + j))
+            line, slope = line.addcmul_(taken, across[j]), slope.addcmul_(taken, across_slope[j])
+        value.addcmul_(line, down[i])
+        by_column.addcmul_(slope, down[i])
+        by_row.addcmul_(line, down_slope[i])
+    return value, by_column, by_row
+
+
+def _weights(t: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """The four cubic B-splines over a position between two pixels, t of the way, and their derivatives."""
+    s = 1 - t
+    values = s**3 / 6, 2 / 3 - t * t * (1 + s) / 2, 2 / 3 - s * s * (1 + t) / 2, t**3 / 6
+    slopes = -s * s / 2, t * (3 * t - 4) / 2, s * (4 - 3 * s) / 2, t * t / 2
+    return values, slopes

@@ -1,0 +1,119 @@
+"""Ridges along an orientation field as one formula: arch, loop and whorl, with endings and bifurcations.
+
+The orientation is the zero-pole model of Sherlock & Monro (1993): ridges run along Q(z)^(1/2) dz = real, where Q is 1 far
+away, has a pole at each core and a zero at each delta. With v = Im integral Q^(1/2) dz, cos(k v) has such ridges for any
+k, but their distance grows as |Q|^(-1/2), where that of skin is constant. So several such waves share the plane, each
+where its ridges have about the right distance. Where two of them meet there are more ridges on one side than on the
+other: their sum has phase singularities, which are the endings and bifurcations of the AM-FM model of Larkin & Fletcher
+(2007), and its amplitude falls to 0 there, so that the ridges are differentiable without an exception for them.
+
+Around a core or a delta v changes its sign, which cos(k v) does not feel: every branch of the roots is good. Around the
+delta of a loop v changes by pi Re(delta) as well, so that the wave numbers must be multiples of 2 / Re(delta) there.
+"""
+
+import cmath
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+#: Ratio of the wave numbers of two waves that meet: about a fifth of the ridges ends on the line between them.
+RATIO = 1.22
+#: A wave reaches so far, counted in distances (of log wave numbers) from one wave to the next; at most 1.5.
+REACH = 1.3
+#: Nearer than this (mm) to a core the frequency of the model, which has no limit, is followed no longer.
+CORE = 0.45
+#: Share of the full amplitude at which the equalisation of the sum's amplitude lets go: the size of a singularity.
+FLOOR = 0.15
+
+#: v (mm) at positions from the core (mm), and how much denser than far away its levels are.
+Levels = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+
+class Pattern(NamedTuple):
+    """An orientation field; `step` (rad/mm) is the unit of its wave numbers, 0 where any will do."""
+
+    levels: Levels
+    step: float
+
+
+def ridges(pattern: Pattern, wave_number: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Height of the ridges inside (-1, 1), 1 on a crest, at positions (x, y) in mm from the core.
+
+    Args:
+        pattern: the orientation field.
+        wave_number: what is wanted at each position, rad/mm: 2 pi over the distance of ridges.
+    """
+    level, density = pattern.levels(x, y)
+    spacing = math.log(RATIO)
+    wanted = (torch.log(wave_number / density.clamp(min=1e-3)) / spacing).clamp(-5, 50)
+    nearest = torch.round(wanted)
+    even, odd, total = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
+    for offset in (-1, 0, 1):
+        number = nearest + offset
+        # Twice continuously differentiable, so that where a wave ends is not seen.
+        weight = (1 - ((wanted - number) / REACH).square()).clamp(min=0) ** 3
+        k = torch.exp(number * spacing)
+        if pattern.step:
+            k = torch.round(k / pattern.step).clamp(min=1) * pattern.step
+        phase = k * level
+        even, odd, total = even + weight * torch.cos(phase), odd + weight * torch.sin(phase), total + weight
+    return even / torch.sqrt(even.square() + odd.square() + (FLOOR * total).square())
+
+
+def arch() -> Pattern:
+    """Ridges from side to side that rise over the middle."""
+    height, width, reach = 2.2, 2.4, 4.0
+
+    def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        rise = height * torch.exp(x.square() * (-0.5 / width**2) - y.square() * (0.5 / reach**2))
+        across, down = rise * x / width**2, 1 - rise * y / reach**2
+        return y + rise, torch.sqrt(across.square() + down.square())
+
+    return Pattern(levels, 0.0)
+
+
+def loop(delta: complex = 4.6 + 4.4j) -> Pattern:
+    """One core at 0 and one delta (mm): Q = (z - delta) / z.
+
+    With A² = z and B² = z - delta the integral from the core is A B - delta log((A + B) / (-delta)^(1/2)).
+    """
+
+    def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        z = torch.complex(x, y)
+        a, b = torch.sqrt(z), torch.sqrt(z - delta)
+        level = (a * b - delta * torch.log((a + b) / cmath.sqrt(-delta))).imag
+        from_core, from_delta = x.square() + y.square(), (x - delta.real).square() + (y - delta.imag).square()
+        return level, ((from_delta + CORE**2) / (from_core + CORE**2)) ** 0.25
+
+    return Pattern(levels, 2 / abs(delta.real))
+
+
+def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
+    """Two cores in one at 0, two deltas at (+-across, down) mm: Q = (z - delta_1) (z - delta_2) / z².
+
+    With w = z - i down, R² = w² - across² and h² = across² + down² the integral from a delta has the imaginary part
+    Im R - down log|(w + R) / across| - h log|(-i down w - across² + i h R) / (across z)|. Towards the core it grows as
+    the logarithm of the distance. Rings at equal distances are levels of the Gudermannian of v / h there, an odd
+    function of v with the slope 1 at 0, where the levels through the deltas lie: the signs of v stay without effect.
+    """
+    far = math.hypot(across, down)
+
+    def levels(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        # A core off every pixel by a millionth of a mm: the logarithm of 0 is not asked for.
+        z = torch.complex(x + 1e-6, y + 1e-6)
+        w = z - 1j * down
+        root = torch.sqrt(w - across) * torch.sqrt(w + across)
+        turn = -1j * down * w - across**2 + 1j * far * root
+        level = root.imag - down * torch.log(torch.abs(w + root) / across)
+        level = level - far * torch.log(torch.abs(turn / z) / across)
+        from_core = torch.sqrt(x.square() + y.square() + 1e-4)
+        density = torch.sqrt(torch.abs(w - across) * torch.abs(w + across)) / from_core
+        # From the Gudermannian near the core to v itself far away, over the ring in which the deltas lie.
+        inverse = (torch.sigmoid((0.65 * far - from_core) / (0.1 * far)) + 1e-3) / far
+        share = level * inverse
+        return 2 * torch.atan(torch.tanh(share / 2)) / inverse, density / torch.cosh(share.clamp(-60, 60))
+
+    return Pattern(levels, 0.0)
