@@ -1,12 +1,12 @@
 """What `process` makes of skins like prints: synthetic ones (loop, whorl, arch) and pictures of real fingers.
 
-The press of `make demo`, 300 frames of two 512 x 640 px views (a small one of 40 with --quick), with the skin of the row;
-`rings` is the skin of the demo. Noise of 2 grey levels, default settings, errors against the exact truth:
+The press of `make demo`, 300 frames of two 512 x 640 px views (a small one of 40 with --quick), with the skin of the
+row; `rings` is that of the demo. Noise of 2 grey levels, default settings, errors against the exact truth:
 
 - gross_10 and gross_40: gross area in percent, mean over every third frame with 10 to 40 mm² and from 40 mm² on (with
   --quick all over 5 mm² count in gross_10); worst: the largest of either, with its sign;
-- angle_deg: of the ellipse, RMS from 40 mm² on (the axes differ by a fifth); axes: semi-axes in percent, RMS, from 10 mm²;
-- onset and onset_rms: frame of onset minus the true one, at the points, those of the first frames (under 5 mm²) left out;
+- angle_deg: of the ellipse, RMS from 40 mm² on (its axes differ by a fifth); axes: percent, RMS from 10 mm² on;
+- onset and onset_rms: frame of onset minus the true one, mean and RMS over the points, but those of the first 5 mm²;
 - real: real area in percent, RMS from 10 mm² on; position_px: RMS in the last frame, all points that are not lost;
 - divergence_um_mm: median over the contact, RMS from 10 mm² on.
 
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 def run(quick: bool) -> list[Row]:
     """One row a skin."""
-    rows = []
+    rows: list[Row] = []
     for name, press in _presses(quick):
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "press"
@@ -58,7 +58,7 @@ def run(quick: bool) -> list[Row]:
     return rows
 
 
-def _presses(quick: bool) -> Iterator[tuple[str, Scene]]:
+def _presses(quick: bool) -> Iterator[tuple[str, Press]]:
     press = replace(QUICK_PRESS, n_frames=40, frame_rate=40.0) if quick else Press()
     yield "rings", press
     for pattern in PATTERNS:

@@ -1,6 +1,7 @@
 """A fingertip's skin as a formula: loop, whorl or arch, with minutiae, pores, and ridges that break at the border."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import torch
@@ -10,7 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.synthetic.ridge_pattern import Pattern, arch, loop, ridges, whorl
 from fingerflow.synthetic.waves import Waves, add_waves, plane_waves, pore_lattice, pores_at
 
-PATTERNS = {"loop": loop, "whorl": whorl, "arch": arch}
+PATTERNS: dict[str, Callable[[], Pattern]] = {"loop": loop, "whorl": whorl, "arch": arch}
 #: Radius (mm) of the bow of the ridges over the fingertip.
 BOW = 15.0
 
@@ -43,7 +44,7 @@ class FingerprintTexture:
     pores: float = 0.6
     grain: float = 0.3
     uneven: float = 1.1
-    border: float = 0.6
+    border: float = 0.4
     border_width: float = 0.5
     _waves: dict[str, Waves] = field(init=False, repr=False, compare=False)
     _pattern: Pattern = field(init=False, repr=False, compare=False)
@@ -75,7 +76,7 @@ class FingerprintTexture:
         loose = torch.exp(depth.clamp(min=-self.border_width) / -self.border_width)
         waves = self._waves["uneven"]
         uneven = add_waves(torch.zeros_like(x), waves, self.uneven / len(waves), x, y)
-        touching = height + uneven * (1 + loose) - self.border * loose - math.cos(math.pi * share)
+        touching = height + uneven * (1 + loose / 2) - self.border * loose - math.cos(math.pi * share)
         return touching * (self.period / (2 * math.pi))
 
     def ridges(self, x: Tensor, y: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.synthetic.scenes import Scene
 
 Plane = NDArray[np.float64]
+Kind = TypeVar("Kind", bound=Scene)
 
 MM_PER_INCH = 25.4
 #: Resolution (dots an inch) of most sensors of fingerprints.
@@ -33,7 +34,7 @@ LEAST_SLOPE = 1.0
 
 
 class Levels(NamedTuple):
-    """Coefficients (rows, columns) of cubic splines over a picture and its surround, and the picture's rows and columns.
+    """Coefficients (rows, columns) of cubic splines over a picture and its surround; the picture's rows and columns.
 
     `contrast` is the skin's, `touching` is positive where it touches: 1 from ridge to glass.
     """
@@ -104,7 +105,7 @@ class PictureTexture:
         return column, (y - self.centre[1]) / self.mm_per_px + (0.5 * (rows - 1) + SURROUND)
 
 
-def scene_of_print(kind: type[Scene], picture: Path, dpi: float = DPI) -> Scene:
+def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     """A press or slide of the finger in a picture, as near the middle of its print as the contact fits in.
 
     Raises:
@@ -126,8 +127,8 @@ def scene_of_print(kind: type[Scene], picture: Path, dpi: float = DPI) -> Scene:
             f"{width:.1f} x {height:.1f} mm of skin; give the right resolution (--dpi) or a larger picture"
         )
     middle = _middle(texture)
-    centre = np.clip(-middle, high - half, low + half)
-    return replace(plain, texture=replace(texture, centre=tuple(float(part) for part in centre)))
+    right, down = np.clip(-middle, high - half, low + half).tolist()
+    return replace(plain, texture=replace(texture, centre=(right, down)))
 
 
 def _skin_under_edge(scene: Scene, frame: int) -> Plane:
@@ -141,11 +142,11 @@ def _skin_under_edge(scene: Scene, frame: int) -> Plane:
 
 
 def _middle(texture: PictureTexture) -> Plane:
-    """Centre (x, y) of the ridges in a picture, mm from its middle."""
+    """Centre (x, y) in mm of the ridges in a picture whose middle is at 0."""
     rows, columns = texture._levels.shape
     down, right = (torch.arange(size, dtype=torch.float64) - 0.5 * (size - 1) for size in (rows, columns))
     y, x = torch.meshgrid(down * texture.mm_per_px, right * texture.mm_per_px, indexing="ij")
-    touching = replace(texture, centre=(0.0, 0.0)).ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
+    touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
     return np.array([float(x[touching].mean()), float(y[touching].mean())])
 
 
@@ -189,7 +190,7 @@ def _fading(count: int, period: float) -> Plane:
 def _upper_envelope(plane: Plane, period: float) -> Plane:
     """The brightest level within a ridge's distance: that of glass or of a valley."""
     size = 2 * round(period) + 1
-    return cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    return np.asarray(cv2.dilate(plane, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.float64)
 
 
 def _ridge_distance(plane: Plane, picture: Path) -> float:

@@ -1,11 +1,12 @@
 """Ridges along an orientation field as one formula: arch, loop and whorl, with endings and bifurcations.
 
-The orientation is the zero-pole model of Sherlock & Monro (1993): ridges run along Q(z)^(1/2) dz = real, where Q is 1 far
-away, has a pole at each core and a zero at each delta. With v = Im integral Q^(1/2) dz, cos(k v) has such ridges for any
-k, but their distance grows as |Q|^(-1/2), where that of skin is constant. So several such waves share the plane, each
-where its ridges have about the right distance. Where two of them meet there are more ridges on one side than on the
-other: their sum has phase singularities, which are the endings and bifurcations of the AM-FM model of Larkin & Fletcher
-(2007), and its amplitude falls to 0 there, so that the ridges are differentiable without an exception for them.
+The orientation is the zero-pole model of Sherlock & Monro (1993): ridges run along Q(z)^(1/2) dz = real, where Q is 1
+far away, has a pole at each core and a zero at each delta. With v = Im integral Q^(1/2) dz, cos(k v) has such ridges
+for any k, but their distance grows as |Q|^(-1/2), where that of skin is constant. So several such waves share the
+plane, each where its ridges have about the right distance. Where two of them meet there are more ridges on one side
+than on the other: their sum has phase singularities, which are the endings and bifurcations of the AM-FM model of
+Larkin & Fletcher (2007), and its amplitude falls to 0 there, so that the ridges are differentiable without an
+exception for them.
 
 Around a core or a delta v changes its sign, which cos(k v) does not feel: every branch of the roots is good. Around the
 delta of a loop v changes by pi Re(delta) as well, so that the wave numbers must be multiples of 2 / Re(delta) there.
@@ -106,7 +107,10 @@ def whorl(across: float = 5.0, down: float = 5.0) -> Pattern:
         z = torch.complex(x + 1e-6, y + 1e-6)
         w = z - 1j * down
         root = torch.sqrt(w - across) * torch.sqrt(w + across)
-        turn = -1j * down * w - across**2 + 1j * far * root
+        # Of the two branches the one in which nothing cancels near the core.
+        steady, turning = -1j * down * w - across**2, 1j * far * root
+        root = torch.where((steady * turning.conj()).real < 0, -root, root)
+        turn = steady + 1j * far * root
         level = root.imag - down * torch.log(torch.abs(w + root) / across)
         level = level - far * torch.log(torch.abs(turn / z) / across)
         from_core = torch.sqrt(x.square() + y.square() + 1e-4)

@@ -1,6 +1,6 @@
 """What a scene needs to know about skin."""
 
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 from torch import Tensor
 
@@ -11,7 +11,11 @@ class Skin(Protocol):
     Tensors may have any shape, device and floating type.
     """
 
-    centre: tuple[float, float]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Where the core or the middle of the skin lies, mm."""
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:
         """Contrast inside [-1, 1], bright on the ridges, at the material positions (x, y), in mm."""

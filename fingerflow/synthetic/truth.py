@@ -53,8 +53,8 @@ class Truth:
         motion: the movement.
         progress: of the movement at each frame, (frames,), never falling.
         time_of: the time (s) at which a progress was reached.
-        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y) and a distance (mm)
-            to the edge of the gross contact.
+        touches: margin of the real contact in mm, positive where a ridge touches, at material (x, y) and at a distance
+            (mm) from the edge of the gross contact, positive inside.
         mm_per_px: of the contact view.
         contact_shape: rows and columns of the contact view.
         topography_to_contact: 2 x 3, from pixels of the topography view to pixels of the contact view.

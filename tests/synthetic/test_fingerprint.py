@@ -1,0 +1,125 @@
+"""Loop, whorl and arch against what fingerprints are known to be, by evidence that does not use the formula."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.errors import FingerflowError
+from fingerflow.synthetic import FingerprintTexture, Press, texture_image
+
+PATTERNS = ("loop", "whorl", "arch")
+ANY_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
+MM_PER_PX = 0.0325
+SHAPE = (480, 480)
+MIDDLE = 240 * MM_PER_PX
+
+
+def skin(pattern: str, seed: int = 0) -> FingerprintTexture:
+    return FingerprintTexture(pattern=pattern, centre=(MIDDLE, MIDDLE), seed=seed)
+
+
+def ridge_image(pattern: str, seed: int = 0) -> Tensor:
+    return texture_image(skin(pattern, seed).ridges, SHAPE, MM_PER_PX)[0, 0]
+
+
+def winding(image: Tensor, centre: tuple[float, float], radius: float) -> float:
+    """Turns of the ridges on one way around a circle (mm), by the structure tensor of the picture."""
+    down, right = (part.numpy() for part in torch.gradient(image))
+    xx, xy, yy = (cv2.GaussianBlur(part, (0, 0), 9) for part in (right * right, right * down, down * down))
+    around = np.linspace(0, 2 * math.pi, 400)
+    columns = np.rint((centre[0] + radius * np.cos(around)) / MM_PER_PX).astype(int)
+    rows = np.rint((centre[1] + radius * np.sin(around)) / MM_PER_PX).astype(int)
+    double_angle = np.arctan2(2 * xy, xx - yy)[rows, columns]
+    return float(np.unwrap(double_angle)[-1] - np.unwrap(double_angle)[0]) / (4 * math.pi)
+
+
+@pytest.mark.parametrize(("pattern", "turns"), [("loop", 0.5), ("whorl", 1.0), ("arch", 0.0)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_ridges_turn_around_the_core_as_in_a_print(pattern: str, turns: float, seed: int) -> None:
+    assert winding(ridge_image(pattern, seed), (MIDDLE, MIDDLE), 2.5) == pytest.approx(turns, abs=0.05)
+
+
+def test_loop_has_a_delta() -> None:
+    """On a way around both it turns by the sum, 1/2 - 1/2."""
+    centre = (MIDDLE + 2.0, MIDDLE + 1.6)
+    assert winding(ridge_image("loop"), centre, 5.2) == pytest.approx(0, abs=0.05)
+    assert winding(ridge_image("loop"), (MIDDLE + 4.6, MIDDLE + 5.0), 2.0) == pytest.approx(-0.5, abs=0.05)
+
+
+@ANY_PATTERN
+def test_ridges_have_their_distance_everywhere(pattern: str) -> None:
+    """Of a sine of wave number k the slope is k times the value, by root mean squares over 1.6 mm."""
+    image = ridge_image(pattern)
+    slope = sum(part.square() for part in torch.gradient(image, spacing=MM_PER_PX))
+    value, steep = (torch.nn.functional.avg_pool2d(part[None], 50, 25)[0] for part in (image.square(), slope))
+    periods = 2 * math.pi * torch.sqrt(value / steep)
+    # Minutiae and deltas have more and less in their neighbourhood.
+    assert periods.median() == pytest.approx(0.46, rel=0.08)
+    assert periods.min() > 0.3
+    assert periods.max() < 0.75
+
+
+@ANY_PATTERN
+def test_ridges_end_and_branch(pattern: str) -> None:
+    """Minutiae of the skeleton of the ridges, away from the frame: a print has 0.1 to 0.6 of them in 1 mm²."""
+    skeleton = (cv2.ximgproc.thinning(255 * (ridge_image(pattern).numpy() > 0).astype(np.uint8)) > 0).astype(int)
+    ring = [(-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)]
+    around = np.stack([skeleton[40 + row : 440 + row, 40 + column : 440 + column] for row, column in ring])
+    lines = (np.diff(around, axis=0) == 1).sum(0)[skeleton[40:-40, 40:-40] > 0]
+    endings, branches = int((lines == 1).sum()), int((lines == 3).sum())
+    area = (400 * MM_PER_PX) ** 2
+    assert 0.1 < (endings + branches) / area < 0.6
+
+
+@ANY_PATTERN
+def test_formula_is_smooth_across_its_cuts_and_singularities(pattern: str) -> None:
+    """Along lines through core and delta and across the cuts of the roots, second differences are bounded.
+
+    Ridges 0.2 mm apart have the curvature (2 pi / 0.2)² = 1000 / mm²; grain and pores add to it. A jump of the value
+    by 1e-6 would be 100 / mm² of these steps, one of the slope by 1 / mm would be 10^4.
+    """
+    texture, step = skin(pattern), 1e-4
+    along = torch.arange(-6, 6, step, dtype=torch.float64)
+    for across in (0.0, 0.003, -0.4, 4.4, 5.0, -1.7):
+        for x, y in ((along, torch.full_like(along, across)), (torch.full_like(along, across), along)):
+            values = texture(MIDDLE + x, MIDDLE + y)
+            bend = (values[2:] - 2 * values[1:-1] + values[:-2]).abs().max() / step**2
+            assert bend < 4000, (pattern, across)
+
+
+@ANY_PATTERN
+def test_single_precision_differs_by_less_than_a_grey_level(pattern: str) -> None:
+    exact = texture_image(skin(pattern), SHAPE, MM_PER_PX)
+    rounded = texture_image(skin(pattern), SHAPE, MM_PER_PX, dtype=torch.float32)
+    assert rounded.dtype == torch.float32
+    assert exact.abs().max() <= 1
+    # A level is 1 / 95; the noise of the camera is two of them.
+    assert (rounded - exact).abs().max() < 0.004
+
+
+@ANY_PATTERN
+def test_ridges_touch_less_near_the_edge_and_in_pieces(pattern: str) -> None:
+    texture = skin(pattern)
+    y, x = torch.meshgrid(*(torch.arange(0, 15.6, 0.02, dtype=torch.float64),) * 2, indexing="ij")
+    inside, edge = (texture.ridge_margin(x, y, 0.5, torch.full_like(x, depth)) > 0 for depth in (5.0, 0.0))
+    assert 0.3 < inside.double().mean() < 0.5
+    assert 0.1 < edge.double().mean() < 0.7 * inside.double().mean()
+    # Many pieces where long ridges were.
+    pieces = [cv2.connectedComponents(mask.numpy().astype(np.uint8))[0] for mask in (inside, edge)]
+    assert pieces[1] > 2 * pieces[0]
+
+
+@ANY_PATTERN
+def test_real_area_does_not_depend_on_the_quadrature(pattern: str) -> None:
+    press = Press(texture=FingerprintTexture(pattern=pattern), semi_axes=(2.0, 1.6))
+    coarse, fine = (press.truth.real_contact_area_mm2(299, samples) for samples in (4, 11))
+    assert coarse == pytest.approx(fine, rel=2e-3)
+
+
+def test_unknown_pattern_is_refused() -> None:
+    with pytest.raises(FingerflowError, match="'swirl' is no pattern of ridges; choose one of loop, whorl, arch"):
+        FingerprintTexture(pattern="swirl")

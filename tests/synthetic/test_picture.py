@@ -1,0 +1,138 @@
+"""Skin from a picture: the picture is drawn from a formula here, so that the skin behind it is known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.errors import FingerflowError
+from fingerflow.synthetic import (
+    FingerprintTexture,
+    PictureTexture,
+    Press,
+    Slide,
+    rebuild_scene,
+    scene_of_print,
+    texture_image,
+    write_recording,
+)
+
+DPI = 500.0
+MM_PER_PX = 25.4 / DPI
+SMALL = {"n_frames": 3, "frame_rate": 3.0, "frames_before_trigger": 0, "frame_shape": (200, 400)}
+
+
+@pytest.fixture(scope="module")
+def source() -> FingerprintTexture:
+    return FingerprintTexture(pattern="whorl", centre=(7.0, 8.0))
+
+
+@pytest.fixture(scope="module")
+def picture(source: FingerprintTexture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A print of 14 x 16 mm on bright glass, with uneven light: dark ridges in an ellipse, nothing around it."""
+    path: Path = tmp_path_factory.mktemp("print") / "finger.png"
+    ridges = texture_image(source.ridges, (315, 276), MM_PER_PX)[0, 0].numpy()
+    row, column = np.mgrid[0:315, 0:276]
+    inside = ((column - 138) / 125) ** 2 + ((row - 157) / 145) ** 2 < 1
+    light = 200 - 0.1 * column - 0.05 * row
+    cv2.imwrite(str(path), np.where(inside, light * (0.65 - 0.3 * ridges), light * 0.95).astype(np.uint8))
+    return path
+
+
+def test_ridges_of_the_picture_are_where_they_were(source: FingerprintTexture, picture: Path) -> None:
+    texture = PictureTexture(picture, DPI, centre=(137.5 * MM_PER_PX, 157 * MM_PER_PX))
+    y, x = torch.meshgrid(*(torch.arange(4.0, 10.0, 0.013, dtype=torch.float64),) * 2, indexing="ij")
+    touching = texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) > 0
+    # Pixels of 0.05 mm blur edges, which are 10 mm long in each mm².
+    assert (touching == (source.ridges(x, y) > 0)).double().mean() > 0.95
+    contrast, ridges = texture(x, y), source.ridges(x, y)
+    assert np.corrcoef(contrast.flatten(), ridges.flatten())[0, 1] > 0.95
+    assert contrast.abs().max() <= 1
+
+
+def test_skin_beyond_the_print_and_the_picture_never_touches(picture: Path) -> None:
+    texture = PictureTexture(picture, DPI)
+    assert texture.size == pytest.approx((275 * MM_PER_PX, 314 * MM_PER_PX))
+    x = torch.tensor([-30.0, -7.5, -6.8, 6.8, 7.5, 30.0], dtype=torch.float64)
+    for y in (torch.full_like(x, 7.6), torch.full_like(x, -40.0)):
+        assert (texture.ridge_margin(x, y, 0.5, torch.full_like(x, 9.0)) < 0).all()
+        assert texture(x, y).abs().max() < 0.05
+
+
+def test_spline_is_twice_differentiable_and_its_slope_is_its_own(picture: Path) -> None:
+    """The margin is the level over the length of its slope: on an edge it has the slope 1 in mm."""
+    texture = PictureTexture(picture, DPI)
+    along = torch.arange(-3, 3, 1e-4, dtype=torch.float64)
+    for x, y in ((along, torch.full_like(along, 0.37)), (torch.full_like(along, -1.2), along)):
+        values = texture(x, y)
+        slope = torch.gradient(values, spacing=1e-4)[0]
+        # Of a cubic spline the second derivative is continuous: it changes in proportion to the step.
+        bend = torch.diff(slope[1:-1], n=2).abs().max() / 1e-4
+        assert torch.diff(values).abs().max() < 60 * 1e-4
+        assert bend < 5
+    points = 6 * torch.rand(20_000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 3
+    points.requires_grad_()
+    margin = texture.ridge_margin(points[:, 0], points[:, 1], 0.5, torch.full((len(points),), 9.0))
+    (by_place,) = torch.autograd.grad(margin.sum(), points)
+    at_edge = margin.abs() < 0.002
+    assert at_edge.sum() > 100
+    lengths = by_place.norm(dim=1)[at_edge]
+    assert lengths.median() == pytest.approx(1, abs=0.05)
+
+
+def test_single_precision(picture: Path) -> None:
+    texture = PictureTexture(picture, DPI)
+    y, x = torch.meshgrid(*(torch.arange(-8.0, 8.0, 0.05, dtype=torch.float64),) * 2, indexing="ij")
+    rounded = texture(x.float(), y.float())
+    assert rounded.dtype == torch.float32
+    assert (rounded - texture(x, y)).abs().max() < 1e-3
+
+
+def test_centre_moves_the_skin(picture: Path) -> None:
+    still = PictureTexture(picture, DPI)
+    x = torch.linspace(-3, 3, 500, dtype=torch.float64)
+    moved = replace(still, centre=(1.3, -0.4))
+    torch.testing.assert_close(moved(x + 1.3, x - 0.4), still(x, x), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [Press, Slide])
+def test_contact_lies_in_the_print(kind: type[Press] | type[Slide], picture: Path) -> None:
+    scene = scene_of_print(kind, picture, DPI)
+    real, gross = (getattr(scene.truth, f"{name}_contact_area_mm2")(299) for name in ("real", "gross"))
+    assert 0.35 < real / gross < 0.6
+
+
+def test_recording_carries_its_picture(picture: Path, tmp_path: Path) -> None:
+    """The truth is rebuilt without the file that the picture came from."""
+    given = tmp_path / "given.png"
+    given.write_bytes(picture.read_bytes())
+    scene = Press(**SMALL, texture=PictureTexture(given, DPI), semi_axes=(2.0, 1.6))
+    write_recording(tmp_path / "press", scene)
+    given.unlink()
+    rebuilt = rebuild_scene(tmp_path / "press")
+    np.testing.assert_array_equal(rebuilt.render(2), np.load(tmp_path / "press" / "frames.npy")[2])
+    assert rebuilt.truth.real_contact_area_mm2(2) == scene.truth.real_contact_area_mm2(2)
+
+
+def test_wrong_pictures_are_refused_with_the_way_out(picture: Path, tmp_path: Path) -> None:
+    def refused(name: str, message: str, image: np.ndarray | bytes | None = None, dpi: float = DPI) -> None:
+        path = tmp_path / name if image is not None else picture
+        if isinstance(image, bytes):
+            path.write_bytes(image)
+        elif image is not None:
+            cv2.imwrite(str(path), image)
+        with pytest.raises(FingerflowError, match=message):
+            scene_of_print(Press, path, dpi)
+
+    with pytest.raises(FingerflowError, match=r"none\.png does not exist; give a PNG, TIFF, BMP or JPEG"):
+        PictureTexture(tmp_path / "none.png")
+    refused("text.png", r"text\.png cannot be read as a picture", b"no picture")
+    refused("tiny.png", "has 30 x 500 pixels; 64 x 64 are the least", np.zeros((30, 500), np.uint8))
+    refused("blank.png", "shows no ridges", np.full((300, 300), 90, np.uint8))
+    refused("", r"ridges are 1\.\d\d mm apart at 200 dpi, those of skin 0\.25 to 0\.8 mm; give the picture's", dpi=200)
+    refused("", "dpi is 3; a picture that shows ridges has 50 to 10,000", dpi=3)
+    part = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)[60:240, 60:240]
+    refused("part.png", r"shows 9\.1 x 9\.1 mm at 500 dpi, and the contact needs 1\d\.\d x \d\.\d mm of skin", part)
