@@ -71,8 +71,8 @@ class ContactPictures(NamedTuple):
 def serve(*tensors: Tensor | None) -> bool:
     """Whether the compiled kernels may take these tensors here and now."""
     return (
-        _library() is not None
-        and not torch.compiler.is_compiling()
+        not torch.compiler.is_compiling()  # first: a compiler would go on into the search for the library
+        and _library() is not None
         and not torch.jit.is_tracing()
         and torch._C._len_torch_dispatch_stack() == 0  # nobody records or changes what the ops do
         and not torch._C._are_functorch_transforms_active()

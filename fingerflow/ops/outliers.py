@@ -8,7 +8,7 @@ from torch import Tensor
 NEIGHBOURS = 16  # of a point that are asked; the nearest
 LEAST_NEIGHBOURS = 5  # below which there is nobody to judge by
 #: Times its neighbours' disagreement that a point's may be. Of true displacements none in 10,000 exceed it where the
-#: field is a plane, and 2 in 1000 where it bends strongly; of those off by 12 standard deviations 98 in 100 do, by 8 half.
+#: field is a plane, and 2 in 1000 where it bends strongly. Of those off by 12 standard deviations 98 in 100 do.
 MOST_DISAGREEMENT = 3.0
 #: Times the (harmonic) mean standard deviation of its neighbours that a point's may be.
 MOST_UNCERTAINTY = 4.0
