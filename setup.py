@@ -37,7 +37,6 @@ PLAIN = [
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
-    "area_medians_block",
     "corners_rows",
     "dense_region_rows",
     "ellipse_rows",
@@ -49,7 +48,7 @@ EXACT = [
     "noise_rows",
     "spline_rows",
 ]
-ROUNDED = ["local_fit_block", "search_points", "tracking_points"]
+ROUNDED = ["area_medians_block", "local_fit_block", "search_points", "tracking_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers

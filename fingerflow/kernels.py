@@ -18,7 +18,7 @@ from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
-_INTERFACE = 12  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 13  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -26,7 +26,6 @@ LARGEST_MEDIAN_ABOVE = 15
 LARGEST_CORNER_WINDOW = 15
 LARGEST_DENSITY_RADIUS = 17
 WIDEST_MOMENTS = (1 << 16) - 1
-MOST_POSITIONS = 1 << 20
 MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
 
@@ -491,51 +490,58 @@ class _AreaMedians(ctypes.Structure):
     """`fingerflow_area_medians` of kernels/interface.h."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("fields", "displacement", "ellipses", "medians")),
-        *((name, ctypes.c_int64) for name in ("batch", "field_count", "rows", "columns", "newton_steps")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("reference", "displacement", "ellipses", "covariance", "lattice", "medians", "deviations")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("batch", "reference_batch", "point_count", "positions", "measure", "minimum_points")
+        ),
         *(
             (name, ctypes.c_double)
-            for name in ("turn", "origin_x", "origin_y", "step", "settled", "least_ratio", "least_share")
+            for name in ("radius", "least_spread", "farthest", "least_ratio", "least_share", "reach", "even")
         ),
     )
 
 
 def area_medians(
-    fields: Tensor,
+    reference: Tensor,
     displacement: Tensor,
     ellipses: Tensor,
+    covariance: Tensor | None,
+    lattice: Tensor,
     *,
-    turn: float,
-    origin: tuple[float, float],
-    step: float,
-    newton_steps: int,
-    settled: float,
-    least_ratio: float,
-    least_share: float,
-) -> Tensor:
-    """Medians (B, K) float64 over ellipses, as `ops.area_medians` has them.
+    measure: int,
+    minimum_points: int,
+    **limits: float,
+) -> tuple[Tensor, Tensor | None]:
+    """Medians (B, 5) over ellipses and their deviations, as `ops.area_medians` has them to rounding; all float32.
 
-    Fields (B, K, R, C) and displacement (B, 2, R, C) are float32. Ellipses (B, 7) float64 hold centre, semi axes,
-    cosine and sine, and the odd number of positions in the rectangle around; what is not finite makes the medians NaN.
+    Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
+    (B, N, 2, 2), lattice (P, 2); measure 0 to 2, limits as in kernels/interface.h.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    batch, count, rows, columns = fields.shape
-    if min(rows, columns) < 2 or rows * columns >= 1 << 31:
-        raise ValueError(f"fields of {tuple(fields.shape)}: 2 x 2 nodes at least, and fewer than 2^31")
-    _check_like("fields", fields, torch.float32, (batch, count, rows, columns))
-    _check_like("displacement", displacement, torch.float32, (batch, 2, rows, columns))
-    _check_like("ellipses", ellipses, torch.float64, (batch, 7))
-    if (ellipses[:, 6] > MOST_POSITIONS).any() or (ellipses[:, 6] < 1).any():
-        raise ValueError(f"an ellipse with less than 1 or more than {MOST_POSITIONS} positions: {ellipses[:, 6]}")
-    given = [tensor.contiguous() for tensor in (fields, displacement, ellipses)]
-    medians = torch.empty(batch, count, dtype=torch.float64)
-    pointers = (tensor.data_ptr() for tensor in (*given, medians))
-    sizes = (batch, count, rows, columns, newton_steps)
-    request = _AreaMedians(*pointers, *sizes, turn, *origin, step, settled, least_ratio, least_share)
+    batch, count = displacement.shape[:2]
+    positions = len(lattice)
+    _check_like("reference", reference, torch.float32, (1 if len(reference) == 1 else batch, count, 2))
+    _check_like("displacement", displacement, torch.float32, (batch, count, 2))
+    _check_like("ellipses", ellipses, torch.float32, (batch, 6))
+    _check_like("lattice", lattice, torch.float32, (positions, 2))
+    if covariance is not None:
+        _check_like("covariance", covariance, torch.float32, (batch, count, 2, 2))
+    if measure not in (0, 1, 2) or not positions:
+        raise ValueError(f"measure {measure} of 0 to 2, {positions} positions")
+    tensors = (reference, displacement, ellipses, covariance, lattice)
+    given = [None if tensor is None else tensor.contiguous() for tensor in tensors]
+    medians = torch.empty(batch, 5)
+    deviations = None if covariance is None else torch.empty(batch, 5)
+    pointers = (None if tensor is None else tensor.data_ptr() for tensor in (*given, medians, deviations))
+    request = _AreaMedians(*pointers, *(batch, len(reference), count, positions, measure, minimum_points), **limits)
     _call("fingerflow_medians_over_area", ctypes.addressof(request), torch.get_num_threads())
-    return medians
+    return medians, deviations
 
 
 def halve(frames: Tensor) -> Tensor:

@@ -135,6 +135,9 @@ def _displacement(outcome: Outcome) -> None:
     )
     outcome.add("reference_position", ("point", "xy"), moved.reference, "mm", "position at onset")
     outcome.add("displacement", ("frame", "point", "xy"), moved.displacement, "mm", "displacement since onset")
+    outcome.add(
+        "displacement_std", ("frame", "point"), moved.deviation(), "mm", "standard deviation of a component since onset"
+    )
     outcome.add("global_displacement_vector", ("frame", "xy"), moved.vector, "mm", "median displacement, by component")
     outcome.add(
         "global_displacement",
@@ -152,32 +155,25 @@ def _fields(outcome: Outcome) -> None:
     settings = outcome.inputs.scene.fields
     point = ("frame", "point")
     gauge = {"gauge_length_mm": settings.gauge_length_mm}
+    deviation = "standard deviation of the"
     outcome.add("divergence", point, fields.divergence, "1", "divergence of the displacement", **gauge)
     outcome.add("curl", point, fields.curl, "rad", "curl of the displacement", **gauge)
-    outcome.add("divergence_std", point, fields.divergence_std, "1", "standard deviation of the divergence", **gauge)
-    over = "over the gross contact"
-    outcome.add("median_divergence", ("frame",), fields.median_divergence, "1", f"median divergence {over}")
-    outcome.add(
-        "median_divergence_std",
-        ("frame",),
-        fields.median_divergence_std,
-        "1",
-        "standard deviation of the median divergence",
-    )
-    outcome.add("median_curl", ("frame",), fields.median_curl, "rad", f"median curl {over}")
-    component = ("frame", "strain_component")
-    outcome.add("median_strain", component, fields.median_strain, "1", f"median strain {over}", measure=settings.strain)
+    outcome.add("divergence_std", point, fields.divergence_std, "1", f"{deviation} divergence", **gauge)
+    outcome.add("curl_std", point, fields.curl_std, "rad", f"{deviation} curl", **gauge)
+    over = "over the area of the gross contact"
     times, window = outcome.inputs.times, settings.rate_window_s
-    outcome.add(
-        "median_divergence_rate",
-        ("frame",),
-        rate(fields.median_divergence, times, window),
-        "1/s",
-        "rate of median_divergence",
-    )
-    outcome.add(
-        "median_strain_rate", component, rate(fields.median_strain, times, window), "1/s", "rate of median_strain"
-    )
+    frame, component = ("frame",), ("frame", "strain_component")
+    for name, unit, dims, columns in (
+        ("divergence", "1", frame, 0),
+        ("curl", "rad", frame, 1),
+        ("strain", "1", component, slice(2, 5)),
+    ):
+        measure = {"measure": settings.strain} if name == "strain" else {}
+        median = fields.median[:, columns]
+        outcome.add(f"median_{name}", dims, median, unit, f"median {name} {over}", **gauge, **measure)
+        outcome.add(f"median_{name}_std", dims, fields.median_std[:, columns], unit, f"{deviation} median {name}")
+        if name != "curl":
+            outcome.add(f"median_{name}_rate", dims, rate(median, times, window), "1/s", f"rate of median_{name}")
 
 
 def _strain(outcome: Outcome) -> None:

@@ -1,4 +1,4 @@
-// Medians over ellipses of the current picture: places in an ellipse, led back to where they come from, fields there.
+// Medians over ellipses of the current picture: fits at positions spread over the ellipse, and the middle of their fields.
 #include <algorithm>
 #include <cmath>
 #include <exception>
@@ -8,174 +8,220 @@
 #include "area_medians_block.h"
 #include "interface.h"
 #include "parallel.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace {
 
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
-// For each of a row whether it is known (1), the number of the nearest known one, the first of two; -1 if none is.
-void nearest_known(const unsigned char* known, std::int32_t count, std::int32_t* nearest) {
-    std::int32_t last = -1;
-    for (std::int32_t k = 0; k < count; ++k) {
-        if (known[k]) last = k;
-        nearest[k] = last;
-    }
-    std::int32_t next = -1;
-    for (std::int32_t k = count - 1; k >= 0; --k) {
-        if (known[k]) next = k;
-        if (nearest[k] < 0 || (next >= 0 && next - k < k - nearest[k])) nearest[k] = next;
-    }
-}
-
-// The median of numbers, at least one: of those in the bin of many that holds it.
-double median(const double* numbers, std::int64_t count) {
-    constexpr int kBins = 512;
-    const auto [least, greatest] = std::minmax_element(numbers, numbers + count);
-    const double low = *least, scale = kBins / (*greatest - low);
-    // Not more than the last bin's number, also where rounding or a range of nothing says so.
-    const auto bin = [=](double number) {
-        const double place = (number - low) * scale;
-        return place < kBins ? static_cast<int>(place) : kBins - 1;
-    };
-    std::int64_t counts[kBins] = {};
-    for (std::int64_t k = 0; k < count; ++k) ++counts[bin(numbers[k])];
-    const auto of_rank = [&](std::int64_t rank) {
-        int of = 0;
-        for (; rank >= counts[of]; ++of) rank -= counts[of];
-        std::vector<double> there;
-        there.reserve(size(counts[of]));
-        for (std::int64_t k = 0; k < count; ++k)
-            if (bin(numbers[k]) == of) there.push_back(numbers[k]);
-        std::nth_element(there.begin(), there.begin() + rank, there.end());
-        return there[size(rank)];
-    };
-    const double upper = of_rank(count / 2);
-    return count % 2 == 1 ? upper : (of_rank(count / 2 - 1) + upper) / 2;
+// The median of numbers, at least one, whose order is lost.
+float median(std::vector<float>& numbers) {
+    const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
+    std::nth_element(numbers.begin(), middle, numbers.end());
+    return numbers.size() % 2 == 1 ? *middle : (*std::max_element(numbers.begin(), middle) + *middle) / 2;
 }
 
 class Frame {
 public:
     Frame(const fingerflow_area_medians& given, std::int64_t number)
         : given_(given),
-          fields_(given.fields + number * given.field_count * nodes()),
-          displacement_(given.displacement + 2 * number * nodes()),
-          ellipse_(given.ellipses + 7 * number),
-          medians_(given.medians + number * given.field_count) {}
+          reference_(given.reference + (given.reference_batch == 1 ? 0 : number) * 2 * given.point_count),
+          displacement_(given.displacement + number * 2 * given.point_count),
+          covariance_(given.covariance == nullptr ? nullptr : given.covariance + number * 4 * given.point_count),
+          ellipse_(given.ellipses + 6 * number),
+          medians_(given.medians + kAreaFields * number),
+          deviations_(given.deviations == nullptr ? nullptr : given.deviations + kAreaFields * number),
+          settings_{given.measure,
+                    static_cast<float>(given.minimum_points),
+                    static_cast<float>(given.radius),
+                    static_cast<float>(given.least_spread),
+                    static_cast<float>(given.farthest),
+                    static_cast<float>(given.least_ratio)} {}
 
     void run() {
-        std::fill_n(medians_, given_.field_count, std::numeric_limits<double>::quiet_NaN());
-        if (!std::all_of(ellipse_, ellipse_ + 7, [](double number) { return std::isfinite(number); })) return;
-        room_ = static_cast<std::int64_t>(ellipse_[6]) + 2;  // as many if it is odd, and one is written behind the last
-        leading_ = static_cast<double*>(workspace(sizeof(double) * size(2 * nodes() + given_.field_count * room_)));
-        values_ = leading_ + 2 * nodes();
-        if (!extend()) return;
-        counts_.assign(size(given_.field_count), 0);
-        read();
-        for (std::int64_t field = 0; field < given_.field_count; ++field) {
-            const std::int64_t count = counts_[size(field)];
-            if (count > 0 && static_cast<double>(count) >= given_.least_share * static_cast<double>(places_))
-                medians_[field] = median(values_ + field * room_, count);
+        std::fill_n(medians_, kAreaFields, std::numeric_limits<float>::quiet_NaN());
+        if (deviations_ != nullptr) std::fill_n(deviations_, kAreaFields, std::numeric_limits<float>::quiet_NaN());
+        const bool finite = std::all_of(ellipse_, ellipse_ + 6, [](float number) { return std::isfinite(number); });
+        if (!finite || !(ellipse_[2] > 0) || !(ellipse_[3] > 0)) return;
+        sort_points();
+        fit();
+        std::vector<float> values;
+        values.reserve(size(given_.positions));
+        for (int field = 0; field < kAreaFields; ++field) {
+            values.clear();
+            for (const Block& block : blocks_)
+                for (int q = 0; q < block.positions; ++q)
+                    if (block.fits.known[q] > 0) values.push_back(block.fits.fields[field][q]);
+            const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
+            if (values.empty() || share < given_.least_share) return;
+            medians_[field] = median(values);
         }
+        if (covariance_ != nullptr) deviate();
     }
 
 private:
-    std::int64_t nodes() const { return given_.rows * given_.columns; }
+    struct Block {
+        AreaFits fits;
+        int positions;
+        std::size_t first, count;  // of its candidates
+    };
 
-    // Fills leading_ with the displacement in steps of the grid, from the nearest known node where it is not known.
-    bool extend() {
-        const auto rows = static_cast<std::int32_t>(given_.rows), columns = static_cast<std::int32_t>(given_.columns);
-        const float *const x = displacement_, *const y = x + nodes();
-        std::vector<unsigned char> known(size(nodes())), in_row(size(rows));
-        double sum_x = 0, sum_y = 0;
-        std::int64_t count = 0;
-        for (std::int64_t row = 0, k = 0; row < rows; ++row) {
-            for (std::int64_t column = 0; column < columns; ++column, ++k) {
-                const bool here = std::isfinite(x[k]) && std::isfinite(y[k]);
-                known[size(k)] = here;
-                in_row[size(row)] |= here;
-                sum_x += here ? x[k] / given_.step : 0;
-                sum_y += here ? y[k] / given_.step : 0;
-                count += here;
+    // Usable points, without the mean of their displacement, in cells of half a radius around the ellipse.
+    void sort_points() {
+        const std::int64_t count = given_.point_count;
+        std::vector<std::int64_t> usable;
+        usable.reserve(size(count));
+        double mean_u = 0, mean_v = 0, xx = 0, xy = 0, yy = 0;
+        for (std::int64_t k = 0; k < count; ++k) {
+            const float u = displacement_[2 * k], v = displacement_[2 * k + 1];
+            bool good = std::isfinite(reference_[2 * k] + u) && std::isfinite(reference_[2 * k + 1] + v);
+            if (covariance_ != nullptr) {
+                const float* const own = covariance_ + 4 * k;
+                good = good && std::isfinite(own[0] + own[1] + own[3]) && own[0] >= 0 && own[3] >= 0;
+                xx += good ? own[0] : 0;
+                xy += good ? own[1] : 0;
+                yy += good ? own[3] : 0;
             }
+            if (!good) continue;
+            usable.push_back(k);
+            mean_u += u;
+            mean_v += v;
         }
-        if (count == 0) return false;
-        mean_x_ = sum_x / static_cast<double>(count);
-        mean_y_ = sum_y / static_cast<double>(count);
-        std::vector<std::int32_t> nearest_row(size(rows)), nearest(size(columns));
-        nearest_known(in_row.data(), rows, nearest_row.data());
-        for (std::int64_t row = 0; row < rows; ++row) {
-            const std::int64_t from = std::int64_t{nearest_row[size(row)]} * columns, to = row * columns;
-            nearest_known(known.data() + from, columns, nearest.data());
-            for (std::int32_t column = 0; column < columns; ++column) {
-                const std::int64_t node = from + nearest[size(column)];
-                leading_[to + column] = x[node] / given_.step;
-                leading_[nodes() + to + column] = y[node] / given_.step;
-            }
+        const double among = static_cast<double>(std::max<std::size_t>(usable.size(), 1));
+        const auto level_u = static_cast<float>(mean_u / among), level_v = static_cast<float>(mean_v / among);
+        beside_.xx = static_cast<float>(xx / among);
+        beside_.xy = static_cast<float>(xy / among);
+        beside_.yy = static_cast<float>(yy / among);
+
+        const float radius = settings_.radius, cosine = ellipse_[4], sine = ellipse_[5];
+        half_x_ = std::hypot(ellipse_[2] * cosine, ellipse_[3] * sine) / radius + 1.01f;
+        half_y_ = std::hypot(ellipse_[2] * sine, ellipse_[3] * cosine) / radius + 1.01f;
+        columns_ = cells(half_x_);
+        rows_ = cells(half_y_);
+        std::vector<std::int64_t> cell(usable.size());
+        starts_.assign(size(rows_ * columns_ + 1), 0);
+        const auto place_x = [&](std::int64_t k) { return (reference_[2 * k] + displacement_[2 * k] - ellipse_[0]) / radius; };
+        const auto place_y = [&](std::int64_t k) {
+            return (reference_[2 * k + 1] + displacement_[2 * k + 1] - ellipse_[1]) / radius;
+        };
+        for (std::size_t n = 0; n < usable.size(); ++n) {
+            const float x = place_x(usable[n]), y = place_y(usable[n]);
+            const bool near = std::fabs(x) < half_x_ && std::fabs(y) < half_y_;
+            cell[n] = near ? row_of(y) * columns_ + column_of(x) : -1;
+            if (near) ++starts_[size(cell[n] + 1)];
         }
-        return true;
+        for (std::size_t k = 1; k < starts_.size(); ++k) starts_[k] += starts_[k - 1];
+        const std::size_t near = size(starts_.back());
+        for (std::vector<float>* one : {&x_, &y_, &u_, &v_}) one->resize(near);
+        number_.resize(near);
+        std::vector<std::int64_t> next(starts_.begin(), starts_.end() - 1);
+        for (std::size_t n = 0; n < usable.size(); ++n) {
+            if (cell[n] < 0) continue;
+            const std::size_t to = size(next[size(cell[n])]++);
+            const std::int64_t k = usable[n];
+            x_[to] = place_x(k);
+            y_[to] = place_y(k);
+            u_[to] = displacement_[2 * k] - level_u;
+            v_[to] = displacement_[2 * k + 1] - level_v;
+            number_[to] = k;
+        }
     }
 
-    // Values of the fields at all places of the ellipse where they are known.
-    void read() {
-        const LeadingGrid grid{leading_,
-                               leading_ + nodes(),
-                               static_cast<std::int32_t>(given_.rows),
-                               static_cast<std::int32_t>(given_.columns),
-                               mean_x_,
-                               mean_y_,
-                               static_cast<int>(given_.newton_steps),
-                               given_.settled,
-                               given_.least_ratio};
-        const double center_x = ellipse_[0], center_y = ellipse_[1], major = ellipse_[2], minor = ellipse_[3];
-        const double cosine = ellipse_[4], sine = ellipse_[5], half = std::floor(ellipse_[6] / 2);
-        Places some;
-        int filled = 0;
-        for (double number = -half; number <= half; ++number) {
-            const double right = number / (half + 0.5), turns = number * given_.turn;
-            const double down = 2 * (turns - std::floor(turns + 0.5));
-            if (right * right + down * down > 1) continue;
-            const double along = right * major, across = down * minor;
-            some.wanted_x[filled] = (center_x + (along * cosine - across * sine) - given_.origin_x) / given_.step;
-            some.wanted_y[filled] = (center_y + (along * sine + across * cosine) - given_.origin_y) / given_.step;
-            if (++filled < kPlaces) continue;
-            read(grid, some, filled);
-            filled = 0;
-        }
-        if (filled == 0) return;
-        for (int q = filled; q < kPlaces; ++q) {
-            some.wanted_x[q] = some.wanted_x[0];
-            some.wanted_y[q] = some.wanted_y[0];
-        }
-        read(grid, some, filled);
+    static std::int64_t cells(float half) { return std::clamp<std::int64_t>(static_cast<std::int64_t>(4 * half), 1, 256); }
+    std::int64_t column_of(float x) const { return of(x, half_x_, columns_); }
+    std::int64_t row_of(float y) const { return of(y, half_y_, rows_); }
+    static std::int64_t of(float place, float half, std::int64_t count) {
+        const float cell = (place + half) / (2 * half) * static_cast<float>(count);
+        return std::clamp<std::int64_t>(static_cast<std::int64_t>(cell), 0, count - 1);
     }
 
-    void read(const LeadingGrid& grid, Places& some, int filled) {
-        FINGERFLOW_PICK(lead_back)(grid, some);
-        places_ += filled;
-        for (std::int64_t field = 0; field < given_.field_count; ++field) {
-            double here[kPlaces];
-            FINGERFLOW_PICK(read_field)(grid, fields_ + field * nodes(), some, here);
-            double* const values = values_ + field * room_;
-            std::int64_t count = counts_[size(field)];
-            for (int q = 0; q < filled; ++q) {
-                values[count] = here[q];
-                count += (some.found[q] != 0) & std::isfinite(here[q]);
+    void fit() {
+        const float along = ellipse_[2] / settings_.radius, across = ellipse_[3] / settings_.radius;
+        const float cosine = ellipse_[4], sine = ellipse_[5];
+        blocks_.resize(size((given_.positions + kAreaBlock - 1) / kAreaBlock));
+        std::int64_t first = 0;
+        for (Block& block : blocks_) {
+            block.positions = static_cast<int>(std::min<std::int64_t>(kAreaBlock, given_.positions - first));
+            float low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
+            for (int q = 0; q < kAreaBlock; ++q) {
+                const float* const place = given_.lattice + 2 * (first + std::min(q, block.positions - 1));
+                const float a = place[0] * along, b = place[1] * across;
+                const float x = block.fits.x[q] = a * cosine - b * sine, y = block.fits.y[q] = a * sine + b * cosine;
+                low_x = std::min(low_x, x);
+                low_y = std::min(low_y, y);
+                high_x = std::max(high_x, x);
+                high_y = std::max(high_y, y);
             }
-            counts_[size(field)] = count;
+            block.first = candidates_.size();
+            const std::int64_t left = column_of(low_x - 1), right = column_of(high_x + 1), bottom = row_of(high_y + 1);
+            for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
+                const std::int64_t end = starts_[size(row * columns_ + right + 1)];
+                for (std::int64_t k = starts_[size(row * columns_ + left)]; k < end; ++k) {
+                    const float dx = std::max(0.0f, std::max(low_x - x_[size(k)], x_[size(k)] - high_x));
+                    const float dy = std::max(0.0f, std::max(low_y - y_[size(k)], y_[size(k)] - high_y));
+                    if (dx * dx + dy * dy < 1.00001f) candidates_.push_back(k);
+                }
+            }
+            block.count = candidates_.size() - block.first;
+            FINGERFLOW_PICK(fit_area)(settings_, points_of(block), block.fits);
+            for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
+            first += kAreaBlock;
+        }
+    }
+
+    AreaPoints points_of(const Block& block) {
+        near_.resize(4 * std::max<std::size_t>(block.count, 1));
+        float* const to = near_.data();
+        for (std::size_t k = 0; k < block.count; ++k) {
+            const std::size_t from = size(candidates_[block.first + k]);
+            to[k] = x_[from];
+            to[block.count + k] = y_[from];
+            to[2 * block.count + k] = u_[from];
+            to[3 * block.count + k] = v_[from];
+        }
+        return {to, to + block.count, to + 2 * block.count, to + 3 * block.count, static_cast<std::int64_t>(block.count)};
+    }
+
+    // Standard deviations: the points' shares in the error of each median, with their covariances.
+    void deviate() {
+        std::copy(medians_, medians_ + kAreaFields, beside_.median);
+        beside_.reach = static_cast<float>(given_.reach);
+        beside_.even = static_cast<float>(given_.even);
+        float total[kAreaFields] = {};
+        std::vector<float> all(number_.size() * kAreaShares), own, memory;
+        for (const Block& block : blocks_) {
+            own.assign(std::max<std::size_t>(block.count, 1) * kAreaShares, 0.0f);
+            memory.resize(2 * std::max<std::size_t>(block.count, 1));
+            FINGERFLOW_PICK(add_shares)(settings_, points_of(block), block.fits, beside_, memory.data(), own.data(), total);
+            for (std::size_t k = 0; k < block.count; ++k) {
+                float* const to = all.data() + size(candidates_[block.first + k]) * kAreaShares;
+                for (int s = 0; s < 2 * kAreaFields; ++s) to[s] += own[k * kAreaShares + size(s)];
+            }
+        }
+        double variance[kAreaFields] = {};
+        for (std::size_t k = 0; k < number_.size(); ++k) {
+            const float *const shares = all.data() + k * kAreaShares, *const c = covariance_ + 4 * number_[k];
+            for (int field = 0; field < kAreaFields; ++field) {
+                const double x = shares[2 * field], y = shares[2 * field + 1];
+                variance[field] += x * x * c[0] + 2 * x * y * c[1] + y * y * c[3];
+            }
+        }
+        for (int field = 0; field < kAreaFields; ++field) {
+            const double scale = settings_.radius * static_cast<double>(std::max(total[field], 1.0f));
+            deviations_[field] = static_cast<float>(std::sqrt(std::max(variance[field], 0.0)) / scale);
         }
     }
 
     const fingerflow_area_medians& given_;
-    const float *const fields_, *const displacement_;
-    const double* const ellipse_;
-    double* const medians_;
-    std::int64_t room_ = 0;
-    double *leading_ = nullptr, *values_ = nullptr;
-    double mean_x_ = 0, mean_y_ = 0;
-    std::vector<std::int64_t> counts_;
-    std::int64_t places_ = 0;
+    const float *const reference_, *const displacement_, *const covariance_, *const ellipse_;
+    float *const medians_, *const deviations_;
+    const AreaSettings settings_;
+    AreaBeside beside_{};
+    float half_x_ = 0, half_y_ = 0;
+    std::int64_t columns_ = 0, rows_ = 0;
+    std::vector<std::int64_t> starts_, number_, candidates_;
+    std::vector<float> x_, y_, u_, v_, near_;
+    std::vector<Block> blocks_;
 };
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Places of a grid that a displacement brings to wanted ones, and fields there, a few places at a time.
+// Fits at positions of an ellipse that lie near each other, for medians over its area.
 #pragma once
 
 #include <cstdint>
@@ -7,28 +7,46 @@
 
 namespace fingerflow {
 
-constexpr int kPlaces = 16;
+constexpr int kAreaBlock = 16;   // positions
+constexpr int kAreaFields = 5;   // divergence, curl, exx, eyy, exy
+constexpr int kAreaShares = 16;  // numbers a point gets: of each field, by the components of its displacement; zeros
 
-// Displacement (rows, columns) in steps of the grid, known everywhere.
-struct LeadingGrid {
-    const double *x, *y;
-    std::int32_t rows, columns;
-    double start_x, start_y;  // displacement with which a search begins
-    int newton_steps;
-    double settled, least_ratio;
+// Lengths are in radii of a fit's support from the centre of the ellipse, displacements in the unit that was given.
+struct AreaSettings {
+    std::int64_t measure;
+    float minimum_points, radius, least_spread, farthest, least_ratio;
 };
 
-struct Places {
-    double wanted_x[kPlaces], wanted_y[kPlaces];
-    double x[kPlaces], y[kPlaces];
-    std::int64_t found[kPlaces];  // 0 or 1, and on the grid
+// The points that may lie within a radius of a position of the block.
+struct AreaPoints {
+    const float *x, *y, *u, *v;
+    std::int64_t count;
+};
+
+struct AreaFits {
+    float x[kAreaBlock], y[kAreaBlock];
+    float known[kAreaBlock];                              // 0 or 1
+    float center_x[kAreaBlock], center_y[kAreaBlock];     // weighted mean place of the points
+    float inverse[3][kAreaBlock], share[kAreaBlock];      // xx, xy, yy of the second moments' inverse; 1 / sum of weights
+    float gradient[4][kAreaBlock];                        // by reference coordinates, ux, uy, vx, vy
+    float fields[kAreaFields][kAreaBlock];
+};
+
+// What the positions beside a median take part in its error with.
+struct AreaBeside {
+    float median[kAreaFields];
+    float xx, xy, yy;    // mean covariance of a point
+    float reach, even;   // as in fingerflow/ops/area_medians.py
 };
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    void lead_back(const LeadingGrid& grid, Places& places);
-    // Values of a field (rows, columns) at all places; NaN beside a NaN.
-    void read_field(const LeadingGrid& grid, const float* field, const Places& places, double* values);
+    void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& fits);
+    // Adds to (count, kAreaShares) numbers how much each point's displacement moves the sum of the fields beside their
+    // medians, and to `total` how many positions these are. `memory` has room for 2 count numbers.
+    void add_shares(const AreaSettings& settings, const AreaPoints& points, const AreaFits& fits,
+                    const AreaBeside& beside, float* memory, float* shares,
+                    float (&total)[kAreaFields]);
 )
 // clang-format on
 

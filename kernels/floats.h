@@ -129,6 +129,21 @@ inline Vector held(Vector value) {
 }
 inline void store(float* to, const Floats& value) { std::memcpy(to, &value, sizeof value); }
 
+// Numbers above zero, and whether they are (1 or 0); zero for the others.
+#if defined(__GNUC__) || defined(__clang__)
+inline Floats positive(Floats value) { return value > all(0) ? value : all(0); }
+inline Floats is_positive(Floats value) { return value > all(0) ? all(1) : all(0); }
+#else
+inline Floats positive(Floats value) {
+    for (int k = 0; k < kFloats; ++k) value.of[k] = value.of[k] > 0 ? value.of[k] : 0.0f;
+    return value;
+}
+inline Floats is_positive(Floats value) {
+    for (int k = 0; k < kFloats; ++k) value.of[k] = value.of[k] > 0 ? 1.0f : 0.0f;
+    return value;
+}
+#endif
+
 // Sums of neighbours: those of `a`, then those of `b`.
 #if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
 #if defined(__AVX512F__)

@@ -161,14 +161,14 @@ FINGERFLOW_EXPORT int fingerflow_corners(const unsigned char* frames, std::int64
                                          std::int64_t window, std::int64_t border, std::int64_t count,
                                          double min_distance, float* points, float* responses, int threads);
 
-// Medians (batch, field_count) over ellipses of fields (batch, field_count, rows, columns), as
-// fingerflow/ops/area_medians.py has them; displacement (batch, 2, rows, columns). Ellipses (batch, 7): centre, semi axes,
-// cosine and sine of the angle, positions in the rectangle around; a number that is not finite makes medians of NaN.
+// Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
+// their standard deviations where there are covariances: reference (1 or batch, point_count, 2), displacement (batch,
+// point_count, 2), covariance (batch, point_count, 2, 2) or null, ellipses (batch, 6) with centre, semi axes, cosine and
+// sine, lattice (positions, 2) in the unit disc. Measure 0 is Green-Lagrange, 1 as printed, 2 infinitesimal.
 struct fingerflow_area_medians {
-    const float *fields, *displacement;
-    const double* ellipses;
-    double* medians;
-    std::int64_t batch, field_count, rows, columns, newton_steps;
-    double turn, origin_x, origin_y, step, settled, least_ratio, least_share;
+    const float *reference, *displacement, *ellipses, *covariance, *lattice;
+    float *medians, *deviations;
+    std::int64_t batch, reference_batch, point_count, positions, measure, minimum_points;
+    double radius, least_spread, farthest, least_ratio, least_share, reach, even;
 };
 FINGERFLOW_EXPORT int fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);

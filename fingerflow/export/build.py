@@ -6,10 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.export.recipe import GraphName, Recipe
+from fingerflow.graphs.fields import SkinFieldsGraph
 from fingerflow.stream.background import Background, BackgroundStep
 from fingerflow.stream.contact import ContactStep
 from fingerflow.stream.detect import DetectStep
-from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.frame import FrameResult, FrameStep, SinceOnsetResult, SinceOnsetStep
 from fingerflow.stream.key import KeyStep, Templates
 from fingerflow.stream.measured_contact import MeasuredContact, MeasuredContactStep
@@ -78,7 +78,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
     table = (tracking.window_px, tracking.reach_px)
     track = TrackStep(*table, tracking.way_back, tracking.forward_backward_limit_px, kind)
-    fields = SinceOnsetStep(FieldsStep(recipe.fields.gauge_px, kind))
+    fields = SinceOnsetStep(SkinFieldsGraph(recipe.fields.gauge_px, kind))
     border = tracking.window_px // 2 + tracking.reach_px + 3  # window and table of the key frame
     detect = DetectStep(tracking.points, tracking.min_distance_px, border, kind)
     templates = Templates._fields
@@ -89,7 +89,14 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
         "detect": (detect, ("topography_view", "mask"), ("points", "response")),
         "key": (KeyStep(*table, kind), ("topography_view", "points"), templates),
         "track": (track, ("topography_view", "prediction", *templates), StreamTracks._fields),
-        "fields": (fields, ("points", "covered", "reference", "reached"), SinceOnsetResult._fields),
+        "fields": (
+            fields,
+            (
+                *("points", "covered", "reference", "reached", "topography_to_contact"),
+                *("center", "semi_axes", "angle"),
+            ),
+            SinceOnsetResult._fields,
+        ),
         "frame": (
             FrameStep(known, track),
             (

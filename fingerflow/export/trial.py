@@ -67,6 +67,9 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "points": points,
         "prediction": points,
         "reference": _reference(points, size),
+        "center": torch.tensor([[size[1] / 2, size[0] / 2]]).expand(batch, -1).contiguous(),
+        "semi_axes": (_BORDER / 2 * torch.tensor([[size[1], size[0]]])).expand(batch, -1).contiguous(),
+        "angle": torch.zeros(batch),
         "reached": (radius < _BORDER - 0.05).to(torch.uint8),
         "covered": (radius < _BORDER).to(torch.uint8),
     }

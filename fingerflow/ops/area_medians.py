@@ -1,203 +1,243 @@
-"""Medians of fields over ellipses of the deformed picture, where the fields are known by reference position."""
+"""Medians of divergence, curl and strain over ellipses of the deformed picture, from scattered points."""
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD, PlaneFit, finite, fit_planes, sum_rows
+from fingerflow.ops.scattered import check_scattered
+from fingerflow.ops.strain import STRAIN_MEASURES, green_lagrange
+from fingerflow.ops.strain_uncertainty import field_sensitivity
 
-_LEAST_STEPS, _MOST_STEPS = 8, 200  # positions a semi axis: a small ellipse gets enough, a wrong scale not all memory
-_TURN = (5**0.5 - 1) / 2  # the golden section: its multiples, less their whole part, are spread evenly
-_NEWTON_STEPS = 8  # at most; three or four do within a cell and across its border
-_SETTLED = 1e-6  # of a step of the grid: a last step of this size leaves its square
-_LEAST_RATIO = 0.1  # of areas after and before: less is no skin, but the edge of what is known
-_LEAST_SHARE = 0.9  # of the area over which a field must be known for its median to mean anything
+POSITIONS = 800  # in an ellipse, whatever its size; 8,000 move the median divergence of a press by 0.3 um/mm RMS
+# A straight border of a dense cloud has its centroid 0.15 gauge lengths away. Farther out a fit would extrapolate.
+_FARTHEST_CENTROID = 0.16  # gauge lengths
+_LEAST_SHARE = 0.9  # of the area over which the fields must be known for their medians to mean anything
+_LEAST_RATIO = 0.1  # of areas before and after: less is no skin, but an edge that folds
+_REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
+_EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
+_TINY = 1e-30
+_FIELDS = 5
+
+
+def _lattice() -> Tensor:
+    """(POSITIONS, 2) in the unit disc, neighbours near each other in the list."""
+    number = torch.arange(POSITIONS, dtype=torch.float64) + 0.5
+    radius, turn = (number / POSITIONS).sqrt(), number * (math.pi * (3 - 5**0.5))
+    place = torch.stack((radius * turn.cos(), radius * turn.sin()), dim=1)
+    # In bands by y, in a band by x: the compiled form takes sixteen at a time.
+    bands = round((POSITIONS / 16) ** 0.5)
+    ordered = place[place[:, 1].argsort()].chunk(bands)
+    return torch.cat([band[band[:, 0].argsort()] for band in ordered])
+
+
+_LATTICE = _lattice()
+
+
+class AreaMedians(NamedTuple):
+    """Over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
+
+    median: Tensor  # (B, 5)
+    deviation: Tensor | None  # (B, 5), its standard deviation from that of the points
 
 
 def area_medians(
-    fields: Tensor,
+    reference: Tensor,
     displacement: Tensor,
-    origin: tuple[float, float],
-    step: float,
     center: Tensor,
     semi_axes: Tensor,
     angle: Tensor,
-    spacing: float,
-) -> Tensor:
-    """Medians (B, K), float64, of fields over an ellipse of the current picture.
+    *,
+    gauge_length: float,
+    measure: str = "green_lagrange",
+    covariance: Tensor | None = None,
+) -> AreaMedians:
+    """Medians over the area of ellipses in the current picture, of fields in reference coordinates.
 
-    The median is that of the current area: over positions spread evenly in the ellipse, each led back to the reference
-    position that the displacement brings there, where the fields are read bilinearly. Over reference positions it is
-    another one, as what spreads covers more of the area than before.
+    At 800 positions spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979) the gradient G of the displacement
+    by current coordinates is fitted as `local_gradients` does; by reference coordinates it is G (I - G)^-1 there.
+    The median is that of the current area. Over the points it is another one: they crowd where skin has texture; and
+    over reference positions too, as what spreads covers more of the area than before.
 
     Args:
-        fields: (B, K, R, C), floating, at the nodes of a square grid of reference positions; NaN where not known.
-        displacement: (B, 2, R, C) in a length unit L, likewise. It must bring different places to different places.
-        origin: x and y of the first node, L.
-        step: from node to node, L.
+        reference: (1 or B, N, 2) reference positions in a length unit L.
+        displacement: (B, N, 2) in L; NaN where a point is not known.
         center: (B, 2) of the ellipses (x, y), L.
-        semi_axes: (B, 2), L; the median is NaN where one is not positive.
+        semi_axes: (B, 2), L; medians are NaN where one is not positive.
         angle: (B,) of the first semi axis, from x towards y, rad.
-        spacing: mean distance of the positions, L; a semi axis has 8 at least and 200 at most.
+        gauge_length: diameter of the support of a fit, L.
+        measure: of strain, as in `green_lagrange`.
+        covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points: asks for the
+            standard deviation. To first order the error of a median is the mean of the errors at the positions whose
+            field lies next to it, within what the field itself is uncertain by, and so a sum over the points. What is
+            not the points' is not in it: the error of the ellipse, and the smoothing over the gauge length.
 
-    NaN where the field is known over less than nine tenths of the ellipse. Carries no gradient.
+    NaN where the field is known over less than nine tenths of the ellipse: a fit needs what `local_gradients` asks for,
+    and points on all sides.
 
-    Raises:
-        TypeError: fields or displacement are not floating.
-        ValueError: shapes that do not belong together, fewer than 2 x 2 nodes, a step or spacing that is not positive.
+    Raises TypeError or ValueError for dtypes, shapes or settings that do not belong together.
     """
-    _check_nodes(fields, displacement)
-    _check_ellipses(len(fields), center, semi_axes, angle)
-    _check_lengths(origin, step=step, spacing=spacing)
-    with torch.no_grad():
-        semi_axes = semi_axes.double()
-        steps = (semi_axes / spacing).ceil().clamp(_LEAST_STEPS, _MOST_STEPS)
-        towards = torch.stack((angle.double().cos(), angle.double().sin()), dim=-1)
-        positions = (2 * steps + 1).prod(-1, keepdim=True)  # of the rectangle around the ellipse
-        ellipses = torch.cat((center.double(), semi_axes, towards, positions), dim=-1)  # (B, 7), the last one odd
-        ellipses = torch.where(
-            ellipses.isfinite().all(-1, keepdim=True) & (semi_axes > 0).all(-1, keepdim=True), ellipses, torch.nan
-        )
-        if fields.dtype == displacement.dtype == torch.float32 and kernels.serve(fields, displacement, ellipses):
-            return kernels.area_medians(
-                fields,
+    _check(reference, displacement, center, semi_axes, angle, gauge_length, covariance)
+    if measure not in STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    kind = displacement.dtype
+    frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
+    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance):
+        return AreaMedians(
+            *kernels.area_medians(
+                reference,
                 displacement,
-                ellipses,
-                turn=_TURN,
-                origin=origin,
-                step=step,
-                newton_steps=_NEWTON_STEPS,
-                settled=_SETTLED,
+                torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
+                None if covariance is None else covariance.to(kind),
+                _LATTICE.to(kind),
+                measure=STRAIN_MEASURES.index(measure),
+                minimum_points=MINIMUM_POINTS,
+                radius=gauge_length / 2,
+                least_spread=MINIMUM_SPREAD,
+                farthest=2 * _FARTHEST_CENTROID,
                 least_ratio=_LEAST_RATIO,
                 least_share=_LEAST_SHARE,
+                reach=_REACH,
+                even=_EVEN,
             )
-        medians = [
-            _medians_of_frame(*frame, origin, step)
-            for frame in zip(fields.double(), displacement.double() / step, ellipses, strict=True)
-        ]
-        return torch.stack(medians) if medians else fields.new_empty(fields.shape[:2], dtype=torch.float64)
+        )
+    planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
+    medians, deviations = medians_of_components(
+        reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes
+    )
+    return AreaMedians(medians, deviations)
 
 
-def _check_nodes(fields: Tensor, displacement: Tensor) -> None:
-    for name, tensor, components in (("fields", fields, fields.shape[1:2]), ("displacement", displacement, (2,))):
-        if not tensor.is_floating_point():
-            raise TypeError(f"{name} must be floating, found {tensor.dtype}")
-        if (
-            fields.dim() != 4
-            or min(fields.shape[2:]) < 2
-            or tensor.shape != (len(fields), *components, *fields.shape[2:])
-        ):
-            raise ValueError(
-                f"fields {tuple(fields.shape)} and displacement {tuple(displacement.shape)} must be (B, K, R, C) and "
-                f"(B, 2, R, C) with at least 2 x 2 nodes"
-            )
+def medians_of_components(
+    reference: Tensor,
+    displacement: Tensor,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    radius: float,
+    measure: str,
+    covariance: Tensor | None,
+) -> tuple[Tensor, Tensor | None]:
+    """The portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv."""
+    now = reference + displacement
+    good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
+    good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
+    middle, axes, turn = (
+        torch.where(good, one, 0.0) for one in (center[..., None], semi_axes[..., None], angle[:, None, None])
+    )
+    usable = finite(sum_rows(now))
+    if covariance is not None:
+        usable = usable & finite(sum_rows(covariance)) & (covariance[:, ::2] >= 0).all(1, keepdim=True)
+    places = torch.where(usable, (now - middle) / radius, 0.0)
+    cosine, sine = turn.cos(), turn.sin()
+    along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
+    positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
+    fit = fit_planes(places, displacement, positions, usable, radius)
+    xx, xy, yx, yy = fit.gradient.split(1, dim=1)
+    # G (I - G)^-1 = (I - G)^-1 - I, with little lost where G is small.
+    ratio = (1 - xx) * (1 - yy) - xy * yx
+    beside = fit.centroid - positions
+    known = fit.known & good & (sum_rows(beside * beside) < (2 * _FARTHEST_CENTROID) ** 2) & (ratio > _LEAST_RATIO)
+    lost = xx * yy - xy * yx
+    gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
+    fields = _fields(gradient, measure)
+    count = known.to(fields.dtype).sum(2, keepdim=True)
+    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
+    enough = (count >= _LEAST_SHARE * fields.shape[2]).squeeze(2)
+    # The same place twice where the count is odd.
+    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor().clamp_max(fields.shape[2] - 1)
+    median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
+    median = torch.where(enough, median, math.nan)
+    if covariance is None:
+        return median, None
+    share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
+    share = share / share.sum(2, keepdim=True).clamp_min(1)
+    by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
+    x, y = by_points[:, :, 0], by_points[:, :, 1]
+    uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
+    variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2)
+    return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan)
 
 
-def _check_ellipses(batch: int, center: Tensor, semi_axes: Tensor, angle: Tensor) -> None:
-    for name, tensor, shape in (("center", center, (2,)), ("semi_axes", semi_axes, (2,)), ("angle", angle, ())):
-        if tensor.shape != (batch, *shape):
-            raise ValueError(f"{name} must be {(batch, *shape)}, found {tuple(tensor.shape)}")
+def _fields(gradient: Tensor, measure: str) -> Tensor:
+    """Divergence, curl and strain (B, 5, Q) of (B, 4, Q)."""
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    strain = green_lagrange(gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2), measure)
+    return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
 
 
-def _check_lengths(origin: tuple[float, float], **lengths: float) -> None:
-    if len(origin) != 2:
-        raise ValueError(f"origin must be x and y, found {origin}")
-    for name, length in lengths.items():
-        if not (math.isfinite(length) and length > 0):
-            raise ValueError(f"{name} must be a positive length in the unit of the positions, found {length}")
-
-
-def _medians_of_frame(
-    fields: Tensor, displacement: Tensor, ellipse: Tensor, origin: tuple[float, float], step: float
+def _beside(
+    fields: Tensor,
+    median: Tensor,
+    fit: PlaneFit,
+    gradient: Tensor,
+    usable: Tensor,
+    covariance: Tensor,
+    radius: float,
+    measure: str,
 ) -> Tensor:
-    """Medians (K,) of fields (K, R, C); displacement (2, R, C) in steps of the grid, ellipse (7,)."""
-    nothing = fields.new_full((len(fields),), torch.nan)
-    known = displacement.isfinite().all(0)
-    if not (ellipse.isfinite().all() and known.any()):
-        return nothing
-    wanted = (_positions(ellipse) - ellipse.new_tensor(origin)[:, None]) / step
-    reference, found = _led_back(wanted, displacement, known)
-    values = torch.where(found & _within(reference, fields), _value_and_slopes(fields, reference)[0], torch.nan)
-    enough = values.isfinite().sum(1) >= _LEAST_SHARE * values.shape[1]
-    medians = [_median(field[field.isfinite()]) for field in values]
-    return torch.where(enough, torch.stack(medians), nothing) if medians else nothing
+    """How much (B, 5, Q) of the error at each position the median (B, 5, 1) has: (1 - z^2)^2, z the distance from it in
+    two standard deviations of a single fit.
 
-
-def _positions(ellipse: Tensor) -> Tensor:
-    """(2, P), a Fibonacci lattice about the centre: in whichever direction a field varies, it takes many values."""
-    center, (major, minor), (cosine, sine) = ellipse[:6].view(3, 2)
-    half = int(ellipse[6]) // 2
-    number = torch.arange(-half, half + 1, dtype=ellipse.dtype, device=ellipse.device)
-    right, turns = number / (half + 0.5), number * _TURN
-    down = 2 * (turns - (turns + 0.5).floor())
-    inside = right * right + down * down <= 1
-    along, across = right[inside] * major, down[inside] * minor
-    return center[:, None] + torch.stack((along * cosine - across * sine, along * sine + across * cosine))
-
-
-def _led_back(wanted: Tensor, displacement: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """Places (2, P) that the displacement brings to the ones wanted, all in steps of the grid; whether found.
-
-    Newton's method, from the mean displacement: skin may have moved by more than the contact is wide. Beyond the known
-    nodes the displacement of a near one leads the search, so that it can cross what is not known.
+    Those deviations are of the size of a fit among points spread evenly, of which each has the mean covariance:
+    sum w^2 d d' is 0.4 sum w d d' there.
     """
-    leading = _extended(displacement, known)
-    here = wanted - displacement[:, known].mean(1, keepdim=True)
-    found = torch.zeros_like(here[0], dtype=torch.bool)
-    for _ in range(_NEWTON_STEPS):
-        moved, (xx, yx), (xy, yy) = _value_and_slopes(leading, here)
-        missing = wanted - here - moved
-        ratio = ((1 + xx) * (1 + yy) - xy * yx).clamp(min=_LEAST_RATIO)
-        step = torch.stack(((1 + yy) * missing[0] - xy * missing[1], (1 + xx) * missing[1] - yx * missing[0])) / ratio
-        here = torch.where(found, here, here + step)
-        found = found | (step.abs() < _SETTLED).all(0)
-        if found.all():
-            break
-    return here, found
+    now = gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2)
+    mean = torch.where(usable, covariance, 0.0).sum(2) / usable.to(fields.dtype).sum(2).clamp_min(1)
+    own = mean[:, (0, 1, 1, 2)].unflatten(1, (2, 2))[:, None, None]
+    slopes = (_EVEN / radius**2 * fit.inverse / fit.mass)[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
+    sensitivity = field_sensitivity(now, measure)  # (B, Q, 5, 2, 2)
+    variance = ((own @ sensitivity @ slopes[:, :, None]) * sensitivity).sum((-2, -1)).mT
+    away = (fields - median).square() / (_REACH**2 * variance).clamp_min(_TINY)
+    return (1 - away).clamp_min(0).square()
 
 
-def _extended(nodes: Tensor, known: Tensor) -> Tensor:
-    """Nodes (2, R, C) that are not known get the value of the next known one in their row, or of the next such row."""
-    rows, columns = known.shape
-    row = _nearest(known.any(1)[None])[0]
-    column = _nearest(known[row])
-    return nodes[:, row[:, None].expand(rows, columns), column]
+def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
+    """Derivatives (B, 5, 2, N) of the means of five fields, positions weighted by `share` (B, 5, Q), by displacements.
+
+    Where a point is displaced by d, the gradient H at a position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w:
+    the point moves together with its displacement, so that the fit changes by (I - G) d, and I - G undoes I + H.
+    """
+    now = gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2)  # (B, Q, 2, 2)
+    forward = now + torch.eye(2, dtype=now.dtype, device=now.device)
+    turned = (field_sensitivity(now, measure)[..., None, :] * forward[:, :, None, None]).sum(-1)  # (B, Q, 5, 2, 2)
+    inverse = fit.inverse[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
+    weighted = (turned[..., None] * inverse[:, :, None, None]).sum(-2) * (share / fit.mass).mT[..., None, None]
+    at_centroid = (weighted * fit.centroid.mT[:, :, None, None]).sum(-1, keepdim=True)
+    columns = torch.cat((weighted, at_centroid), dim=-1).flatten(2).mT  # (B, 30, Q)
+    sums = (columns @ (fit.near * fit.near).mT).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
+    return (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
 
 
-def _nearest(known: Tensor) -> Tensor:
-    """Number (..., n) of the nearest known one, the first of two, in rows (..., n) that have one."""
-    count = known.shape[-1]
-    number = torch.arange(count, device=known.device).expand_as(known)
-    before = torch.where(known, number, -2 * count).cummax(-1).values
-    behind = torch.where(known, number, 3 * count).flip(-1).cummin(-1).values.flip(-1)
-    return torch.where(number - before <= behind - number, before, behind)
-
-
-def _within(places: Tensor, nodes: Tensor) -> Tensor:
-    """(P,) whether places (2, P) lie on the grid of nodes (K, R, C)."""
-    rows, columns = nodes.shape[1:]
-    x, y = places
-    return (x >= 0) & (y >= 0) & (x <= columns - 1) & (y <= rows - 1)
-
-
-def _value_and_slopes(nodes: Tensor, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Bilinear value of nodes (K, R, C) and slopes along x and y, (K, P) each, at places (2, P), kept on the grid."""
-    rows, columns = nodes.shape[1:]
-    x, y = places.nan_to_num(0.0)
-    x, y = x.clamp(0, columns - 1), y.clamp(0, rows - 1)
-    column, row = x.long().clamp(max=columns - 2), y.long().clamp(max=rows - 2)
-    x, y, node = x - column, y - row, row * columns + column
-    flat = nodes.flatten(1)
-    upper, lower = flat[:, node], flat[:, node + columns]
-    upper_slope, lower_slope = flat[:, node + 1] - upper, flat[:, node + columns + 1] - lower
-    upper, lower = upper + x * upper_slope, lower + x * lower_slope
-    return upper + y * (lower - upper), upper_slope + y * (lower_slope - upper_slope), lower - upper
-
-
-def _median(values: Tensor) -> Tensor:
-    """Of (P,); NaN of none."""
-    if not len(values):
-        return values.new_tensor(torch.nan)
-    ordered = values.sort().values
-    return (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]) / 2
+def _check(
+    reference: Tensor,
+    displacement: Tensor,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    gauge_length: float,
+    covariance: Tensor | None,
+) -> None:
+    check_scattered(reference, displacement)
+    if displacement.shape[2] != 2 or reference.dtype != displacement.dtype:
+        raise ValueError(
+            f"displacement must be (B, N, 2) of the type of reference, found {tuple(displacement.shape)} "
+            f"{displacement.dtype} and {reference.dtype}"
+        )
+    batch, points = displacement.shape[:2]
+    if reference.shape[0] not in (1, batch):
+        raise ValueError(f"reference has {reference.shape[0]} frames, displacement {batch}: the same, or 1 are needed")
+    for name, values, shape in (
+        ("center", center, (batch, 2)),
+        ("semi_axes", semi_axes, (batch, 2)),
+        ("angle", angle, (batch,)),
+    ):
+        if not values.is_floating_point() or values.shape != shape:
+            raise ValueError(f"{name} must be floating {shape}, found {values.dtype} {tuple(values.shape)}")
+    if not (math.isfinite(gauge_length) and gauge_length > 0):
+        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    if covariance is not None and covariance.shape != (batch, points, 2, 2):
+        raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")

@@ -7,12 +7,9 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.ops.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.weighted_moments import weighted_moments
-
-# The weighted standard deviation of the points must be this part of the support's radius in every direction. A uniform
-# cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points fall below it.
-_MINIMUM_SPREAD = 0.1
 
 
 class LocalFit(NamedTuple):
@@ -32,7 +29,7 @@ def local_gradients(
     *,
     gauge_length: float,
     variance: Tensor | None = None,
-    minimum_points: int = 5,
+    minimum_points: int = MINIMUM_POINTS,
 ) -> LocalFit:
     """Weighted least-squares plane through the values around each query: its height and its slope.
 
@@ -76,7 +73,7 @@ def local_gradients(
             wanted,
             noise,
             radius=radius,
-            least_spread=_MINIMUM_SPREAD * radius,
+            least_spread=MINIMUM_SPREAD * radius,
             minimum_points=minimum_points,
         )
         kept = result_dtype(*given)
@@ -113,7 +110,7 @@ def local_gradients(
     xx, xy, yy = (sums.second / safe_mass[..., None]).unbind(-1)
     xx, xy, yy = xx - centre_x * centre_x, xy - centre_x * centre_y, yy - centre_y * centre_y
     narrowest = (xx + yy) / 2 - torch.hypot((xx - yy) / 2, xy)  # the smaller eigenvalue
-    determined = determined & (narrowest >= (_MINIMUM_SPREAD * radius) ** 2)
+    determined = determined & (narrowest >= (MINIMUM_SPREAD * radius) ** 2)
     determinant = torch.where(determined, xx * yy - xy * xy, 1)
     inverse = _matrix(yy, -xy, -xy, xx) / determinant[..., None, None]
 

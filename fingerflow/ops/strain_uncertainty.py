@@ -26,6 +26,14 @@ def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green
 
     First order in the error of the gradient, which is exact for "infinitesimal". Raises ValueError for another measure.
     """
+    return _deviation(strain_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
+
+
+def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
+    """Derivatives (..., 3, 2, 2) of (exx, eyy, exy) by the displacement gradient, at this gradient (..., 2, 2).
+
+    Raises ValueError for another measure.
+    """
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     # With F = I + gradient, the derivatives of e_ij = (F_ki F_kj - delta_ij) / 2; without the squares F is I.
@@ -36,7 +44,14 @@ def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green
     exx = torch.stack((direct[..., 0], none), dim=-1)
     eyy = torch.stack((none, direct[..., 1]), dim=-1)
     exy = torch.stack((mixed[..., 1], mixed[..., 0]), dim=-1) / 2
-    return _deviation(torch.stack((exx, eyy, exy), dim=-3), covariance[..., None, :, :, :, :])
+    return torch.stack((exx, eyy, exy), dim=-3)
+
+
+def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
+    """Derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy by the displacement gradient."""
+    plain = torch.tensor([[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]], dtype=gradient.dtype)
+    plain = plain.to(gradient.device).expand(*gradient.shape[:-2], 2, 2, 2)
+    return torch.cat((plain, strain_sensitivity(gradient, measure)), dim=-3)
 
 
 def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from fingerflow.graphs.fields import SkinFieldsGraph
 from fingerflow.stream.components import components_first
 from fingerflow.stream.contact import ContactStep
-from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
 from fingerflow.stream.track import TrackStep
@@ -79,7 +79,7 @@ class FrameStep(nn.Module):
 
 
 class SinceOnsetResult(NamedTuple):
-    """Fields (`StreamFields`), and what the next frame needs to know: `next_reference` (B, N, 2) px, where a point was
+    """Fields (`SkinFields`), and what the next frame needs to know: `next_reference` (B, N, 2) px, where a point was
     when the contact reached it, NaN where that is not known, and `next_reached` (B, N) uint8, whether it ever did."""
 
     next_reference: Tensor
@@ -96,18 +96,28 @@ class SinceOnsetStep(nn.Module):
     A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
     """
 
-    def __init__(self, fields: FieldsStep) -> None:
+    def __init__(self, fields: SkinFieldsGraph) -> None:
         super().__init__()
         self.fields = fields
 
-    def forward(self, points: Tensor, covered: Tensor, reference: Tensor, reached: Tensor) -> SinceOnsetResult:
-        """Points (B, N, 2) px, NaN where lost, and those that the contact covers (B, N) (`FrameResult`); reference and
-        reached as the frame before gave them, NaN and 0 in the first."""
-        now, then = (components_first(one.to(self.fields.precision)) for one in (points, reference))
+    def forward(
+        self,
+        points: Tensor,
+        covered: Tensor,
+        reference: Tensor,
+        reached: Tensor,
+        topography_to_contact: Tensor,
+        center: Tensor,
+        semi_axes: Tensor,
+        angle: Tensor,
+    ) -> SinceOnsetResult:
+        """Points (B, N, 2) px, NaN where lost, those that the contact covers (B, N) and its ellipse (`FrameResult`);
+        reference and reached as the frame before gave them, NaN and 0 in the first."""
+        now, then = (one.to(self.fields.precision) for one in (points, reference))
         arriving = torch.minimum(covered, 1 - reached)
-        onset = torch.where(arriving[:, None] > 0, now, then)
-        fields = self.fields.of_components(now, onset)
-        return SinceOnsetResult(onset.transpose(1, 2), torch.maximum(reached, covered), *fields)
+        onset = torch.where(arriving[..., None] > 0, now, then)
+        fields = self.fields(now, onset, topography_to_contact, center, semi_axes, angle)
+        return SinceOnsetResult(onset, torch.maximum(reached, covered), *fields)
 
 
 def _interpolate(cells: Tensor, place: Tensor) -> Tensor:

@@ -116,16 +116,21 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     }
 }
 
-void try_medians(std::int64_t rows, std::int64_t columns, double positions, int threads) {
-    const std::int64_t batch = 2, count = 3;
-    const auto fields = noise<float>(batch * count * rows * columns, 9);
-    const auto displacement = noise<float>(batch * 2 * rows * columns, 10);
-    std::vector<double> ellipses, medians(batch * count);
-    for (double middle : {3.0, 300.0})
-        for (double number : {middle, middle, 100.0, 40.0, 0.8, 0.6, positions}) ellipses.push_back(number);
-    const fingerflow_area_medians given{fields.data(), displacement.data(), ellipses.data(), medians.data(), batch, count,
-                                        rows, columns, 8, 0.618, 0.0, 0.0, 1.5, 1e-6, 0.1, 0.0};
-    expect(fingerflow_medians_over_area(&given, threads) == 0, "medians over an area");
+void try_medians(std::int64_t points, std::int64_t positions, int threads) {
+    const std::int64_t batch = 2;
+    const auto reference = noise<float>(2 * points, 9), displacement = noise<float>(batch * 2 * points, 10);
+    const auto lattice = noise<float>(2 * positions, 11);
+    std::vector<float> covariance, ellipses, medians(batch * 5), deviations(batch * 5);
+    for (std::int64_t k = 0; k < batch * points; ++k)
+        for (float number : {2.0f, 0.5f, 0.5f, 1.0f}) covariance.push_back(number);
+    for (float middle : {200.0f, 2000.0f})
+        for (float number : {middle, middle, 100.0f, 40.0f, 0.8f, 0.6f}) ellipses.push_back(number);
+    for (const float* own : {static_cast<const float*>(nullptr), covariance.data()}) {
+        const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
+                                            medians.data(), own ? deviations.data() : nullptr, batch, 1, points, positions,
+                                            0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4};
+        expect(fingerflow_medians_over_area(&given, threads) == 0, "medians over an area");
+    }
 }
 
 template <class Real>
@@ -157,8 +162,8 @@ int main() {
             try_all(1, 70, 1, threads);
             try_all(2, 37, 43, threads);
             try_all(1, 40, 1300, threads);
-            try_medians(2, 2, 1, threads);
-            try_medians(41, 67, 2001, threads);
+            try_medians(2, 17, threads);
+            try_medians(300, 100, threads);
             for (std::int64_t geometries : {1, 2}) {
                 try_fits<float>(300, 50, 2, geometries, threads);
                 try_fits<double>(37, 1, 3, geometries, threads);

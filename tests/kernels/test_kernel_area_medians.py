@@ -1,82 +1,87 @@
-"""The compiled medians over an area beside the portable ones: the same operations in double.
-
-Only the mean with which a search begins is a sum in another order; where it ends does not depend on it, to rounding.
-"""
+"""The compiled medians over an area beside the portable ones in double: sums run in another order."""
 
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from fingerflow import kernels
-from fingerflow.ops.area_medians import area_medians
+from fingerflow.ops.area_medians import AreaMedians, area_medians
 
 Portable = Callable[[Callable[[], object]], Any]
+SETTINGS: dict[str, Any] = {
+    "measure": 0,
+    "minimum_points": 5,
+    "radius": 1.0,
+    "least_spread": 0.1,
+    "farthest": 0.3,
+    "least_ratio": 0.1,
+    "least_share": 0.9,
+    "reach": 2.0,
+    "even": 0.4,
+}
 
 
-def random(*shape: int, seed: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
+def random(*shape: int, seed: int) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("shape", [(40, 47), (2, 2), (3, 90)])
-@pytest.mark.parametrize("unknown", [0.0, 0.05, 0.7, 1.0])
+@pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
+@pytest.mark.parametrize(
+    ("points", "unknown", "noisy"), [(700, 0.0, True), (700, 0.3, True), (50, 0.0, False), (0, 0.0, True)]
+)
 def test_same_medians(
     instruction_set: int,
     portable: Portable,
     torch_threads: Callable[[int], None],
-    shape: tuple[int, int],
+    points: int,
     unknown: float,
-    threads: int,
+    noisy: bool,
+    measure: str,
 ) -> None:
-    """Rough fields and a displacement that folds here and there, NaN at random, ellipses in and beyond the grid."""
-    batch, step = 7, 0.3
-    fields, displacement = random(batch, 3, *shape, seed=1) - 0.5, 2 * random(batch, 2, *shape, seed=2)
-    fields[random(batch, 3, *shape, seed=3) < unknown / 10] = torch.nan
-    displacement.masked_fill_(random(batch, 1, *shape, seed=4) < unknown, torch.nan)
-    fields[:, 1] = fields[:, 1].round(decimals=1)  # many equal values
-    fields[:, 2] = 3.0
-    fields[0, 0, 0, 0] = torch.inf
-    center = random(batch, 2, seed=5) * step * (torch.tensor(shape).flip(0) - 1) + 1
-    axes, angle = 4 * random(batch, 2, seed=6) ** 3, 6 * random(batch, seed=7)
-    torch_threads(threads)
+    """Rough displacements, ellipses in the cloud, over its border and beyond it, of all sizes."""
+    batch = 9
+    reference, displacement = 12 * random(1, points, 2, seed=1) + 50, 0.3 * random(batch, points, 2, seed=2)
+    displacement = displacement + 0.05 * (reference - 50)
+    displacement.masked_fill_(random(batch, points, 1, seed=3) < unknown, torch.nan)
+    root = 0.01 * random(batch, points, 2, 2, seed=4)
+    covariance = root @ root.mT if noisy else None
+    center, axes = 56.5 + 3 * random(batch, 2, seed=5), 0.02 + 5 * random(batch, 2, seed=6) ** 2
+    center[0], axes[1, 0], axes[2] = 1000.0, 0.0, 100.0
+    angle = 6 * random(batch, seed=7)
 
-    def call() -> Tensor:
-        return area_medians(fields, displacement, (0.1, -0.2), step, center, axes, angle, 0.11)
+    def call(kind: torch.dtype) -> AreaMedians:
+        given = (tensor.to(kind) for tensor in (reference, displacement, center, axes, angle))
+        own = None if covariance is None else covariance.to(kind)
+        return area_medians(*given, gauge_length=2.0, measure=measure, covariance=own)
 
-    found = call()
-    torch.testing.assert_close(found, portable(call), rtol=1e-9, atol=1e-12, equal_nan=True)
-    strided = area_medians(fields.mT.contiguous().mT, displacement, (0.1, -0.2), step, center, axes, angle, 0.11)
-    torch.testing.assert_close(strided, found, rtol=0, atol=0, equal_nan=True)
-
-
-def test_medians_are_exact(instruction_set: int) -> None:
-    """Over a still ellipse the median is the middle of the sorted values; values of very different size too."""
-    x = torch.arange(201.0)
-    ramps = torch.stack([x, x**9, (x - 100).sign() * 1e30, torch.where(x == 7, 1e38, x)])[:, None].expand(4, 2, 201)
-    still = torch.zeros(1, 2, 2, 201)
-    ellipse = torch.tensor([[100.0, 0.5]]), torch.tensor([[96.0, 0.4]]), torch.zeros(1)
-    found = area_medians(ramps[None], still, (0.0, 0.0), 1.0, *ellipse, 1.0)[0]
-    torch.testing.assert_close(found[:3], torch.tensor([100.0, 100.0**9, 0.0]).double(), rtol=1e-6, atol=0)
-    assert found[3].item() == pytest.approx(100.0, rel=0.01)  # what was small has become large: one position further
+    torch_threads(1)
+    found = call(torch.float32)
+    expected = portable(lambda: call(torch.float64))
+    assert torch.equal(found.median.isfinite(), expected.median.isfinite())
+    if points == 700 and not unknown:
+        assert found.median.isfinite().all(1).sum() > 3
+    torch.testing.assert_close(found.median.double(), expected.median, rtol=1e-4, atol=1e-4, equal_nan=True)
+    if noisy:
+        torch.testing.assert_close(found.deviation.double(), expected.deviation, rtol=2e-2, atol=1e-6, equal_nan=True)  # type: ignore[union-attr]
+    torch_threads(3)
+    for one, other in zip(call(torch.float32), found, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)
 
 
 def test_refusals() -> None:
-    fields, displacement, ellipses = torch.zeros(1, 1, 3, 3), torch.zeros(1, 2, 3, 3), torch.ones(1, 7).double()
-    settings: dict[str, Any] = {
-        "turn": 0.6,
-        "origin": (0.0, 0.0),
-        "step": 1.0,
-        "newton_steps": 8,
-        "settled": 1e-6,
-        "least_ratio": 0.1,
-        "least_share": 0.9,
-    }
-    with pytest.raises(ValueError, match="2 x 2 nodes"):
-        kernels.area_medians(fields[:, :, :1], displacement[:, :, :1], ellipses, **settings)
+    reference, displacement, ellipses, lattice = (
+        torch.zeros(1, 5, 2),
+        torch.zeros(3, 5, 2),
+        torch.ones(3, 6),
+        torch.zeros(4, 2),
+    )
+    with pytest.raises(ValueError, match="reference"):
+        kernels.area_medians(reference.expand(2, 5, 2), displacement, ellipses, None, lattice, **SETTINGS)
     with pytest.raises(ValueError, match="displacement is"):
-        kernels.area_medians(fields, displacement.double(), ellipses, **settings)
-    with pytest.raises(ValueError, match="positions"):
-        kernels.area_medians(fields, displacement, 1e7 * ellipses, **settings)
+        kernels.area_medians(reference, displacement.double(), ellipses, None, lattice, **SETTINGS)
+    with pytest.raises(ValueError, match="covariance"):
+        kernels.area_medians(reference, displacement, ellipses, torch.zeros(3, 5), lattice, **SETTINGS)
+    with pytest.raises(ValueError, match="0 positions"):
+        kernels.area_medians(reference, displacement, ellipses, None, lattice[:0], **SETTINGS)

@@ -6,12 +6,9 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.spline import spline_basis, spline_basis_derivative
-from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.tracking import TrackStatus, track_points
 from fingerflow.stream.detect import DetectStep
-from fingerflow.stream.fields import FieldsStep
 from fingerflow.stream.key import KeyStep
 from fingerflow.stream.spline_features import SCALE, feature_bends, features, features_and_slopes
 from fingerflow.stream.track import TrackStep, WayBack
@@ -175,39 +172,6 @@ def test_recordings_side_by_side_do_not_mix(views: tuple[Tensor, Tensor], points
         own = tuple(one[number : number + 1] for one in both)
         alone = TrackStep(15)(own[1], own[2], KeyStep(15)(own[0], own[2]))
         torch.testing.assert_close(together.points[number], alone.points[0], rtol=0, atol=1e-4, equal_nan=True)
-
-
-def test_fields_are_those_of_local_gradients() -> None:
-    generator = torch.Generator().manual_seed(0)
-    reference = torch.rand(2, 300, 2, generator=generator) * torch.tensor([340.0, 280.0]) + 100
-    gradient = torch.tensor([[0.05, 0.02], [-0.01, 0.08]])
-    points = reference + (reference - 250) @ gradient.T + 0.5 * torch.sin(reference / 30) + 17
-    reference[0, 5] = torch.nan
-    points[1, 7] = torch.nan
-    reference[0, 6] = torch.tensor([2000.0, 2000.0])  # alone
-    fields = FieldsStep(70.0)(points, reference)
-    fit = local_gradients(reference.double(), points.double() - reference.double(), gauge_length=70.0)
-    gradient = fit.gradient.clone()
-    gradient[1, 7] = torch.nan  # where a point is lost now, a recording still has what its neighbours say
-    # Float32 positions of 500 px are rounded to 3e-5 px, over a gauge length of 70 px.
-    for ours, expected in (
-        (fields.divergence, divergence(gradient)),
-        (fields.curl, curl(gradient)),
-        (fields.strain, green_lagrange(gradient)),
-    ):
-        torch.testing.assert_close(ours.double(), expected, rtol=0, atol=5e-5, equal_nan=True)
-    expected = torch.from_numpy(np.nanmedian(divergence(gradient).numpy(), axis=1))
-    torch.testing.assert_close(fields.median_divergence.double(), expected, rtol=0, atol=5e-5)
-
-
-@pytest.mark.parametrize("known", [0, 1, 2, 3])
-def test_median_divergence_of_few_points(known: int) -> None:
-    from fingerflow.stream.fields import _median
-
-    values = torch.full((1, 5), torch.nan)
-    values[0, :known] = torch.tensor([3.0, -1.0, 7.0])[:known]
-    expected = [torch.nan, 3.0, 1.0, 3.0][known]
-    torch.testing.assert_close(_median(values), torch.tensor([expected]), equal_nan=True)
 
 
 def test_corners_are_strong_apart_and_inside(views: tuple[Tensor, Tensor]) -> None:

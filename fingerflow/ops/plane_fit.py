@@ -1,0 +1,128 @@
+"""Local fits of fixed cost, for exported graphs and accelerators: `ops.local_fit` as a few products of matrices.
+
+Components stand before points, (B, 2, N): runtimes are slow where the last axis is short.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+MINIMUM_POINTS = 5
+# The weighted standard deviation of the points must be this part of the support's radius in every direction. A uniform
+# cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points fall below it.
+MINIMUM_SPREAD = 0.1
+_TINY = 1e-20
+
+
+class PlaneFit(NamedTuple):
+    """Planes at Q queries of B frames; lengths in radii of the support. Any number where it is not `known`."""
+
+    known: Tensor  # (B, 1, Q) bool
+    value: Tensor  # (B, 2, Q) of (u, v), the unit of the values
+    gradient: Tensor  # (B, 4, Q), du/dx, du/dy, dv/dx, dv/dy, value unit per length unit
+    centroid: Tensor  # (B, 2, Q), weighted mean place of the points, from the common origin
+    inverse: Tensor  # (B, 3, Q), xx, xy, yy of the inverse of the points' second moments about it
+    mass: Tensor  # (B, 1, Q), sum of the weights
+    near: Tensor  # (1 or B, N, Q), square roots of the weights of all points at all queries
+
+
+def fit_planes(places: Tensor, values: Tensor, queries: Tensor, usable: Tensor, radius: float) -> PlaneFit:
+    """The weighted fits of `ops.local_gradients`, weights (1 - (r/R)^2)^2.
+
+    With places x from a common origin, 1 - |x_i - x_q|^2 is a product of (2x, |x|^2, 1) with its counterpart, and the
+    moments of all fits are the product of the weights with the monomials of x and u: no pair is visited by itself.
+
+    Args:
+        places: (1 or B, 2, N) in radii from an origin among them: digits are lost as the square of their distance.
+        values: (B, 2, N), any number where not usable.
+        queries: (1 or B, 2, Q) in radii from the same origin.
+        usable: (B, 1, N) bool; places are finite everywhere.
+        radius: of the support in the length unit that gradients are to be per.
+    """
+    weight = usable.to(places.dtype)
+    # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+    values = torch.where(usable, values, 0.0)
+    level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
+    moved = values - level
+    norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
+    support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
+    asked = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
+    near = (support.transpose(1, 2) @ asked).clamp_min(0)
+    # 1, x, y, the products xx, xy, yy, u, v, and ux, uy, vx, vy.
+    of_places = torch.cat((torch.ones_like(norm), places, squares(places)), dim=1)
+    monomials = torch.cat((weight * of_places, weight * moved, weight * _mixed(moved, places)), dim=1)
+    count = _product(weight, near.sign())
+    sums = _product(monomials, near * near)
+    known = count > MINIMUM_POINTS - 0.5
+    mass = torch.where(known, sums[:, :1], 1.0)
+    mean = sums / mass
+    centroid, motion = mean[:, 1:3], mean[:, 6:8]
+    spread = mean[:, 3:6] - squares(centroid)
+    cross = mean[:, 8:] - _mixed(motion, centroid)
+    xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
+    determinant = xx * yy - xy * xy
+    half = (xx + yy) / 2  # of the trace
+    narrowest = half - (half * half - determinant).clamp_min(0).sqrt()
+    known = known & (narrowest >= MINIMUM_SPREAD**2) & (determinant > _TINY)
+    inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
+    by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of u and of v
+    slopes = torch.stack(
+        (by_x * inverse[:, :1] + by_y * inverse[:, 1:2], by_x * inverse[:, 1:2] + by_y * inverse[:, 2:]), dim=2
+    )
+    value = motion + level - (slopes * (centroid - queries)[:, None]).sum(2)
+    return PlaneFit(known, value, slopes.flatten(1, 2) / radius, centroid, inverse, mass, near)
+
+
+def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
+    """(B, Q, 2, 2, 2, 2) as `LocalFit` has it, from points' covariances (B, 3, N): uu, uv, vv, 0 if not usable.
+
+    The sandwich A^-1 (sum w^2 s d d') A^-1, exact for this linear estimator and independent errors.
+    """
+    one = torch.ones_like(places[:, :1])
+    of_places = torch.cat((one, places, squares(places)), dim=1)  # (., 6, N)
+    weighted = (covariance[:, :, None] * of_places[:, None]).flatten(1, 2)
+    fourth = fit.near * fit.near
+    sums = _product(weighted, fourth * fourth).unflatten(1, (3, 6)) / (fit.mass * fit.mass)[:, None]
+    x, y = fit.centroid[:, None, :1], fit.centroid[:, None, 1:]
+    plain, along_x, along_y, xx, xy, yy = (sums[:, :, k : k + 1] for k in range(6))
+    xx = xx - 2 * x * along_x + x * x * plain
+    xy = xy - x * along_y - y * along_x + x * y * plain
+    yy = yy - 2 * y * along_y + y * y * plain
+    a, b, d = (fit.inverse[:, None, k : k + 1] for k in range(3))
+    left_xx, left_xy, left_yx, left_yy = a * xx + b * xy, a * xy + b * yy, b * xx + d * xy, b * xy + d * yy
+    rows = (
+        (left_xx * a + left_xy * b, left_xx * b + left_xy * d),
+        (left_yx * a + left_yy * b, left_yx * b + left_yy * d),
+    )
+    pairs = torch.cat([number for row in rows for number in row], dim=2) / radius**2  # (B, 3, 4, Q)
+    full = pairs[:, (0, 1, 1, 2)].unflatten(2, (2, 2)).unflatten(1, (2, 2))  # (B, i, k, j, l, Q)
+    return full.permute(0, 5, 1, 3, 2, 4)
+
+
+def squares(pair: Tensor) -> Tensor:
+    """(B, 3, N) products aa, ab, bb of pairs (B, 2, N)."""
+    return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
+
+
+def sum_rows(values: Tensor) -> Tensor:
+    """(..., 1, P) of (..., K, P), K fixed: a product, as ONNX Runtime reduces leading axes ten times as slowly."""
+    return values.new_ones(1, values.shape[-2]) @ values
+
+
+def finite(values: Tensor) -> Tensor:
+    """Whether (...) floating values are finite, in two operations of ONNX where `isfinite` takes four."""
+    return values.abs() < math.inf
+
+
+def _mixed(pair: Tensor, other: Tensor) -> Tensor:
+    """(B, 4, N) products ac, ad, bc, bd of pairs (B, 2, N)."""
+    return torch.cat((pair[:, :1] * other, pair[:, 1:] * other), dim=1)
+
+
+def _product(rows: Tensor, matrix: Tensor) -> Tensor:
+    """(B, K, Q) of rows (B, K, N) and (1 or B, N, Q). One matrix for all frames is not copied for each of them."""
+    if matrix.shape[0] != 1 or rows.shape[0] == 1:
+        return rows @ matrix
+    return (rows.flatten(0, 1) @ matrix[0]).unflatten(0, rows.shape[:2])
