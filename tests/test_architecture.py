@@ -26,17 +26,12 @@ ARROWS: dict[str, set[str]] = {
     "stages": {"errors", "graphs", "ops", "recordings", "scene", "views"},
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "whole_file"},
-<<<<<<< HEAD
     "pipeline": {"export", "errors", "plan", "result", "scene", "stages"},
-    "stream": {"ops"},
-=======
-    "pipeline": {"errors", "plan", "result", "scene", "stages"},
-    "stream": {"errors", "graphs", "ops", "strict"},
->>>>>>> a39d436 (One fields graph: medians over the area at fixed cost, by products of matrices or compiled; deviations of medians and onset)
+    "stream": {"graphs", "ops"},
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
-    "export": {"errors", "stream", "strict", "synthetic"},
+    "export": {"errors", "graphs", "stream", "strict", "synthetic"},
     "player": set(),
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below

@@ -104,11 +104,11 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     room = torch.tensor((shape[1] - 37, shape[0] - 37), dtype=torch.float32)
     places = 18 + room * torch.rand(batch, points, 2, generator=generator)
     displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
-    variance = torch.full(places.shape[:2], 4e-4)
+    covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
         "tracking": Work(TrackGraph(), (previous, current, places), lambda tracks: tracks.points),
-        "fields": Work(FieldsGraph(50.0), (places, displacement, variance), lambda fields: fields.divergence),
+        "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
     }
 
 

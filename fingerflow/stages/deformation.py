@@ -180,10 +180,16 @@ def _covariance_of_onset(
 def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> FieldSeries:
     """Divergence, curl and strain by local fits in reference coordinates, and their medians over the gross contact."""
     settings = inputs.scene.fields
-    graph = FieldsGraph(settings.gauge_length_mm, settings.strain)
+    graph = inputs.engine(FieldsGraph(settings.gauge_length_mm, settings.strain))
     count, points = moved.displacement.shape[:2]
-    at_points = [np.full((count, points), np.nan, dtype=np.float32) for _ in range(4)]
-    series = FieldSeries(*at_points, np.full((count, 5), np.nan), np.full((count, 5), np.nan))
+    series = FieldSeries(
+        divergence=np.full((count, points), np.nan, dtype=np.float32),
+        curl=np.full((count, points), np.nan, dtype=np.float32),
+        divergence_std=np.full((count, points), np.nan, dtype=np.float32),
+        curl_std=np.full((count, points), np.nan, dtype=np.float32),
+        median=np.full((count, 5), np.nan),
+        median_std=np.full((count, 5), np.nan),
+    )
     reference = _tensor(inputs, moved.reference)[None]
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
