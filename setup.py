@@ -32,8 +32,7 @@ PLAIN = [
     "otsu",
     "parallel",
     "search",
-    "spline",
-    "tracking",
+    "templates",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
@@ -46,9 +45,8 @@ EXACT = [
     "median_band",
     "morphology_rows",
     "noise_rows",
-    "spline_rows",
 ]
-ROUNDED = ["area_medians_block", "local_fit_block", "search_points", "tracking_points"]
+ROUNDED = ["area_medians_block", "local_fit_block", "search_points", "templates_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers
@@ -77,7 +75,8 @@ class BuildKernels(build_ext):
     def build_extension(self, ext: Extension) -> None:
         folder = Path(self.build_temp)
         folder.mkdir(parents=True, exist_ok=True)
-        runpy.run_path(str(KERNELS / "generate_median.py"))["main"](str(folder / "median_networks.h"))
+        for stem, generated in (("generate_median", "median_networks.h"), ("generate_limits", "tracking_limits.h")):
+            runpy.run_path(str(KERNELS / f"{stem}.py"))["main"](str(folder / generated))
         microsoft = self.compiler.compiler_type == "msvc"
         flags, sets = (MSVC_FLAGS, MSVC_SETS) if microsoft else (GNU_FLAGS, GNU_SETS)
         on_x86 = platform.machine().lower() in ("x86_64", "amd64")

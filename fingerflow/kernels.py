@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
+from fingerflow.ops.tracking_limits import NUMBERS
 
 _INTERFACE = 13  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
@@ -28,6 +29,7 @@ LARGEST_DENSITY_RADIUS = 17
 WIDEST_MOMENTS = (1 << 16) - 1
 MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
+TABLE = 75  # numbers of a template's table
 
 _log = logging.getLogger(__name__)
 
@@ -318,69 +320,147 @@ def fit_ellipse(mask: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5]
 
 
-def track_points(
-    images: tuple[Tensor, Tensor],
-    image_index: Tensor,
-    noise: Tensor,
-    start: Tensor,
-    guess: Tensor,
-    back_guess: Tensor | None,
-    warp: Tensor | None,
-    *,
+def prepare_templates(
+    image: Tensor,
+    points: Tensor,
+    inverse_warp: Tensor | None,
+    variance: Tensor,
     window: int,
     gain_offset: bool,
     rounding: float,
-    forward_backward_limit: float,
-    mismatch_limit: float,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """P points there and back by cubic splines, as `ops.tracking` has it, float32.
+    """Start, samples, table and numbers of templates, as `ops.templates.Templates` has them.
 
-    Images are (B, 1, H, W) of FRAME_KINDS, H and W at least 4, image_index (P,) int64, noise (P,), points (P, 2), warp
-    (P, 2, 2). Returns points, forward-backward error, covariance and status.
+    An image (B, 1, H, W) of FRAME_KINDS, H and W at least 4; float32 points (B, N, 2), inverse_warp (B, N, 2, 2) and
+    variance (B,).
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    count = len(start)
-    for image in images:
-        _check_frames(image, tuple(FRAME_KINDS))
-    if images[0].shape != images[1].shape or min(images[0].shape[2:]) < 4:
-        raise ValueError(f"images of {[tuple(image.shape) for image in images]}: two (B, 1, H, W) of 4 px and more")
-    _check_indices(image_index, count, len(images[0]))
-    _check_like("noise", noise, torch.float32, (count,))
-    for name, points in (("start", start), ("guess", guess), ("back_guess", back_guess)):
-        if points is not None:
-            _check_like(name, points, torch.float32, (count, 2))
-    if warp is not None:
-        _check_like("warp", warp, torch.float32, (count, 2, 2))
-    if window < 5 or window % 2 == 0:
-        raise ValueError(f"window must be odd and at least 5 px, not {window}")
-    frames = [_rows_in_one_piece(image) for image in images]
-    described = [
-        (ctypes.c_int64 * 5)(image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype])
-        for image in frames
-    ]
-    of_points = [
-        None if tensor is None else tensor.contiguous()
-        for tensor in (image_index, noise, start, guess, back_guess, warp)
-    ]
-    points, error, covariance = torch.empty(count, 2), torch.empty(count), torch.empty(count, 2, 2)
-    status = torch.empty(count, dtype=torch.uint8)
+    _check_frames(image, tuple(FRAME_KINDS))
+    batch, count = len(image), points.shape[1]
+    _check_like("points", points, torch.float32, (batch, count, 2))
+    _check_like("variance", variance, torch.float32, (batch,))
+    if inverse_warp is not None:
+        _check_like("inverse_warp", inverse_warp, torch.float32, (batch, count, 2, 2))
+        inverse_warp = inverse_warp.contiguous()
+    _check_window(window, image)
+    image, start, variance = _rows_in_one_piece(image), points.clone(memory_format=torch.contiguous_format), variance.contiguous()
+    described = _described(image)
+    samples = torch.empty(batch, count, 3, window * window)
+    table, numbers = torch.empty(batch, count, TABLE), torch.empty(batch, count, NUMBERS)
     _call(
-        "fingerflow_track_points",
-        *map(ctypes.addressof, described),
-        *frames[0].shape[2:],
-        *(None if tensor is None else tensor.data_ptr() for tensor in of_points),
+        "fingerflow_prepare_templates",
+        ctypes.addressof(described),
+        *image.shape[2:],
         count,
+        start.data_ptr(),
+        None if inverse_warp is None else inverse_warp.data_ptr(),
+        variance.data_ptr(),
         window,
         int(gain_offset),
         rounding,
-        forward_backward_limit,
-        mismatch_limit,
-        *(result.data_ptr() for result in (points, error, covariance, status)),
+        *(result.data_ptr() for result in (samples, table, numbers)),
         torch.get_num_threads(),
     )
-    return points, error, covariance, status
+    return start, samples, table, numbers
+
+
+class FollowedPoints(NamedTuple):
+    """Of K frames, as `ops.templates.Found` has them, (K, B, N, ...); place and speed (B, N, 2) after the last one."""
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+    estimate: Tensor
+    place: Tensor
+    speed: Tensor
+
+
+def find_templates(
+    templates: tuple[Tensor, ...],
+    frames: Tensor,
+    place: Tensor,
+    speed: Tensor | None,
+    variance: Tensor | None,
+    rounds: int,
+    rounding: float,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> FollowedPoints:
+    """Templates (start, samples, table, numbers) of B x N points followed through frames.
+
+    Frames (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b; place (B, N, 2) expected in the first frame
+    less speed (B, N, 2) px a frame; variance (K B,) float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    _check_frames(frames, tuple(FRAME_KINDS))
+    batch, count = place.shape[:2]
+    if batch == 0 or len(frames) % batch:
+        raise ValueError(f"{len(frames)} frames cannot be those of {batch} recordings")
+    steps, window = len(frames) // batch, round(templates[1].shape[-1] ** 0.5)
+    kept = _in_one_piece(
+        start=(templates[0], (batch, count, 2)),
+        samples=(templates[1], (batch, count, 3, window * window)),
+        table=(templates[2], (batch, count, TABLE)),
+        numbers=(templates[3], (batch, count, NUMBERS)),
+    )
+    _check_like("place", place, torch.float32, (batch, count, 2))
+    place = place.clone(memory_format=torch.contiguous_format)
+    speed = torch.zeros_like(place) if speed is None else speed.clone(memory_format=torch.contiguous_format)
+    _check_like("speed", speed, torch.float32, (batch, count, 2))
+    if variance is not None:
+        _check_like("variance", variance, torch.float32, (len(frames),))
+        variance = variance.contiguous()
+    _check_window(window, frames)
+    frames = _rows_in_one_piece(frames)
+    described = _described(frames)
+    shape = (steps, batch, count)
+    points, estimate, covariance = torch.empty(*shape, 2), torch.empty(*shape, 2), torch.empty(*shape, 2, 2)
+    error, status = torch.empty(shape), torch.empty(shape, dtype=torch.uint8)
+    _call(
+        "fingerflow_find_templates",
+        ctypes.addressof(described),
+        *frames.shape[2:],
+        batch,
+        count,
+        steps,
+        window,
+        rounds,
+        *(tensor.data_ptr() for tensor in kept),
+        None if variance is None else variance.data_ptr(),
+        place.data_ptr(),
+        speed.data_ptr(),
+        rounding,
+        forward_backward_limit,
+        mismatch_limit,
+        *(result.data_ptr() for result in (points, error, covariance, status, estimate)),
+        torch.get_num_threads(),
+    )
+    return FollowedPoints(points, error, covariance, status, estimate, place, speed)
+
+
+def _in_one_piece(**given: tuple[Tensor, tuple[int, ...]]) -> list[Tensor]:
+    """Float32 tensors of these shapes, contiguous."""
+    for name, (tensor, shape) in given.items():
+        _check_like(name, tensor, torch.float32, shape)
+    return [tensor.contiguous() for tensor, _ in given.values()]
+
+
+def _described(frames: Tensor) -> Any:
+    """`fingerflow_image` of frames with rows in one piece."""
+    numbers = frames.data_ptr(), len(frames), frames.stride(0), frames.stride(2), FRAME_KINDS[frames.dtype]
+    return (ctypes.c_int64 * 5)(*numbers)
+
+
+def _check_window(window: int, frames: Tensor) -> None:
+    if window < 5 or window % 2 == 0:
+        raise ValueError(f"window must be odd and at least 5 px, not {window}")
+    if min(frames.shape[2:]) < 4:
+        raise ValueError(f"frames of {tuple(frames.shape[2:])} px: 4 x 4 and more are needed")
 
 
 def corners(
@@ -585,15 +665,8 @@ def search_windows(
     return found
 
 
-def spline_coefficients(frames: Tensor) -> Tensor:
-    """Coefficients (B, 1, H, W) float32, as `ops.spline` has them, of frames of FRAME_KINDS, H and W at least 3."""
-    coefficients = torch.empty(frames.shape)
-    _per_frame("fingerflow_spline_coefficients", frames, coefficients)
-    return coefficients
-
-
 def mean_response(frames: Tensor) -> Tensor:
-    """Mean absolute response (B,) float64 of the mask of `ops.noise`, frames as for `spline_coefficients`."""
+    """Mean absolute response (B,) float64 of the mask of `ops.noise`, of frames of FRAME_KINDS, at least 3 x 3."""
     means = torch.empty(len(frames), dtype=torch.float64)
     _per_frame("fingerflow_mean_response", frames, means)
     return means
@@ -631,7 +704,6 @@ def _library() -> ctypes.CDLL | None:
     extent = [count] * 5
     library.fingerflow_limit_instruction_set.argtypes = [number]
     library.fingerflow_median.argtypes = [pointer, pointer, *extent, number, number, pointer, number]
-    library.fingerflow_spline_coefficients.argtypes = [pointer, pointer, *extent, number, number]
     library.fingerflow_mean_response.argtypes = [pointer, pointer, *extent, number, number]
     real: Any = ctypes.c_float
     double: Any = ctypes.c_double
@@ -669,14 +741,19 @@ def _library() -> ctypes.CDLL | None:
         pointer,
         number,
     ]
-    library.fingerflow_track_points.argtypes = [
-        *[pointer] * 2,
-        *[count] * 2,
-        *[pointer] * 6,
-        count,
+    library.fingerflow_prepare_templates.argtypes = [
+        *[pointer, *[count] * 3],
+        *[pointer] * 3,
+        *[number, number, real],
+        *[pointer] * 3,
+        number,
+    ]
+    library.fingerflow_find_templates.argtypes = [
+        *[pointer, *[count] * 5],
         *[number] * 2,
+        *[pointer] * 7,
         *[real] * 3,
-        *[pointer] * 4,
+        *[pointer] * 5,
         number,
     ]
     return library

@@ -30,16 +30,21 @@ FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::
                                         std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
                                         int pixel_bytes, int size, const std::uint16_t* table, int threads);
 
-// Points of one image found in another and back again, as fingerflow/ops/tracking.py describes, with cubic splines.
-// Images as for fingerflow_contact_classes, the points of all of them flat: image index, noise, error and status (count),
-// start, guess, back_guess (or null) and points (count, 2), warp (or null) and covariance (count, 2, 2), all contiguous.
-FINGERFLOW_EXPORT int fingerflow_track_points(const fingerflow_image* previous, const fingerflow_image* current,
-                                              std::int64_t height, std::int64_t width, const std::int64_t* image_index, const float* noise,
-                                              const float* start, const float* guess, const float* back_guess,
-                                              const float* warp, std::int64_t count, int window, int gain_offset,
-                                              float rounding, float forward_backward_limit,
-                                              float mismatch_limit, float* points, float* error, float* covariance,
-                                              unsigned char* status, int threads);
+// Templates of points of images prepared, and found in frames, as fingerflow/ops/templates.py describes; all float32 and
+// contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
+// samples (P, 3, window, window), table (P, 75), numbers (P, 24); variance one an image or frame. Frames are (steps, batch):
+// points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
+// those after the last frame; results are (steps, batch x points, ...).
+FINGERFLOW_EXPORT int fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,
+                                                   std::int64_t points, float* start, const float* inverse_warp, const float* variance,
+                                                   int window, int gain_offset, float rounding, float* samples, float* table,
+                                                   float* numbers, int threads);
+FINGERFLOW_EXPORT int fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width,
+                                                std::int64_t batch, std::int64_t points, std::int64_t steps, int window, int rounds,
+                                                const float* start, const float* samples, const float* table, const float* numbers,
+                                                const float* variance, float* place, float* speed, float rounding,
+                                                float forward_backward_limit, float mismatch_limit, float* found, float* error,
+                                                float* covariance, unsigned char* status, float* estimate, int threads);
 
 // Means of 2 x 2 pixels of frames of a kind of pixels.h: (batch, height / 2, width / 2), contiguous, as the search takes them.
 FINGERFLOW_EXPORT int fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height,
@@ -53,11 +58,8 @@ FINGERFLOW_EXPORT int fingerflow_search_windows(const float* templates, const fl
                                                 const float* points, const float* guess, std::int64_t count, int size,
                                                 int reach, float* found, int threads);
 
-// Spline coefficients, and the mean absolute response of the noise mask, of `batch` frames of a kind of pixels.h, at
-// least 3 x 3; coefficients (batch, height, width) contiguous, means (batch), NaN where no response is finite.
-FINGERFLOW_EXPORT int fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch,
-                                                     std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                                     std::int64_t row_stride, int kind, int threads);
+// Mean absolute response (batch) of the noise mask, of `batch` frames of a kind of pixels.h, at least 3 x 3; NaN where no
+// response is finite.
 FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means, std::int64_t batch,
                                                std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                std::int64_t row_stride, int kind, int threads);

@@ -35,9 +35,6 @@ struct PixelSum<std::uint16_t> {
 inline std::int64_t nearest(std::int64_t place, std::int64_t count) {
     return place < 0 ? 0 : place >= count ? count - 1 : place;
 }
-inline std::int64_t mirrored(std::int64_t place, std::int64_t count) {
-    return place < 0 ? -place : place >= count ? 2 * (count - 1) - place : place;
-}
 
 // Three pixels weighted by 1, 2, 1.
 template <class Sum, class Pixel>
@@ -45,19 +42,18 @@ inline Sum smooth(Pixel before, Pixel here, Pixel behind) {
     return static_cast<Sum>(static_cast<Sum>(before) + static_cast<Sum>(here) + static_cast<Sum>(here) + static_cast<Sum>(behind));
 }
 
-// Coefficients of a rectangle less `level`, rows `stride` floats apart. The image is mirrored about its edge pixels, and beyond
-// it coefficients repeat the border.
+// Coefficients of a rectangle less `level`, rows `stride` floats apart. Pixels beyond the border repeat the border.
 template <class Pixel>
 void cut_anywhere(const Pixel* frame, const Frames& frames, const Rectangle& where, float level, float* to, int stride) {
     using Sum = typename PixelSum<Pixel>::Type;
     for (int r = 0; r < where.rows; ++r) {
-        const std::int64_t y = nearest(where.y + r, frames.height);
-        const Pixel* above = frame + mirrored(y - 1, frames.height) * frames.row_stride;
-        const Pixel* here = frame + y * frames.row_stride;
-        const Pixel* below = frame + mirrored(y + 1, frames.height) * frames.row_stride;
+        const std::int64_t y = where.y + r;
+        const Pixel* above = frame + nearest(y - 1, frames.height) * frames.row_stride;
+        const Pixel* here = frame + nearest(y, frames.height) * frames.row_stride;
+        const Pixel* below = frame + nearest(y + 1, frames.height) * frames.row_stride;
         for (int c = 0; c < where.columns; ++c) {
             const std::int64_t x = nearest(where.x + c, frames.width);
-            const std::int64_t left = mirrored(x - 1, frames.width), right = mirrored(x + 1, frames.width);
+            const std::int64_t left = nearest(where.x + c - 1, frames.width), right = nearest(where.x + c + 1, frames.width);
             const Sum sum = smooth<Sum>(smooth<Sum>(above[left], above[x], above[right]), smooth<Sum>(here[left], here[x], here[right]),
                                         smooth<Sum>(below[left], below[x], below[right]));
             to[r * stride + c] = static_cast<float>(sum) * (1.0f / 16) - level;
@@ -71,7 +67,12 @@ void cut_patch(const Pixel* frame, const Frames& frames, const Rectangle& where,
     using Sum = typename PixelSum<Pixel>::Type;
     const int span = patch_span(where.columns);
     const bool inside = where.x >= 1 && where.y >= 1 && where.x + span < frames.width && where.y + where.rows < frames.height;
-    if (!inside) return cut_anywhere(frame, frames, where, level, to, stride);
+    if (!inside) {
+        // What no pixel belongs to is read in whole vectors too, and weighs nothing: it must be a number.
+        for (int r = 0; r < where.rows; ++r)
+            for (int c = where.columns; c < stride; ++c) to[r * stride + c] = 0.0f;
+        return cut_anywhere(frame, frames, where, level, to, stride);
+    }
     Sum* const sums = static_cast<Sum*>(lines);
     const std::int64_t row_stride = frames.row_stride;
     const Pixel* const corner = frame + (where.y - 1) * row_stride + where.x - 1;

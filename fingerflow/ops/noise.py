@@ -26,8 +26,9 @@ def estimate_noise(images: Tensor) -> Tensor:
         return (math.sqrt(math.pi / 2) / 6 * kernels.mean_response(images)).float()
     x = images if images.dtype in (torch.float32, torch.float64) else images.to(torch.float32)
     response = absolute_responses(x)
-    response = torch.where(response.isfinite(), response, torch.nan)
-    return math.sqrt(math.pi / 2) / 6 * response.nanmean((1, 2, 3))
+    usable = response < math.inf
+    total = torch.where(usable, response, 0.0).sum((1, 2, 3))
+    return math.sqrt(math.pi / 2) / 6 * (total / usable.to(x.dtype).sum((1, 2, 3)))
 
 
 def absolute_responses(images: Tensor) -> Tensor:

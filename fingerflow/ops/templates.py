@@ -1,0 +1,500 @@
+"""Templates of points, prepared once in a key frame and found in many frames by two looks of Lucas-Kanade.
+
+A template is the spline of the key frame on the window of a point, deformed like the skin since then: with the
+deformation gradient F its sample at the offset w of a frame is S_key(p + F^-1 w). In a frame the point lies at the y
+that solves sum_w g(w) (S(y + w) - T(w)) = 0, g the gradient of T (Lucas & Kanade 1981). With gain and offset free, g is
+taken without its parts along a constant and along T: then the equation holds whatever they are.
+
+1. *First look*, without an interpolation in the frame: where in the key frame lies the window around the whole pixel c
+   nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between them, has
+   to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image computed
+   before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c - s.
+2. *Second look*, in the frame: the window is sampled there once, with its slopes, and one step of Newton's ends the way.
+   The way back, from what was found to the template, solves the same equation with the slopes of the frame, linearly.
+
+Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow import kernels
+from fingerflow.ops import tracking_limits as limits
+from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.spline_windows import (
+    along_x,
+    along_y,
+    cut_patches,
+    onto_pixels,
+    taps_and_slopes,
+)
+from fingerflow.ops.tensors import components_first, finite, sum_rows
+from fingerflow.ops.tracking_limits import NUMBERS, Number, TrackStatus
+from fingerflow.ops.windows import sample_windows
+
+_BEYOND = 2  # whole shifts of the table on either side, and so many samples more than the window around it
+_SHIFTS = 2 * _BEYOND + 1
+_TINY = 1e-20
+
+
+class Templates(NamedTuple):
+    """Templates of B x N points in windows of n px: what a frame needs to know of the key frame.
+
+    Attributes:
+        start: (B, N, 2) px in the key frame, NaN where there is no point.
+        samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
+        table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row by
+            row.
+        numbers: (B, N, 24), see :class:`~fingerflow.ops.tracking_limits.Number`.
+        pixels: (B, N, 3, m m), m = n + 6, the samples as weights of the pixels around a window at a whole pixel; None
+            where the compiled twin has prepared them, which does without.
+    """
+
+    start: Tensor
+    samples: Tensor
+    table: Tensor
+    numbers: Tensor
+    pixels: Tensor | None
+
+    @property
+    def window(self) -> int:
+        """px."""
+        return round(self.samples.shape[-1] ** 0.5)
+
+    def of(self, chosen: Tensor) -> "Templates":
+        """Those of chosen points (B, L), int64."""
+
+        def picked(tensor: Tensor) -> Tensor:
+            index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
+            return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
+
+        return Templates(*(None if one is None else picked(one) for one in self))  # type: ignore[arg-type]
+
+
+class Found(NamedTuple):
+    """Points found in a frame.
+
+    Attributes:
+        points: (B, N, 2) px; NaN where the status is not TRACKED.
+        error: (B, N) px, forward-backward distance; NaN where it could not be computed.
+        covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
+        status: (B, N) uint8, a :class:`~fingerflow.ops.tracking_limits.TrackStatus`.
+        estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
+    """
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+    estimate: Tensor
+
+
+def prepare_templates(
+    image: Tensor,
+    points: Tensor,
+    window: int = 21,
+    warp: Tensor | None = None,
+    *,
+    gain_offset: bool = True,
+    noise: Tensor | None = None,
+) -> Templates:
+    """Templates of points of a key frame.
+
+    Args:
+        image: (B, 1, H, W), 8 to 16 bit or floating.
+        points: (B, N, 2) (x, y) px; one that is not finite has a template that matches nothing.
+        window: odd side of the square window, px.
+        warp: (B, N, 2, 2) deformation gradient F since the key frame: an offset w there is F w in the frames to come.
+        gain_offset: leave gain and offset of the light free in every window. Off, three grey levels more light move a
+            point by 0.1 px on ridges.
+        noise: (B,) standard deviation of white noise, grey levels; estimated by default.
+
+    Raises:
+        ValueError: shapes that do not fit, an even window.
+    """
+    check_window(image, points, window)
+    if warp is not None and warp.shape != (*points.shape, 2):
+        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
+    dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
+    variance = (estimate_noise(image) if noise is None else noise).to(dtype).square()
+    rounding = 0.0 if image.is_floating_point() else 1 / 12
+    given = points.to(dtype)
+    inverse = None if warp is None else inverse_2x2(warp.to(dtype))
+    if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
+        return Templates(
+            *kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding), pixels=None
+        )
+    known = finite(given).all(-1, keepdim=True)
+    if inverse is not None:
+        known = known & finite(inverse).flatten(2).all(-1, keepdim=True)
+        inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=dtype, device=image.device))
+    start = torch.where(known, given, torch.nan)
+    place = torch.where(known, given, 0.0)
+    wide = window + 2 * _BEYOND
+    value, along = _straight(image, place, wide) if inverse is None else _deformed(image, place, wide, inverse)
+    # (P, wide, wide) and (P, 2, wide, wide)
+    inner = (..., slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
+    level = value[inner].mean((1, 2), keepdim=True)
+    value = value - level
+    own, slope = value[inner].flatten(1), along[inner].flatten(2)
+    gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
+    numbers = _numbers(own, slope, gradient, level.flatten(), variance.repeat_interleave(points.shape[1]), rounding)
+    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(dtype)
+    numbers[:, Number.GAIN] = float(gain_offset)
+    samples = torch.cat((own[:, None], gradient), dim=1)
+    pixels = onto_pixels(samples.unflatten(2, (window, window)), window).flatten(2)
+    numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = _covariance_of_noise(numbers, pixels)
+    table = _correlations(value, samples.unflatten(2, (window, window)))
+    batched = points.shape[:2]
+    return Templates(
+        start,
+        samples.unflatten(0, batched),
+        table.unflatten(0, batched),
+        numbers.unflatten(0, batched),
+        pixels.unflatten(0, batched),
+    )
+
+
+def find_templates(
+    templates: Templates,
+    current: Tensor,
+    prediction: Tensor,
+    *,
+    rounds: int = 1,
+    forward_backward_limit: float = 1.0,
+    mismatch_limit: float = 0.05,
+    noise: Tensor | None = None,
+) -> Found:
+    """Finds templates in a frame, each near its prediction.
+
+    Args:
+        templates: from :func:`prepare_templates`.
+        current: (B, 1, H, W).
+        prediction: (B, N, 2) px. A point is found within a pixel in x and y of the whole pixel nearest to it.
+        rounds: how often a point that lies further off is looked for, each time where the look before has led. More
+            than one depends on data: it does not export.
+        forward_backward_limit: px beyond which a point is flagged.
+        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+            unexplained.
+        noise: (B,) standard deviation of white noise in the frame, grey levels; that of the key frame by default.
+
+    The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2), H = sum g g', w the weights of the pixels in
+    sum g S, a the gain: that of the noise of both images as the residual shows it, half of it from the template.
+    """
+    dtype = templates.samples.dtype
+    variance = None if noise is None else noise.to(dtype).square()
+    guess = prediction.to(dtype)
+    rounding = 0.0 if current.is_floating_point() else 1 / 12
+    settings = (rounding, forward_backward_limit, mismatch_limit)
+    if templates.pixels is None or (
+        kernels.serve(current, guess, variance, *templates[:4])
+        and current.dtype in kernels.FRAME_KINDS
+        and dtype == torch.float32
+    ):
+        found = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
+        return Found(*(one[0] for one in found[:5]))
+    found = _look(templates, current, guess, variance, *settings)
+    for _ in range(rounds - 1):
+        lost = (found.status == TrackStatus.NOT_CONVERGED) & _went_beyond(guess, found.estimate)
+        if not lost.any():
+            break
+        guess = torch.where(lost[..., None], found.estimate, guess)
+        chosen = lost.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, : int(lost.sum(1).max())]
+        again = _look(
+            templates.of(chosen), current, guess.gather(1, chosen[..., None].expand(-1, -1, 2)), variance, *settings
+        )
+        found = Found(*(_replaced(whole, part, chosen, lost) for whole, part in zip(found, again, strict=True)))
+    return found
+
+
+def check_window(image: Tensor, points: Tensor, window: int) -> None:
+    """Raises ValueError for an image, points or a window that tracking cannot work with."""
+    if image.ndim != 4 or image.shape[1] != 1:
+        raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
+    if min(image.shape[-2:]) < 4:
+        raise ValueError(f"images must be at least 4 x 4 px, not {tuple(image.shape[-2:])}")
+    if points.ndim != 3 or points.shape[0] != image.shape[0] or points.shape[2] != 2:
+        raise ValueError(f"points must be (B, N, 2) with B = {image.shape[0]}, not {tuple(points.shape)}")
+    if not points.is_floating_point():
+        raise ValueError(f"points must be floating point, not {points.dtype}: use points.float()")
+    if window < 5 or window % 2 == 0:
+        raise ValueError(f"window must be odd and at least 5 px, not {window}")
+
+
+def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
+    """(...) whether the windows of points (..., 2) lie in the image."""
+    height, width = image.shape[-2:]
+    half = window // 2
+    x, y = points.unbind(-1)
+    return (x >= half) & (y >= half) & (x <= width - 1 - half) & (y <= height - 1 - half)
+
+
+def inverse_2x2(matrix: Tensor) -> Tensor:
+    """Inverses (..., 2, 2); not finite where singular."""
+    a, b, c, d = matrix.flatten(-2).unbind(-1)
+    return torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+
+
+def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
+    """The spline (P, wide, wide) and its slopes (P, 2, wide, wide) around places (B, N, 2) px."""
+    known = place.transpose(1, 2)
+    center = known.round()
+    patches = cut_patches(image, center, wide, place.dtype)
+    # Less their mean, so that what is flat has no slope in any precision.
+    base = patches.mean((1, 2), keepdim=True)
+    weights, slopes = taps_and_slopes((known - center).transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
+    lines, bent = along_y(weights[:, 1], wide) @ (patches - base), along_y(slopes[:, 1], wide) @ (patches - base)
+    across = along_x(weights[:, 0], wide)
+    along = torch.stack((lines @ along_x(slopes[:, 0], wide), bent @ across), dim=1)
+    return lines @ across + base, along
+
+
+def _deformed(image: Tensor, place: Tensor, wide: int, inverse_warp: Tensor) -> tuple[Tensor, Tensor]:
+    """The same at place + F^-1 w, slopes with respect to w."""
+    batch, count = place.shape[:2]
+    image_index = torch.arange(batch, device=image.device)[:, None].expand(batch, count).flatten()
+    return sample_windows(
+        spline_coefficients(image), image_index, place.flatten(0, 1), wide, 3, inverse_warp.flatten(0, 1)
+    )
+
+
+def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
+    """Slopes (P, 2, samples) less their parts along a constant and along the values (P, samples), which sum to 0."""
+    centred = slope - slope.mean(2, keepdim=True)
+    share = (centred @ value[..., None]) / (value * value).sum(1).clamp_min(_TINY)[:, None, None]
+    return centred - share * value[:, None]
+
+
+def _numbers(
+    value: Tensor, slope: Tensor, gradient: Tensor, level: Tensor, variance: Tensor, rounding: float
+) -> Tensor:
+    samples = value.shape[1]
+    xx, xy, yy = ((gradient[:, i] * gradient[:, j]).sum(1) for i, j in ((0, 0), (0, 1), (1, 1)))
+    determinant = xx * yy - xy * xy
+    regular = determinant > _TINY
+    some = torch.where(regular, determinant, 1.0)
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    smaller = mean - (half * half + xy * xy).sqrt()
+    floor = variance.clamp_min(rounding) * (limits.TEXTURE_TO_NOISE * samples * limits.GRADIENT_NOISE)
+    textured = regular & (smaller > torch.maximum(floor, limits.LEAST_TEXTURE * mean))
+    inverse = torch.stack((yy, -xy, -xy, xx), dim=1).unflatten(1, (2, 2)) / some[:, None, None]
+    inverse = torch.where(regular[:, None, None], inverse, 0.0)
+    side = round(samples**0.5)
+    offset = torch.arange(side, dtype=value.dtype, device=value.device) - side // 2
+    right, down = offset.repeat(side), offset.repeat_interleave(side)
+    # By i and m of E_im w_m: sum g_j slope_i w_m.
+    bent = torch.stack((slope[:, 0] * right, slope[:, 0] * down, slope[:, 1] * right, slope[:, 1] * down), dim=1)
+    lean = inverse @ gradient @ bent.transpose(1, 2)
+    blank = gradient.sum(2) * level[:, None]
+    constant = (gradient @ value[..., None]).squeeze(2)
+    ones = torch.ones_like(level)
+    return torch.cat(
+        (
+            torch.stack((inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], (value * value).sum(1), level), dim=1),
+            *(blank, constant),
+            torch.stack((variance, textured.to(value.dtype), ones, ones), dim=1),
+            lean.flatten(1),
+            ones[:, None].expand(-1, 3),
+        ),
+        dim=1,
+    )
+
+
+def _covariance_of_noise(numbers: Tensor, pixels: Tensor) -> Tensor:
+    """xx, xy, yy (P, 3) of the covariance of a position, px^2, that white noise of variance 1 in the pixels leaves:
+    H^-1 (sum w w') H^-1 with the weights w (P, 3 from the second on, m) of the pixels in sum g S."""
+    inverse = _whole(numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1])
+    weights = pixels[:, 1:]
+    covariance = inverse @ (weights @ weights.transpose(1, 2)) @ inverse
+    return torch.stack((covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]), dim=1)
+
+
+def _whole(triangle: Tensor) -> Tensor:
+    """Symmetric (P, 2, 2) from xx, xy, yy (P, 3)."""
+    return triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
+
+
+def _correlations(value: Tensor, samples: Tensor) -> Tensor:
+    """(P, 75) sums of gx, gy and values (P, 3 from the front, n, n) times the wide template (P, wide, wide), shifted."""
+    side = samples.shape[-1]
+    flat = samples.flatten(2)
+    lines = []
+    for row in range(_SHIFTS):
+        shifted = torch.stack(
+            [value[:, row : row + side, column : column + side].flatten(1) for column in range(_SHIFTS)], dim=2
+        )
+        lines.append(flat @ shifted)  # (P, 3, 5)
+    table = torch.stack(lines, dim=2)
+    return torch.cat((table[:, 1:], table[:, :1]), dim=1).flatten(1)
+
+
+def _look(
+    templates: Templates,
+    current: Tensor,
+    prediction: Tensor,
+    variance: Tensor | None,
+    rounding: float,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> Found:
+    assert templates.pixels is not None
+    window, dtype = templates.window, templates.samples.dtype
+    # Components before points from here on, (B, K, N): runtimes are slow where the last axis is short.
+    start, guess = components_first(templates.start), components_first(prediction)
+    given = finite(start + guess)[:, :1]
+    guess = torch.where(finite(guess), guess, 0.0)
+    numbers = templates.numbers.transpose(1, 2)
+    of = [numbers[:, k : k + 1] for k in range(Number.LEAN)]
+    inverse = (of[Number.INVERSE_XX], of[Number.INVERSE_XY], of[Number.INVERSE_YY])
+    free, energy, level = of[Number.GAIN], of[Number.ENERGY], of[Number.LEVEL]
+    center = guess.round()
+    patches = cut_patches(current, center, window, dtype) - level.flatten()[:, None, None]
+
+    wanted = _times(templates.pixels, patches.flatten(1))  # (B, 3, N) of values, gx, gy
+    beside = _first_look(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
+    looked = (-beside).clamp(-limits.REACH, limits.REACH)
+
+    matched, by_x, by_y = _window(patches, looked, window)
+    tm, *p = _times(templates.samples, matched).split(1, dim=1)
+    xt, *jx = _times(templates.samples, by_x).split(1, dim=1)
+    yt, *jy = _times(templates.samples, by_y).split(1, dim=1)
+    m1, m2, xm, ym, x1, y1 = (
+        one.sum(1).reshape(given.shape)
+        for one in (matched, matched * matched, by_x * matched, by_y * matched, by_x, by_y)
+    )
+    samples = window * window
+    p = [one - numbers[:, k : k + 1] for one, k in zip(p, (Number.CONSTANT_X, Number.CONSTANT_Y), strict=True)]
+    last = _solved(jx[0], jy[0], jx[1], jy[1], *p)
+    length = _length(last)
+    settled = length < limits.LAST_STEP  # a singular matrix leaves NaN: no root
+    shift = looked - torch.where(settled, last, 0.0)
+    converged = settled & (shift.abs().amax(1, keepdim=True) < limits.REACH)
+    found = center + shift
+
+    bb = m2 - m1 * m1 / samples
+    gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
+    # What is left of the match that gain and offset do not explain, at the end of the last step.
+    turn = gain * sum_rows(last * torch.cat(p, dim=1))
+    unlike = (bb - tm * tm / energy.clamp_min(_TINY)) - turn
+    left = torch.where(free > 0, unlike, m2 - 2 * tm + energy - turn)
+    pixel = (left / ((samples - 4) * limits.VALUE_NOISE)).clamp_min(2 * rounding)
+    scale = pixel / (gain * gain)
+
+    # The way back: sum h (T(w + s) - M(w)) = 0 with the slopes h of the match.
+    part = [torch.where(free > 0, (one - own * m1 / samples) / bb.clamp_min(_TINY), 0.0) for one, own in ((xm, x1), (ym, y1))]
+    rest = [torch.where(free > 0, t - share * tm, t - m) for t, share, m in ((xt, part[0], xm), (yt, part[1], ym))]
+    back = _solved(
+        jx[0] - part[0] * p[0], jx[1] - part[0] * p[1], jy[0] - part[1] * p[0], jy[1] - part[1] * p[1], *rest
+    )
+    error = _length(back + last)
+
+    noise = of[Number.NOISE] if variance is None else variance[:, None, None]
+    noise_energy = noise * (samples * limits.VALUE_NOISE)
+    common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
+    explained = (bb - unlike) * energy * (tm > 0)
+    place = torch.where(finite(found), found, guess)
+    within = (of[Number.INSIDE] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
+    status = torch.zeros_like(given, dtype=torch.uint8)
+    # From the last reason to the first, so that the first that applies remains.
+    for reason, fine in (
+        (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
+        (TrackStatus.MISMATCH, common * (1 - mismatch_limit) <= explained),
+        (TrackStatus.NOT_CONVERGED, converged),
+        (TrackStatus.NO_TEXTURE, of[Number.TEXTURED] > 0),
+        (TrackStatus.LEFT_FRAME, within),
+        (TrackStatus.NOT_FINITE, given & finite(m1 + level)),
+    ):
+        status = torch.where(fine, status, int(reason))
+    tracked = status == 0
+    lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
+    spread = [numbers[:, k : k + 1] for k in range(Number.COVARIANCE_XX, NUMBERS)]
+    matrix = torch.cat((spread[0], spread[1], spread[1], spread[2]), dim=1)
+    estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
+    return Found(
+        (found + lost).transpose(1, 2),
+        torch.where(converged & given, error, torch.nan).squeeze(1),
+        (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),
+        status.squeeze(1),
+        estimate.transpose(1, 2),
+    )
+
+
+def _first_look(
+    table: Tensor, wanted: Tensor, inverse: tuple[Tensor, Tensor, Tensor], free: Tensor, shift: Tensor
+) -> Tensor:
+    """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
+    squares = _SHIFTS * _SHIFTS
+    cells = table.unflatten(1, (3, squares))
+    value, gx, gy = wanted.split(1, dim=1)
+    for _ in range(limits.LOOK_STEPS):
+        x, y = _between(shift[:, :1]), _between(shift[:, 1:])  # (B, 5, N)
+        weights = (y[:, :, None] * x[:, None]).flatten(1, 2)
+        at_x, at_y, own = (sum_rows(one * weights) for one in cells.unbind(1))
+        ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
+        gain = torch.where(free > 0, ratio, 1.0)
+        shift = shift - _symmetric(inverse, torch.cat((at_x - gx / gain, at_y - gy / gain), dim=1))
+        shift = shift.clamp(-limits.LOOK_REACH, limits.LOOK_REACH)
+    return shift
+
+
+def _between(shift: Tensor) -> Tensor:
+    """Weights (B, 5, N) of the values at -2 to 2 for the quartic through them at a shift (B, 1, N) (Lagrange)."""
+    square = shift * shift
+    inner, outer = (square - 4) * shift / -6, (square - 1) * shift / 24
+    return torch.cat(
+        (
+            outer * (shift - 2),
+            inner * (shift - 1),
+            (square - 1) * (square - 4) / 4,
+            inner * (shift + 1),
+            outer * (shift + 2),
+        ),
+        dim=1,
+    )
+
+
+def _window(patches: Tensor, shift: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The windows at shifts (B, 2, N) in patches (P, side, side), and their slopes in x and y, (P, samples)."""
+    weights, slopes = taps_and_slopes(shift.transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
+    down = along_y(torch.stack((weights[:, 1], slopes[:, 1]), dim=1), size)  # values above slopes, in one product
+    lines = down.flatten(1, 2) @ patches
+    value, by_y = (lines @ along_x(weights[:, 0], size)).unflatten(1, (2, -1)).flatten(2).unbind(1)
+    return value, (lines[:, :size] @ along_x(slopes[:, 0], size)).flatten(1), by_y
+
+
+def _times(samples: Tensor, windows: Tensor) -> Tensor:
+    """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, m)."""
+    batch, count = samples.shape[:2]
+    return components_first((samples.flatten(0, 1) @ windows[..., None]).reshape(batch, count, 3))
+
+
+def _symmetric(matrix: tuple[Tensor, Tensor, Tensor], vectors: Tensor) -> Tensor:
+    """Products (B, 2, N) of symmetric matrices (xx, xy, yy), (B, 1, N) each, with vectors (B, 2, N)."""
+    xx, xy, yy = matrix
+    x, y = vectors.split(1, dim=1)
+    return torch.cat((xx * x + xy * y, xy * x + yy * y), dim=1)
+
+
+def _solved(a: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Solutions (B, 2, N) of [[a, b], [c, d]] s = (u, v); not finite where there is none."""
+    return torch.cat((d * u - b * v, a * v - c * u), dim=1) / (a * d - b * c)
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """(B, 1, N) of (B, 2, N)."""
+    return sum_rows(vectors * vectors).sqrt()
+
+
+def _went_beyond(guess: Tensor, estimate: Tensor) -> Tensor:
+    """(B, N) whether the look has led out of its reach."""
+    return ((estimate - guess.round()).abs() >= limits.REACH).any(-1)
+
+
+def _replaced(whole: Tensor, part: Tensor, chosen: Tensor, lost: Tensor) -> Tensor:
+    """``whole`` (B, N, ...) with the parts (B, L, ...) of the chosen points, where they are lost."""
+    extra = [1] * (whole.ndim - 2)
+    index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
+    return torch.where(lost.reshape(*lost.shape, *extra), whole.scatter(1, index, part), whole)

@@ -1,0 +1,58 @@
+"""Statuses and limits of tracking: the one list, from which `kernels/generate_limits.py` writes what C++ reads."""
+
+from enum import IntEnum
+
+
+class TrackStatus(IntEnum):
+    """Why a point has a position, or has none. The first reason that applies is given."""
+
+    TRACKED = 0
+    NOT_FINITE = 1  # the given position, or a pixel of the window, is NaN or infinite
+    LEFT_FRAME = 2  # the window does not lie inside both images
+    NO_TEXTURE = 3  # blank, saturated, or structured in one direction only (aperture problem)
+    NOT_CONVERGED = 4  # no root of the normal equations near the prediction
+    MISMATCH = 5  # what was found looks different from the template
+    FORWARD_BACKWARD = 6  # tracking back does not return to the start
+
+
+class Number(IntEnum):
+    """Places in `Templates.numbers`, what the equations need of a template besides its samples."""
+
+    INVERSE_XX = 0  # of the matrix sum g g', px^2 a grey level^2
+    INVERSE_XY = 1
+    INVERSE_YY = 2
+    ENERGY = 3  # sum of the squared values
+    LEVEL = 4  # mean grey level, taken off the values
+    PIXELS_X = 5  # what the pixels' weights give for a blank picture of that level
+    PIXELS_Y = 6
+    CONSTANT_X = 7  # sum of g times the values
+    CONSTANT_Y = 8
+    NOISE = 9  # variance of a pixel's white noise
+    TEXTURED = 10  # 1 where the texture stands out of the noise in every direction, else 0
+    INSIDE = 11  # 1 where the window lies in the image, else 0
+    GAIN = 12  # 1 where gain and offset are free, 0 where they are not
+    LEAN = 13  # eight: d x / d E, then d y / d E, by xx, xy, yx, yy of a deformation E that the template does not know
+    COVARIANCE_XX = 21  # of a position, px^2, for white noise of variance 1 in the pixels of one image
+    COVARIANCE_XY = 22
+    COVARIANCE_YY = 23
+
+
+NUMBERS = 24
+
+# A window has texture in every direction if its weaker gradient energy is this many times what noise alone gives it.
+TEXTURE_TO_NOISE = 2.0
+# The same against the mean of both directions: rounding gives a grating a second one.
+LEAST_TEXTURE = 1e-4
+# What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient. They depend on
+# the fractional position by 2 % and less.
+VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
+# px from the whole pixel that is nearest to the prediction, in x and y, within which a point is found.
+REACH = 1.0
+# px that the first look may lead, and its steps: each leaves a fifth of the error far from the root, less near it.
+LOOK_REACH, LOOK_STEPS = 1.5, 3
+# Contrast of an image over that of the template, or the reverse.
+MOST_GAIN = 8.0
+# px, the step of the second look: a longer one says that the first did not find what is there.
+LAST_STEP = 0.25
+# Frames that the speed of a lost point is good for, and the weight of the latest displacement in a speed.
+SPEED_FRAMES, SPEED_WEIGHT = 4.0, 0.5

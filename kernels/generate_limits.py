@@ -1,0 +1,37 @@
+"""Writes the C++ of the statuses and limits of tracking from their one list, `fingerflow/ops/tracking_limits.py`.
+
+    python kernels/generate_limits.py tracking_limits.h
+"""
+
+import runpy
+import sys
+from enum import IntEnum
+from pathlib import Path
+
+SOURCE = Path(__file__).resolve().parent.parent / "fingerflow" / "ops" / "tracking_limits.py"
+
+
+def header() -> str:
+    """Enumerations as they are, numbers as float constants: kMostGain for MOST_GAIN."""
+    lines = ["#pragma once", "", "namespace fingerflow {", ""]
+    for name, value in runpy.run_path(str(SOURCE)).items():
+        if isinstance(value, type) and issubclass(value, IntEnum) and value is not IntEnum:
+            members = ", ".join(f"k{_camel(member.name)} = {int(member)}" for member in value)
+            lines.append(f"enum {name} {{ {members} }};")
+        elif name.isupper() and isinstance(value, int):
+            lines.append(f"constexpr int k{_camel(name)} = {value};")
+        elif name.isupper() and isinstance(value, float):
+            lines.append(f"constexpr float k{_camel(name)} = {value!r}f;")
+    return "\n".join((*lines, "", "}  // namespace fingerflow", ""))
+
+
+def main(path: str) -> None:
+    Path(path).write_text(header(), encoding="utf-8")
+
+
+def _camel(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,612 @@
+// Templates prepared and found by two looks of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
+// the equations. Sums run in another order than there, so results differ by rounding.
+#include "templates_points.h"
+
+#include <math.h>
+
+#include <cstddef>
+
+#include "floats.h"
+#include "patches.h"
+#include "template_windows.h"
+#include "tracking_limits.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr float kTiny = 1e-20f;
+constexpr int kShifts = 2 * kBeyond + 1, kSquare = kShifts * kShifts, kTable = 3 * kSquare;
+
+Vector solved(float a, float b, float c, float d, float u, float v) {
+    const float determinant = a * d - b * c;
+    return {(d * u - b * v) / determinant, (a * v - c * u) / determinant};
+}
+
+// --- preparation --------------------------------------------------------------------------------------------------------
+
+class Preparer {
+public:
+    Preparer(const TemplatesToPrepare& all, float* memory) : all_(all), n_(all.window), wide_(n_ + 2 * kBeyond), sampler_(wide_, memory) {
+        memory += WindowSampler::floats(wide_);
+        const auto take = [&](int count) {
+            float* piece = memory;
+            memory += whole_floats(count);
+            for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
+            return piece;
+        };
+        // Rows lie as far apart as those of the wide window, so that one index runs over both; zeros end each row, and
+        // lie before the first.
+        for (float*& one : of_) one = take(flat(n_));
+        for (float*& one : slope_) one = take(flat(n_));
+        for (float*& one : padded_) one = take(kFloats + flat(n_)) + kFloats;
+        for (float*& one : lines_) one = take(kFloats + flat(n_ + 2 * 2 * kBeyond)) + kFloats;
+        right_ = take(flat(n_));
+        down_ = take(flat(n_));
+        inside_ = reinterpret_cast<std::int32_t*>(take(flat(n_)));
+        for (int r = 0; r < n_; ++r)
+            for (int c = 0; c < n_; ++c) {
+                right_[r * wide_ + c] = static_cast<float>(c - n_ / 2);
+                down_[r * wide_ + c] = static_cast<float>(r - n_ / 2);
+                inside_[r * wide_ + c] = -1;
+            }
+        const int beyond = flat(wide_ + kShifts);
+        sampled_ = {take(beyond), take(beyond), take(beyond)};
+    }
+
+    static std::int64_t floats(int n) {
+        const int wide = n + 2 * kBeyond;
+        const auto flat = [&](int rows) { return whole_floats(wide * rows + kFloats); };
+        return WindowSampler::floats(wide) + 10 * flat(n) + 2 * (kFloats + flat(n)) + 2 * (kFloats + flat(n + 2 * 2 * kBeyond)) +
+               3 * flat(wide + kShifts);
+    }
+
+    void prepare(std::int64_t point) {
+        const std::int64_t image = point / all_.points_an_image;
+        const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
+        Matrix inverse_warp{1, 0, 0, 1};
+        if (all_.inverse_warp != nullptr) {
+            const float* w = all_.inverse_warp + 4 * point;
+            inverse_warp = {w[0], w[1], w[2], w[3]};
+        }
+        const bool known = is_finite(start) && is_finite(inverse_warp);
+        float* const samples = all_.samples + point * 3 * n_ * n_;
+        float* const table = all_.table + point * kTable;
+        float* const numbers = all_.numbers + point * kNumbers;
+        if (!known) {
+            for (int k = 0; k < 3 * n_ * n_; ++k) samples[k] = 0.0f;
+            for (int k = 0; k < kTable; ++k) table[k] = 0.0f;
+            for (int k = 0; k < kNumbers; ++k) numbers[k] = 0.0f;
+            all_.start[2 * point] = all_.start[2 * point + 1] = NAN;
+            return;
+        }
+        if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled_);
+        else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled_);
+        numbers[kLevel] = sampler_.level() + take_inner();
+        project();
+        measure(all_.variance[image], numbers);
+        numbers[kInside] = contains(start, all_.image, n_) ? 1.0f : 0.0f;
+        numbers[kGain] = all_.gain_offset ? 1.0f : 0.0f;
+        correlate(table);
+        for (int k = 0; k < 3; ++k)
+            for (int r = 0; r < n_; ++r)
+                std::memcpy(samples + (k * n_ + r) * n_, of_[k] + r * wide_, static_cast<std::size_t>(n_) * sizeof(float));
+    }
+
+private:
+    float count() const { return static_cast<float>(n_ * n_); }
+    int flat(int rows) const { return whole_floats(wide_ * rows + kFloats); }
+    int steps() const { return whole_floats(n_ * wide_); }
+
+    // The window out of the wide one, less its mean, as is the wide one then; returns the mean.
+    float take_inner() {
+        const float* const from[3] = {sampled_.value, sampled_.along_x, sampled_.along_y};
+        float* const to[3] = {of_[0], slope_[0], slope_[1]};
+        for (int k = 0; k < 3; ++k)
+            for (int r = 0; r < n_; ++r)
+                std::memcpy(to[k] + r * wide_, from[k] + (r + kBeyond) * wide_ + kBeyond, static_cast<std::size_t>(n_) * sizeof(float));
+        Floats sum[kFloats] = {};
+        for (int k = 0; k < steps(); k += kFloats) sum[0] += load(of_[0] + k);
+        const float mean = folded<kFloats>(sum)[0] / count();
+        for (int k = 0; k < steps(); k += kFloats) store(of_[0] + k, kept(load(of_[0] + k) - all(mean), inside_ + k));
+        for (int k = 0; k < whole_floats(wide_ * wide_); k += kFloats) store(sampled_.value + k, load(sampled_.value + k) - all(mean));
+        return mean;
+    }
+
+    // The gradient without its parts along a constant and along the values.
+    void project() {
+        Floats of[whole_floats(5)] = {};
+        for (int k = 0; k < steps(); k += kFloats) {
+            const Floats value = load(of_[0] + k), x = load(slope_[0] + k), y = load(slope_[1] + k);
+            of[0] += value * value;
+            of[1] += value * x;
+            of[2] += value * y;
+            of[3] += x;
+            of[4] += y;
+        }
+        float sum_of[whole_floats(5)];
+        sums(of, sum_of);
+        energy_ = sum_of[0];
+        const bool free = all_.gain_offset != 0;
+        const float some = energy_ < kTiny ? kTiny : energy_;
+        for (int i = 0; i < 2; ++i) {
+            const float mean = free ? sum_of[3 + i] / count() : 0.0f, share = free ? sum_of[1 + i] / some : 0.0f;
+            for (int k = 0; k < steps(); k += kFloats)
+                store(of_[1 + i] + k, kept(load(slope_[i] + k) - all(mean) - load(of_[0] + k) * all(share), inside_ + k));
+        }
+    }
+
+    void measure(float variance, float* numbers) {
+        Floats of[whole_floats(15)] = {};
+        for (int k = 0; k < steps(); k += kFloats) {
+            const Floats value = load(of_[0] + k), x = load(of_[1] + k), y = load(of_[2] + k);
+            const Floats slope_x = load(slope_[0] + k), slope_y = load(slope_[1] + k), right = load(right_ + k), down = load(down_ + k);
+            of[0] += x * x;
+            of[1] += x * y;
+            of[2] += y * y;
+            of[3] += x;
+            of[4] += y;
+            of[5] += x * value;
+            of[6] += y * value;
+            const Floats bent[4] = {slope_x * right, slope_x * down, slope_y * right, slope_y * down};
+            FINGERFLOW_UNROLL
+            for (int i = 0; i < 4; ++i) {
+                of[7 + i] += x * bent[i];
+                of[11 + i] += y * bent[i];
+            }
+        }
+        float sum_of[whole_floats(15)];
+        sums(of, sum_of);
+        const float xx = sum_of[0], xy = sum_of[1], yy = sum_of[2];
+        const float determinant = xx * yy - xy * xy;
+        const bool regular = determinant > kTiny;
+        const float mean = (xx + yy) / 2, half = (xx - yy) / 2, smaller = mean - sqrtf(half * half + xy * xy);
+        const float floor = (variance < all_.rounding ? all_.rounding : variance) * (kTextureToNoise * count() * kGradientNoise);
+        const float least = floor > kLeastTexture * mean ? floor : kLeastTexture * mean;
+        const Matrix inverse = regular ? Matrix{yy / determinant, -xy / determinant, -xy / determinant, xx / determinant} : Matrix{0, 0, 0, 0};
+        numbers[kInverseXx] = inverse.xx;
+        numbers[kInverseXy] = inverse.xy;
+        numbers[kInverseYy] = inverse.yy;
+        numbers[kEnergy] = energy_;
+        numbers[kPixelsX] = sum_of[3] * numbers[kLevel];
+        numbers[kPixelsY] = sum_of[4] * numbers[kLevel];
+        numbers[kConstantX] = sum_of[5];
+        numbers[kConstantY] = sum_of[6];
+        numbers[kNoise] = variance;
+        numbers[kTextured] = regular && smaller > least ? 1.0f : 0.0f;
+        for (int i = 0; i < 4; ++i) {
+            const Vector lean = inverse * Vector{sum_of[7 + i], sum_of[11 + i]};
+            numbers[kLean + i] = lean.x;
+            numbers[kLean + 4 + i] = lean.y;
+        }
+        const Matrix spread = inverse * (energy_of_pixels() * inverse);
+        numbers[kCovarianceXx] = spread.xx;
+        numbers[kCovarianceXy] = spread.xy;
+        numbers[kCovarianceYy] = spread.yy;
+    }
+
+    // Sums of the products of what gx and gy are as weights of the pixels: [1 4 1] / 6 of the spline at a whole place, [1 2 1] / 4
+    // of its coefficients.
+    Matrix energy_of_pixels() {
+        const Floats outer = all(1.0f / 24), inner = all(6.0f / 24), middle = all(10.0f / 24);
+        const auto spread = [&](const float* from, int step) {
+            return (load(from) + load(from - 4 * step)) * outer + (load(from - step) + load(from - 3 * step)) * inner + load(from - 2 * step) * middle;
+        };
+        for (int i = 0; i < 2; ++i) {
+            // Shifted by up to four numbers a line ends in the zeros behind it.
+            for (int k = 0; k < steps(); k += kFloats) store(padded_[i] + k, load(of_[1 + i] + k));
+            float* const lines = lines_[i] + 4 * wide_;
+            for (int k = 0; k < steps(); k += kFloats) store(lines + k, spread(padded_[i] + k, 1));
+        }
+        Floats of[whole_floats(3)] = {};
+        for (int k = 0; k < wide_ * wide_; k += kFloats) {
+            const Floats x = spread(lines_[0] + 4 * wide_ + k, wide_), y = spread(lines_[1] + 4 * wide_ + k, wide_);
+            of[0] += x * x;
+            of[1] += x * y;
+            of[2] += y * y;
+        }
+        float sum_of[whole_floats(3)];
+        sums(of, sum_of);
+        return {sum_of[0], sum_of[1], sum_of[1], sum_of[2]};
+    }
+
+    // Sums of gx, gy and the values times the wide template, shifted: component by component, row by row.
+    void correlate(float* table) const {
+        for (int row = 0; row < kShifts; ++row) {
+            Floats products[whole_floats(3 * kShifts)] = {};
+            Floats with_x[kShifts], with_y[kShifts], with_value[kShifts];
+            FINGERFLOW_UNROLL
+            for (int k = 0; k < kShifts; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
+            const float* from = sampled_.value + row * wide_;
+            for (int i = 0; i < steps(); i += kFloats) {
+                const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
+                FINGERFLOW_UNROLL
+                for (int k = 0; k < kShifts; ++k) {
+                    const Floats sample = held(load(from + i + k));
+                    with_x[k] += x * sample;
+                    with_y[k] += y * sample;
+                    with_value[k] += value * sample;
+                }
+            }
+            FINGERFLOW_UNROLL
+            for (int k = 0; k < kShifts; ++k) {
+                products[k] = with_x[k];
+                products[kShifts + k] = with_y[k];
+                products[2 * kShifts + k] = with_value[k];
+            }
+            float summed[whole_floats(3 * kShifts)];
+            sums(products, summed);
+            for (int component = 0; component < 3; ++component)
+                for (int k = 0; k < kShifts; ++k)
+                    table[component * kSquare + row * kShifts + k] = summed[component * kShifts + k];
+        }
+    }
+
+    const TemplatesToPrepare& all_;
+    const int n_, wide_;
+    WindowSampler sampler_;
+    float* of_[3]{};      // values, gx, gy
+    float* slope_[2]{};   // before the projection
+    float* padded_[2]{};  // gx, gy
+    float* lines_[2]{};
+    float* right_ = nullptr;
+    float* down_ = nullptr;
+    std::int32_t* inside_ = nullptr;  // which of a window's numbers are samples, -1, and which only fill, 0
+    Sampled sampled_{};
+    float energy_ = 0;
+};
+
+// --- search -------------------------------------------------------------------------------------------------------------
+
+struct Look {
+    Vector found, estimate;
+    float error, scale;
+    TrackStatus status;
+};
+
+class Finder {
+public:
+    Finder(const TemplatesToFind& all, float* memory) : all_(all), n_(all.window), row_(whole_floats(n_)), stride_(patch_span(n_ + 2 * kBeyond)) {
+        const auto take = [&](int count) {
+            float* piece = memory;
+            memory += whole_floats(count);
+            for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
+            return piece;
+        };
+        for (float*& one : samples_) one = take(n_ * row_);
+        for (float*& one : table_) one = take(kCells);
+        patch_ = take((n_ + 2 * kBeyond) * stride_ + 2 * kPatchBlock);
+        values_ = take((n_ + 3) * kFloats);
+        slopes_ = take((n_ + 3) * kFloats);
+        lines_ = memory;
+    }
+
+    static std::int64_t floats(int n) {
+        const int stride = patch_span(n + 2 * kBeyond), side = n + 2 * kBeyond;
+        return 3 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) +
+               2 * whole_floats((n + 3) * kFloats) + (side + 2) * stride;
+    }
+
+    void follow(std::int64_t point) {
+        const std::int64_t count = all_.batch * all_.points_an_image, batch = point / all_.points_an_image;
+        const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
+        float* const kept_place = all_.place + 2 * point;
+        float* const kept_speed = all_.speed + 2 * point;
+        Vector place{kept_place[0], kept_place[1]}, speed{kept_speed[0], kept_speed[1]};
+        if (is_finite(start)) begin(point);
+        bool seen = true;
+        for (std::int64_t step = 0; step < all_.steps; ++step) {
+            Vector guess{place.x + speed.x, place.y + speed.y};
+            const std::int64_t image = step * all_.batch + batch;
+            Look look = not_given(guess);
+            if (is_finite(start) && is_finite(guess))
+                for (int round = 0; round < all_.rounds; ++round) {
+                    look = this->look(image, guess);
+                    const Vector away{look.estimate.x - rintf(guess.x), look.estimate.y - rintf(guess.y)};
+                    const bool beyond = fabsf(away.x) >= kReach || fabsf(away.y) >= kReach;
+                    if (look.status != kNotConverged || !beyond || round + 1 == all_.rounds) break;
+                    guess = look.estimate;
+                }
+            write(step * count + point, look);
+            const bool tracked = look.status == kTracked;
+            if (tracked) {
+                // One that was lost may be found beside where it was expected, which is no motion.
+                if (seen) {
+                    speed.x += kSpeedWeight * (look.found.x - place.x - speed.x);
+                    speed.y += kSpeedWeight * (look.found.y - place.y - speed.y);
+                }
+                place = look.found;
+            } else {
+                place = {place.x + speed.x, place.y + speed.y};
+                speed = {speed.x * (1 - 1 / kSpeedFrames), speed.y * (1 - 1 / kSpeedFrames)};
+            }
+            seen = tracked;
+        }
+        kept_place[0] = place.x;
+        kept_place[1] = place.y;
+        kept_speed[0] = speed.x;
+        kept_speed[1] = speed.y;
+    }
+
+private:
+    static constexpr int kCells = whole_floats(32);  // of a table's component
+
+    static Look not_given(Vector guess) { return {{NAN, NAN}, is_finite(guess) ? guess : Vector{0, 0}, NAN, NAN, kNotFinite}; }
+
+    void begin(std::int64_t point) {
+        const float* from = all_.samples + point * 3 * n_ * n_;
+        for (int k = 0; k < 3; ++k)
+            for (int r = 0; r < n_; ++r, from += n_) std::memcpy(samples_[k] + r * row_, from, static_cast<std::size_t>(n_) * sizeof(float));
+        for (int k = 0; k < 3; ++k) std::memcpy(table_[k], all_.table + point * kTable + k * kSquare, kSquare * sizeof(float));
+        numbers_ = all_.numbers + point * kNumbers;
+        spread_ = {numbers_[kCovarianceXx], numbers_[kCovarianceXy], numbers_[kCovarianceXy], numbers_[kCovarianceYy]};
+    }
+
+    void write(std::int64_t place, const Look& look) const {
+        const bool tracked = look.status == kTracked;
+        all_.points[2 * place] = tracked ? look.found.x : NAN;
+        all_.points[2 * place + 1] = tracked ? look.found.y : NAN;
+        all_.error[place] = look.error;
+        float* const c = all_.covariance + 4 * place;
+        const float scale = tracked ? look.scale : NAN;
+        c[0] = scale * spread_.xx;
+        c[1] = scale * spread_.xy;
+        c[2] = scale * spread_.yx;
+        c[3] = scale * spread_.yy;
+        all_.status[place] = static_cast<unsigned char>(look.status);
+        all_.estimate[2 * place] = look.estimate.x;
+        all_.estimate[2 * place + 1] = look.estimate.y;
+    }
+
+    Look look(std::int64_t image, Vector guess) {
+        const Vector center{rintf(guess.x), rintf(guess.y)};
+        cut_around(all_.frames, image, center, n_ / 2 + kBeyond, n_ + 2 * kBeyond, numbers_[kLevel], lines_, patch_, stride_);
+        const Vector beside = first_look(first_sums(), {center.x - guess.x, center.y - guess.y});
+        const Vector looked{clamped(-beside.x, -kReach, kReach), clamped(-beside.y, -kReach, kReach)};
+        Sums of;
+        second_sums(looked, &of);
+        return judge(image, guess, center, beside, looked, of);
+    }
+
+    struct Wanted {
+        float value, x, y;
+    };
+
+    // Sums of the samples times the spline on the window around the whole pixel.
+    Wanted first_sums() {
+        constexpr float kOuter = 1.0f / 6, kMiddle = 2.0f / 3;
+        Floats of[whole_floats(3)] = {};
+        float* const values = values_;
+        for (int block = 0; block < n_; block += kFloats) {
+            const float* from = patch_ + kBeyond * stride_ - stride_ + kBeyond - 1 + block;
+            for (int r = 0; r < n_ + 2; ++r, from += stride_)
+                store(values + r * kFloats, (load(from) + load(from + 2)) * all(kOuter) + load(from + 1) * all(kMiddle));
+            const float* const own = samples_[0] + block;
+            const float* const x = samples_[1] + block;
+            const float* const y = samples_[2] + block;
+            Floats with_own = of[0], with_x = of[1], with_y = of[2];
+            for (int r = 0; r < n_; ++r) {
+                const float* const at = values + r * kFloats;
+                const Floats sample = (load(at) + load(at + 2 * kFloats)) * all(kOuter) + load(at + kFloats) * all(kMiddle);
+                with_own += sample * load(own + r * row_);
+                with_x += sample * load(x + r * row_);
+                with_y += sample * load(y + r * row_);
+            }
+            of[0] = with_own;
+            of[1] = with_x;
+            of[2] = with_y;
+        }
+        float sum_of[whole_floats(3)];
+        sums(of, sum_of);
+        return {sum_of[0], sum_of[1], sum_of[2]};
+    }
+
+    static void between(float shift, float* weights) {
+        const float square = shift * shift, inner = (square - 4) * shift / -6, outer = (square - 1) * shift / 24;
+        weights[0] = outer * (shift - 2);
+        weights[1] = inner * (shift - 1);
+        weights[2] = (square - 1) * (square - 4) / 4;
+        weights[3] = inner * (shift + 1);
+        weights[4] = outer * (shift + 2);
+    }
+
+    // The shift at which the table equals what is wanted.
+    Vector first_look(const Wanted& wanted, Vector shift) const {
+        const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
+        alignas(64) float weights[kCells] = {};
+        for (int step = 0; step < kLookSteps; ++step) {
+            float x[kShifts], y[kShifts];
+            between(shift.x, x);
+            between(shift.y, y);
+            for (int r = 0; r < kShifts; ++r)
+                for (int c = 0; c < kShifts; ++c) weights[r * kShifts + c] = y[r] * x[c];
+            Floats of[whole_floats(3)] = {};
+            for (int k = 0; k < kCells; k += kFloats) {
+                const Floats weight = load(weights + k);
+                for (int component = 0; component < 3; ++component) of[component] += weight * load(table_[component] + k);
+            }
+            float at[whole_floats(3)];
+            sums(of, at);
+            float gain = 1;
+            if (numbers_[kGain] > 0) gain = clamped(fabsf(at[2]) > kTiny ? wanted.value / at[2] : 1.0f, 1 / kMostGain, kMostGain);
+            const Vector move = inverse * Vector{at[0] - wanted.x / gain, at[1] - wanted.y / gain};
+            shift = {clamped(shift.x - move.x, -kLookReach, kLookReach), clamped(shift.y - move.y, -kLookReach, kLookReach)};
+        }
+        return shift;
+    }
+
+    // Of the match M with its slopes Mx, My and the template T, gx, gy.
+    struct Sums {
+        float tm, pgx, pgy, xt, xgx, xgy, yt, ygx, ygy, m, mm, xm, ym, x, y, nothing;
+    };
+
+    void second_sums(Vector shift, Sums* result) {
+        const Vector whole{shift.x < 0 ? -1.0f : 0.0f, shift.y < 0 ? -1.0f : 0.0f};
+        float across[kTaps], across_slope[kTaps], down[kTaps], down_slope[kTaps];
+        cubic_taps(shift.x - whole.x, across, across_slope);
+        cubic_taps(shift.y - whole.y, down, down_slope);
+        const float* corner = patch_ + (static_cast<int>(whole.y) + 1) * stride_ + static_cast<int>(whole.x) + 1;
+        Floats of[kSums] = {};
+        int block = 0;
+        for (; block + kFloats <= n_; block += kFloats) block_sums<false>(corner + block, block, across, across_slope, down, down_slope, of);
+        if (block < n_) block_sums<true>(corner + block, block, across, across_slope, down, down_slope, of);
+        alignas(64) float sum_of[kSums];
+        sums(of, sum_of);
+        std::memcpy(result, sum_of, sizeof *result);
+    }
+
+    // Those of some columns.
+    template <bool kInPart>
+    void block_sums(const float* from, int block, const float* across, const float* across_slope, const float* down,
+                    const float* down_slope, Floats* of) {
+        const int rows = n_ + kTaps - 1, stride = stride_;
+        float *const values = values_, *const slopes = slopes_;  // members would be read again after every store
+        {
+            Floats weight[kTaps], weight_slope[kTaps];
+            FINGERFLOW_UNROLL
+            for (int i = 0; i < kTaps; ++i) {
+                weight[i] = all(across[i]);
+                weight_slope[i] = all(across_slope[i]);
+            }
+            for (int r = 0; r < rows; ++r, from += stride) {
+                Floats tap = held(load(from));
+                Floats value = tap * weight[0], slope = tap * weight_slope[0];
+                FINGERFLOW_UNROLL
+                for (int i = 1; i < kTaps; ++i) {
+                    tap = held(load(from + i));
+                    value += tap * weight[i];
+                    slope += tap * weight_slope[i];
+                }
+                store(values + r * kFloats, value);
+                store(slopes + r * kFloats, slope);
+            }
+        }
+        Floats weight[kTaps], weight_slope[kTaps], sum[15];
+        FINGERFLOW_UNROLL
+        for (int i = 0; i < kTaps; ++i) {
+            weight[i] = all(down[i]);
+            weight_slope[i] = all(down_slope[i]);
+        }
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < 15; ++k) sum[k] = of[k];
+        const Beginning inside(kInPart ? n_ - block : kFloats);
+        const float *own = samples_[0] + block, *gx = samples_[1] + block, *gy = samples_[2] + block;
+        const int row = row_;
+        for (int r = 0; r < n_; ++r) {
+            Floats value = load(values + r * kFloats), slope = load(slopes + r * kFloats);
+            Floats m = value * weight[0], x = slope * weight[0], y = value * weight_slope[0];
+            FINGERFLOW_UNROLL
+            for (int i = 1; i < kTaps; ++i) {
+                value = held(load(values + (r + i) * kFloats));
+                m += value * weight[i];
+                y += value * weight_slope[i];
+                x += load(slopes + (r + i) * kFloats) * weight[i];
+            }
+            if (kInPart) {
+                m = inside.of(m);
+                x = inside.of(x);
+                y = inside.of(y);
+            }
+            const Floats t = load(own + r * row), u = load(gx + r * row), v = load(gy + r * row);
+            sum[0] += t * m;
+            sum[1] += u * m;
+            sum[2] += v * m;
+            sum[3] += t * x;
+            sum[4] += u * x;
+            sum[5] += v * x;
+            sum[6] += t * y;
+            sum[7] += u * y;
+            sum[8] += v * y;
+            sum[9] += m;
+            sum[10] += m * m;
+            sum[11] += x * m;
+            sum[12] += y * m;
+            sum[13] += x;
+            sum[14] += y;
+        }
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < 15; ++k) of[k] = sum[k];
+    }
+
+    Look judge(std::int64_t image, Vector guess, Vector center, Vector beside, Vector looked, const Sums& of) const {
+        const float samples = static_cast<float>(n_ * n_), energy = numbers_[kEnergy], some_energy = energy < kTiny ? kTiny : energy;
+        const bool free = numbers_[kGain] > 0;
+        const float px = of.pgx - numbers_[kConstantX], py = of.pgy - numbers_[kConstantY];
+        const Vector last = solved(of.xgx, of.ygx, of.xgy, of.ygy, px, py);
+        const float step = length(last);
+        const bool settled = step < kLastStep;  // a singular matrix leaves NaN: no root
+        const Vector shift = settled ? Vector{looked.x - last.x, looked.y - last.y} : looked;
+        const bool converged = settled && fabsf(shift.x) < kReach && fabsf(shift.y) < kReach;
+        Look result;
+        result.found = {center.x + shift.x, center.y + shift.y};
+
+        const float bb = of.mm - of.m * of.m / samples, some_bb = bb < kTiny ? kTiny : bb;
+        const float gain = free ? of.tm / some_energy : 1.0f;
+        const float turn = gain * (last.x * px + last.y * py);
+        const float unlike = (bb - of.tm * of.tm / some_energy) - turn;
+        const float left = free ? unlike : of.mm - 2 * of.tm + energy - turn;
+        const float rounding = all_.rounding;
+        float pixel = left / ((samples - 4) * kValueNoise);
+        if (pixel < 2 * rounding) pixel = 2 * rounding;
+        result.scale = pixel / (gain * gain);
+
+        const float part_x = free ? (of.xm - of.x * of.m / samples) / some_bb : 0.0f;
+        const float part_y = free ? (of.ym - of.y * of.m / samples) / some_bb : 0.0f;
+        const float rest_x = free ? of.xt - part_x * of.tm : of.xt - of.xm, rest_y = free ? of.yt - part_y * of.tm : of.yt - of.ym;
+        const Vector back = solved(of.xgx - part_x * px, of.xgy - part_x * py, of.ygx - part_y * px, of.ygy - part_y * py, rest_x, rest_y);
+        const float error = length(Vector{back.x + last.x, back.y + last.y});
+        result.error = converged ? error : NAN;
+
+        const float variance = all_.variance == nullptr ? numbers_[kNoise] : all_.variance[image];
+        const float noise_energy = variance * (samples * kValueNoise);
+        const float left_key = energy - noise_energy, left_frame = bb - noise_energy;
+        const float common = (left_key < 0 ? 0 : left_key) * (left_frame < 0 ? 0 : left_frame);
+        const float explained = of.tm > 0 ? (bb - unlike) * energy : 0.0f;
+        const Vector place = is_finite(result.found) ? result.found : guess;
+        const bool within = numbers_[kInside] > 0 && contains(place, all_.frames, n_);
+        if (!is_finite(of.m + numbers_[kLevel])) result.status = kNotFinite;
+        else if (!within) result.status = kLeftFrame;
+        else if (!(numbers_[kTextured] > 0)) result.status = kNoTexture;
+        else if (!converged) result.status = kNotConverged;
+        else if (!(common * (1 - all_.mismatch_limit) <= explained)) result.status = kMismatch;
+        else if (!(error <= all_.forward_backward_limit)) result.status = kForwardBackward;
+        else result.status = kTracked;
+        if (settled) result.estimate = place;
+        else if (is_finite(beside)) result.estimate = {center.x - beside.x, center.y - beside.y};
+        else result.estimate = guess;
+        return result;
+    }
+
+    static constexpr int kSums = whole_floats(16);
+
+    const TemplatesToFind& all_;
+    const int n_, row_, stride_;
+    const float* numbers_ = nullptr;  // of the point
+    Matrix spread_{};
+    float* samples_[3]{};
+    float* table_[3]{};
+    float* patch_ = nullptr;
+    float* values_ = nullptr;
+    float* slopes_ = nullptr;
+    float* lines_ = nullptr;
+};
+
+}  // namespace
+
+std::int64_t templates_workspace_bytes(int window) {
+    const std::int64_t one = Preparer::floats(window), other = Finder::floats(window);
+    return 4 * (one > other ? one : other);
+}
+
+void prepare_templates(const TemplatesToPrepare& all, std::int64_t first, std::int64_t last, void* workspace) {
+    Preparer preparer(all, static_cast<float*>(workspace));
+    for (std::int64_t point = first; point < last; ++point) preparer.prepare(point);
+}
+
+void find_templates(const TemplatesToFind& all, std::int64_t first, std::int64_t last, void* workspace) {
+    Finder finder(all, static_cast<float*>(workspace));
+    for (std::int64_t point = first; point < last; ++point) finder.follow(point);
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
