@@ -191,8 +191,8 @@ class TrackingSettings(_Table):
     direction: Literal["forward", "backward"] = "forward"
     template: Literal["keyframe", "previous"] = "keyframe"
     forward_backward_limit_px: Positive = 1.0
-    search_px: Annotated[Whole, Field(ge=0)] = 0
-    gain_offset: Switch = False
+    search_px: Annotated[Whole, Field(ge=0)] = 8
+    gain_offset: Switch = True
 
 
 class FieldSettings(_Table):
@@ -458,8 +458,8 @@ min_distance_px = 6.0
 direction = "forward"         # or "backward", from the last frame
 template = "keyframe"         # or "previous": from frame to frame, errors add up
 forward_backward_limit_px = 1.0
-search_px = 0                 # how far to search for points that moved more than about 2 px between frames
-gain_offset = false           # true where the light changes during the recording
+search_px = 8                 # how far to search for points that a jolt has carried away; 0 for not at all
+gain_offset = true            # windows are compared whatever the light's gain and offset
 
 [fields]
 gauge_length_mm = 1.6         # diameter over which a gradient is fitted

@@ -2,14 +2,17 @@
 
 from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse, SkinFields, SkinFieldsGraph
-from fingerflow.graphs.track import TrackGraph
+from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.track import DeformationGraph, TrackGraph
 
 __all__ = [
     "Contact",
     "ContactGraph",
+    "DeformationGraph",
     "Fields",
     "FieldsGraph",
     "GrossEllipse",
+    "KeyGraph",
     "SkinFields",
     "SkinFieldsGraph",
     "TrackGraph",

@@ -21,8 +21,11 @@ from fingerflow.ops.templates import (
 from fingerflow.ops.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.windows import sample_windows
 
+MISMATCH_LIMIT = 0.05
 ROUNDS = 5  # tables a point may use up before it counts as not found
-_GAUGE = 5.0  # windows over which the deformation of a template is taken to be uniform
+# Windows over which the deformation of a template is taken to be uniform: less follows short waves and takes part in the
+# noise of fewer neighbours (`python -m bench dic`).
+_GAUGE = 3.0
 _SEARCHED = 1.0  # px that a search is good to
 
 
@@ -55,13 +58,13 @@ def track_points(
     gain_offset: bool = True,
     search: int = 8,
     forward_backward_limit: float = 1.0,
-    mismatch_limit: float = 0.05,
+    mismatch_limit: float = MISMATCH_LIMIT,
     noise: Tensor | None = None,
 ) -> Tracks:
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
     `prepare_templates` and `find_templates`, one after the other. A second pass deforms the templates by the gradient
-    of the motion that the first has found and corrects for what varies within a window beyond it. Gradients flow to the
+    of the motion that the first has found. Gradients flow to the
     images and to ``points`` through ``points`` of the result (implicit differentiation, first order); error, covariance
     and status carry none.
 
@@ -105,14 +108,13 @@ def track_points(
 
     with torch.no_grad():
         found = one_pass(warp, guess)
-        shift: Tensor | None = None
         if warp is None and passes == 2:
-            warp, shift = deformation(start.to(found.points.dtype), found.points, _GAUGE * window, window)
+            warp = _deformation(start.to(found.points.dtype), found.points, _GAUGE * window)
             found = one_pass(warp, found.estimate)
     where = found.points
     if torch.is_grad_enabled() and any(one.requires_grad for one in (*images, points)):
         where = _with_derivative(images, points, where, warp, window, gain_offset)
-    return Tracks(where if shift is None else where - shift, found.error, found.covariance, found.status)
+    return Tracks(where, found.error, found.covariance, found.status)
 
 
 def search_lost(
@@ -169,21 +171,11 @@ def search_lost(
     )
 
 
-def deformation(start: Tensor, found: Tensor, gauge_length: float, window: int) -> tuple[Tensor, Tensor]:
-    """The deformation gradient (B, N, 2, 2) at points (1 or B, N, 2) px that were found at (B, N, 2), over a gauge
-    length in px, and how far (B, N, 2) px what varies within a window beyond it displaces the window as a whole.
-
-    u(p + w) = u + F w + w'Hw / 2, and the mean of w'Hw / 2 over a square of n px is the Laplacian of u times
-    (n^2 - 1) / 24: at n = 25 it is 0.02 px where the divergence of skin changes by 2 % a mm. Where too few points are
-    near, F is the identity and the displacement 0.
-    """
-    moved = found - start
-    gradient = local_gradients(start, moved, gauge_length=gauge_length).gradient
-    second = local_gradients(start, gradient.flatten(-2), gauge_length=gauge_length).gradient
-    laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
-    identity = torch.eye(2, dtype=gradient.dtype, device=gradient.device)
-    shift = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((window**2 - 1) / 24)
-    return gradient.nan_to_num(0.0, 0.0, 0.0) + identity, shift
+def _deformation(start: Tensor, found: Tensor, gauge_length: float) -> Tensor:
+    """The deformation gradient (B, N, 2, 2) at points (B, N, 2) px that were found at (B, N, 2), over a gauge length in
+    px; the identity where too few points are near."""
+    gradient = local_gradients(start, found - start, gauge_length=gauge_length).gradient
+    return gradient.nan_to_num(0.0, 0.0, 0.0) + torch.eye(2, dtype=gradient.dtype, device=gradient.device)
 
 
 def _check(

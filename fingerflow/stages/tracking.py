@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs import TrackGraph
+from fingerflow.graphs.track import DeformationGraph, TrackGraph, lean_of, merged
 from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.following import Followed, expected
 from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.tracking import Tracks, TrackStatus
+from fingerflow.ops.templates import Found, Templates, inverse_2x2, prepare_templates
+from fingerflow.ops.tracking import MISMATCH_LIMIT, ROUNDS, search_lost
+from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.stages.inputs import Inputs
 
 GIVES = frozenset(
@@ -28,7 +30,8 @@ GIVES = frozenset(
     }
 )
 _CORNER_PX = 5  # a corner must be local; averaged over a tracking window few are left apart
-_WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
+RENEWAL_PX = 0.25  # that a deformation may shift the edge of a window before its template is prepared anew
+MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
 
 
 @dataclass
@@ -59,57 +62,98 @@ class TrackingStage:
         self._inputs = inputs
         self._view = view
         self._settings = inputs.scene.tracking
-        self._graph = TrackGraph(
-            self._settings.window_px,
-            self._settings.forward_backward_limit_px,
-            self._settings.search_px,
-            self._settings.gain_offset,
-        )
+        self._track = TrackGraph(ROUNDS, self._settings.forward_backward_limit_px)
+        self._deformation = DeformationGraph(self._settings.window_px)
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
-        self._identity = torch.eye(2, device=inputs.device)
         self._region = region
-        self._template: Tensor | None = None
-        self._start = torch.empty(0)
-        self._last = torch.empty(0)
-        self._noise = torch.empty(0)  # of the template, (1,) grey levels
-        self._warp: Tensor | None = None
+        self._key: Tensor | None = None  # the image that the templates are from
+        self._noise = torch.empty(0)
+        self._templates: Templates | None = None
+        self._place = self._speed = torch.empty(0)
+        self._warp = self._inverse_warp = torch.empty(0)  # as the templates have it, (1, N, 2, 2)
+        self._at_once = 1  # frames
         self.series: TrackSeries | None = None
 
     def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], gross: Tensor) -> NDArray[np.bool_]:
         """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
         (n, N)."""
         images = self._inputs.view(frames, self._view)
-        steps, where = [], []
-        for image, noise in zip(images.split(1), estimate_noise(images).split(1), strict=True):
-            steps.append(self._step(image, noise))
-            where.append(self._last)
+        steps, done = [], 0
+        if self._key is None:
+            steps.append(self._begin(images[:1]))
+            done = 1
+        while done < len(images):
+            step = self._step(images[done : done + self._at_once])
+            steps.append(step)
+            done += len(step.status)
         assert self.series is not None
-        tracks = Tracks(*(torch.cat(values) for values in zip(*steps, strict=True)))
-        self.series.position[indices] = tracks.points.cpu()
-        variances = tracks.covariance.diagonal(dim1=-2, dim2=-1)
+        points, error, covariance, status, place = (torch.cat(one) for one in zip(*steps, strict=True))
+        self.series.position[indices] = points.cpu()
+        variances = covariance.diagonal(dim1=-2, dim2=-1)
         self.series.deviation[indices] = variances.mean(-1).sqrt().cpu()
-        self.series.error[indices] = tracks.error.cpu()
-        self.series.status[indices] = tracks.status.cpu()
-        return self._inside(gross[:, 0], torch.cat(where)).cpu().numpy()
+        self.series.error[indices] = error.cpu()
+        self.series.status[indices] = status.cpu()
+        return self._inside(gross[:, 0], place).cpu().numpy()
 
-    def _step(self, image: Tensor, noise: Tensor) -> Tracks:
-        """Finds the points in the next image (1, 1, h, w), whose noise is (1,)."""
-        if self._template is None:
-            self._begin(image)
-            self._noise = noise
-            exact = torch.zeros_like(self._start[..., 0])
-            return Tracks(self._start, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8))
-        both = torch.maximum(self._noise, noise)
-        tracks: Tracks = self._graph(self._template, image, self._start, self._last, self._warp, both)
+    def _step(self, images: Tensor) -> Found:
+        """Finds the points in the next images (n, 1, h, w); estimates are where points are or were last."""
+        assert self._templates is not None
+        before = self._place
+        followed = self._track(self._templates, images, self._place, self._speed)
+        if self._settings.search_px and (followed.found.status >= TrackStatus.NOT_CONVERGED).any():
+            followed = self._search(images, followed)
+        found, self._place, self._speed = followed
         if self._settings.template == "keyframe":
-            tracks = tracks._replace(points=self._deform(tracks.points))
-            # A point that is lost in one frame may be found again in the next, near where it was last.
-            self._last = torch.where(tracks.points.isfinite(), tracks.points, self._last)
+            start = self._templates.start
+            deformed = self._deformation(start, found.points, lean_of(self._templates), self._inverse_warp)
+            found = found._replace(points=deformed.points)
+            self._renew(deformed.warp[-1:], len(images))
         else:
-            self._template, self._noise, self._start, self._last = image.clone(), noise, tracks.points, tracks.points
-        return tracks
+            self._prepare(images[-1:], found.points)
+        return found._replace(estimate=_last_seen(found.points, before))
 
-    def _begin(self, image: Tensor) -> None:
+    def _search(self, images: Tensor, followed: Followed) -> Followed:
+        """The points that get lost on the way, followed once more, one frame after the other, with a search."""
+        assert self._templates is not None and self._key is not None
+        chosen = (followed.found.status >= TrackStatus.NOT_CONVERGED).any(0).nonzero().squeeze(1)
+        templates = self._templates.of(chosen[None])
+        place, speed = self._place[:, chosen], self._speed[:, chosen]
+        seen = torch.ones_like(place[..., :1], dtype=torch.bool)
+        limits = (self._settings.forward_backward_limit_px, MISMATCH_LIMIT)
+        every = []
+        for image in images.split(1):
+            one = self._track(templates, image, place, speed).found
+            searched = search_lost(
+                self._key, image, templates, one, place + speed, self._settings.search_px, *limits, None
+            )
+            every.append(searched)
+            # What a search has found is no motion: it may have been a jolt.
+            seen = seen & (one.status == TrackStatus.TRACKED)[..., None]
+            place, speed, seen = expected(place, speed, seen, searched)
+        again = Found(*(torch.cat(one) for one in zip(*every, strict=True)))
+        found = Found(*(old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)))
+        return Followed(
+            found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed)
+        )
+
+    def _renew(self, warp: Tensor, frames: int) -> None:
+        """Prepares anew the templates whose windows have changed by more than a part of a pixel at their edge, and
+        takes as many frames at once as leave the others below it."""
+        assert self._templates is not None and self._key is not None
+        half = self._settings.window_px // 2
+        identity = torch.eye(2, device=warp.device)
+        unknown = half * (warp @ self._inverse_warp - identity).flatten(-2).norm(dim=-1)
+        changed = (unknown[0] > RENEWAL_PX).nonzero().squeeze(1)
+        fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
+        self._at_once = int(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE))
+        self._warp = warp
+        if len(changed):
+            known = warp[:, changed]
+            renewed = self._templates_of(self._key, self._templates.start[:, changed], known)
+            self._templates = merged(self._templates, renewed, changed)
+            self._inverse_warp = self._inverse_warp.index_copy(1, changed, inverse_2x2(known))
+
+    def _begin(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
         settings = self._settings
         region = cv2.warpAffine(
@@ -130,8 +174,6 @@ class TrackingStage:
                 f"contact region of the "
                 "topographic view, at least 3 are needed. Check [views.topography], the calibration and the focus."
             )
-        # A copy: the image is a part of a batch of frames, which it would keep in memory.
-        self._template, self._start, self._last = image.clone(), points, points
         count = (len(self._inputs.recording), points.shape[1])
         self.series = TrackSeries(
             position=np.full((*count, 2), np.nan),
@@ -139,20 +181,23 @@ class TrackingStage:
             error=np.full(count, np.nan, dtype=np.float32),
             status=np.full(count, TrackStatus.NOT_FINITE, dtype=np.uint8),
         )
+        self._noise = estimate_noise(image)
+        self._place, self._speed = points, torch.zeros_like(points)
+        self._warp = self._inverse_warp = torch.eye(2, device=image.device).expand(1, points.shape[1], 2, 2)
+        self._prepare(image, points)
+        exact = torch.zeros_like(points[..., 0])
+        return Found(points, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8), points)
 
-    def _deform(self, found: Tensor) -> Tensor:
-        """Learns the deformation of the templates from where they were found, and corrects the positions for it.
+    def _prepare(self, image: Tensor, points: Tensor) -> None:
+        # A copy: the image is a part of a batch of frames, which it would keep in memory.
+        self._key = image.clone()
+        self._templates = self._templates_of(self._key, points, None)
 
-        The templates of the next frame are deformed by the gradient F. What varies within a window beyond F displaces
-        it as a whole: u(p + w) = u + F w + w'Hw / 2, and the mean of w'Hw / 2 over a square of n px, the Laplacian of u
-        times (n^2 - 1) / 24, is taken off. At n = 25 it is 0.02 px where the divergence of skin changes by 2 % a mm.
-        """
-        moved = found - self._start
-        gradient = local_gradients(self._start, moved, gauge_length=_WARP_GAUGE_PX).gradient
-        self._warp = gradient.nan_to_num(0.0, 0.0, 0.0) + self._identity
-        second = local_gradients(self._start, gradient.flatten(-2), gauge_length=_WARP_GAUGE_PX).gradient
-        laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
-        return found - laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self._graph.window**2 - 1) / 24)
+    def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
+        settings = self._settings
+        return prepare_templates(
+            key, points, settings.window_px, warp, gain_offset=settings.gain_offset, noise=self._noise
+        )
 
     def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
         """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.
@@ -164,3 +209,12 @@ class TrackingStage:
         within = ((place >= 0) & (place < size)).all(-1)
         column, row = torch.where(within[..., None], place, 0.0).long().unbind(-1)
         return masks.flatten(1).gather(1, row * masks.shape[2] + column) & within
+
+
+def _last_seen(points: Tensor, before: Tensor) -> Tensor:
+    """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (1, N, 2)."""
+    places = []
+    for one in points.split(1):
+        before = torch.where(one.isfinite(), one, before)
+        places.append(before)
+    return torch.cat(places)
