@@ -33,11 +33,13 @@ def track_fingerflow(
     *,
     initial: Tensor | None = None,
     warp: Tensor | None = None,
-    order: int = 3,
+    passes: int = 1,
     search: int = 0,
     limit: float = 1.0,
 ) -> Found:
-    """`fingerflow.ops.track_points`; it tracks back by itself. ``limit`` px is that of the forward-backward error."""
+    """`fingerflow.ops.track_points`; it tracks back by itself. ``limit`` px is that of the forward-backward error.
+
+    One pass, as OpenCV's windows are not deformed either."""
     with torch.no_grad():
         tracks = track_points(
             previous,
@@ -46,7 +48,7 @@ def track_fingerflow(
             window,
             initial=initial,
             warp=warp,
-            order=order,
+            passes=passes,
             search=search,
             forward_backward_limit=limit,
         )

@@ -345,7 +345,11 @@ def prepare_templates(
         _check_like("inverse_warp", inverse_warp, torch.float32, (batch, count, 2, 2))
         inverse_warp = inverse_warp.contiguous()
     _check_window(window, image)
-    image, start, variance = _rows_in_one_piece(image), points.clone(memory_format=torch.contiguous_format), variance.contiguous()
+    image, start, variance = (
+        _rows_in_one_piece(image),
+        points.clone(memory_format=torch.contiguous_format),
+        variance.contiguous(),
+    )
     described = _described(image)
     samples = torch.empty(batch, count, 3, window * window)
     table, numbers = torch.empty(batch, count, TABLE), torch.empty(batch, count, NUMBERS)
@@ -399,9 +403,9 @@ def find_templates(
     """
     _check_frames(frames, tuple(FRAME_KINDS))
     batch, count = place.shape[:2]
-    if batch == 0 or len(frames) % batch:
+    if len(frames) % max(batch, 1):
         raise ValueError(f"{len(frames)} frames cannot be those of {batch} recordings")
-    steps, window = len(frames) // batch, round(templates[1].shape[-1] ** 0.5)
+    steps, window = len(frames) // max(batch, 1) or 1, round(templates[1].shape[-1] ** 0.5)
     kept = _in_one_piece(
         start=(templates[0], (batch, count, 2)),
         samples=(templates[1], (batch, count, 3, window * window)),

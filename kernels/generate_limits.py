@@ -1,6 +1,6 @@
 """Writes the C++ of the statuses and limits of tracking from their one list, `fingerflow/ops/tracking_limits.py`.
 
-    python kernels/generate_limits.py tracking_limits.h
+python kernels/generate_limits.py tracking_limits.h
 """
 
 import runpy

@@ -110,6 +110,8 @@ private:
         const float mean = folded<kFloats>(sum)[0] / count();
         for (int k = 0; k < steps(); k += kFloats) store(of_[0] + k, kept(load(of_[0] + k) - all(mean), inside_ + k));
         for (int k = 0; k < whole_floats(wide_ * wide_); k += kFloats) store(sampled_.value + k, load(sampled_.value + k) - all(mean));
+        // What lies behind it is read too, times zero: it must be a number.
+        for (int k = wide_ * wide_; k < whole_floats(wide_ * wide_); ++k) sampled_.value[k] = 0.0f;
         return mean;
     }
 

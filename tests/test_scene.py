@@ -86,7 +86,7 @@ def test_template_is_a_scene(folder: Path) -> None:
         ("points = 700", "points = 700.0", "700.0: it should be a valid integer"),
         ("gauge_length_mm = 1.6", "gauge_length_mm = true", "True: it should be a valid number"),
         ("gauge_length_mm = 1.6", "gauge_length_mm = nan", "finite"),
-        ("gain_offset = false", "gain_offset = 0", "0: it should be a valid boolean"),
+        ("gain_offset = true", "gain_offset = 0", "0: it should be a valid boolean"),
         ("rows = [0, 512]", "rows = [0, true]", "valid integer"),
         ("rows = [0, 512]", "rows = [0, 5, 12]", "at most 2 items, not 3"),
         ("rows = [0, 512]", "rows = 512", "a list"),

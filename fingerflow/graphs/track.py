@@ -75,11 +75,8 @@ def lean_of(templates: Templates) -> Tensor:
 def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Templates:
     """Templates of (1, N) points with those of the chosen ones (L,) replaced by (1, L)."""
     return Templates(
-        *(
+        *[
             None if old is None or new is None else old.index_copy(1, chosen, new)
             for old, new in zip(templates, renewed, strict=True)
-        )  # type: ignore[arg-type]
+        ]  # type: ignore[arg-type]
     )
-
-
-

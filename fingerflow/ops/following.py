@@ -57,7 +57,7 @@ def follow_templates(
             forward_backward_limit,
             mismatch_limit,
         )
-        return Followed(Found(*(one[:, 0] for one in followed[:5])), followed.place, followed.speed)
+        return Followed(Found(*[one[:, 0] for one in followed[:5]]), followed.place, followed.speed)
     every = []
     seen = torch.ones_like(place[..., :1], dtype=torch.bool)
     for frame in frames.split(1):
@@ -71,7 +71,7 @@ def follow_templates(
         )
         every.append(found)
         place, speed, seen = expected(place, speed, seen, found)
-    return Followed(Found(*(torch.cat(one) for one in zip(*every, strict=True))), place, speed)
+    return Followed(Found(*[torch.cat(one) for one in zip(*every, strict=True)]), place, speed)
 
 
 def expected(place: Tensor, speed: Tensor, seen: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,9 +1,9 @@
 """Windows around points as batched products: patches of pixels, and their spline at a fractional shift.
 
-A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, p its patch of pixels and B the matrix with the weights of
-s along its band: those of the cubic B-spline spread by the smoothing that its coefficients ask for (`ops.spline`). No
-image of coefficients is formed. The weights at the whole places -2 to 2 are functions of the shift within (-1, 1): with
-u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 4 v^3) / 6.
+A window at a shift s from a whole pixel is B_y(s) p B_x(s)^T, p its patch of pixels and B the matrix with the weights
+of s along its band: those of the cubic B-spline spread by the smoothing that its coefficients ask for (`ops.spline`).
+No image of coefficients is formed. The weights at the whole places -2 to 2 are functions of the shift within (-1, 1):
+with u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 4 v^3) / 6.
 """
 
 import torch

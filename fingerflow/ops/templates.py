@@ -9,7 +9,7 @@ taken without its parts along a constant and along T: then the equation holds wh
    nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between them, has
    to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image computed
    before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c - s.
-2. *Second look*, in the frame: the window is sampled there once, with its slopes, and one step of Newton's ends the way.
+2. *Second look*, in the frame: the window is sampled there once, with its slopes, and a step of Newton's ends the way.
    The way back, from what was found to the template, solves the same equation with the slopes of the frame, linearly.
 
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
@@ -46,8 +46,8 @@ class Templates(NamedTuple):
     Attributes:
         start: (B, N, 2) px in the key frame, NaN where there is no point.
         samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
-        table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row by
-            row.
+        table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row
+            by row.
         numbers: (B, N, 24), see :class:`~fingerflow.ops.tracking_limits.Number`.
         pixels: (B, N, 3, m m), m = n + 6, the samples as weights of the pixels around a window at a whole pixel; None
             where the compiled twin has prepared them, which does without.
@@ -71,7 +71,7 @@ class Templates(NamedTuple):
             index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
             return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
 
-        return Templates(*(None if one is None else picked(one) for one in self))  # type: ignore[arg-type]
+        return Templates(*[None if one is None else picked(one) for one in self])  # type: ignore[arg-type]
 
 
 class Found(NamedTuple):
@@ -194,8 +194,8 @@ def find_templates(
         and current.dtype in kernels.FRAME_KINDS
         and dtype == torch.float32
     ):
-        found = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
-        return Found(*(one[0] for one in found[:5]))
+        followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
+        return Found(*[one[0] for one in followed[:5]])
     found = _look(templates, current, guess, variance, *settings)
     for _ in range(rounds - 1):
         lost = (found.status == TrackStatus.NOT_CONVERGED) & _went_beyond(guess, found.estimate)
@@ -206,7 +206,7 @@ def find_templates(
         again = _look(
             templates.of(chosen), current, guess.gather(1, chosen[..., None].expand(-1, -1, 2)), variance, *settings
         )
-        found = Found(*(_replaced(whole, part, chosen, lost) for whole, part in zip(found, again, strict=True)))
+        found = Found(*[_replaced(whole, part, chosen, lost) for whole, part in zip(found, again, strict=True)])
     return found
 
 
@@ -318,7 +318,7 @@ def _whole(triangle: Tensor) -> Tensor:
 
 
 def _correlations(value: Tensor, samples: Tensor) -> Tensor:
-    """(P, 75) sums of gx, gy and values (P, 3 from the front, n, n) times the wide template (P, wide, wide), shifted."""
+    """(P, 75): gx, gy and values, of samples (P, 3, n, n), times the wide template (P, wide, wide) shifted."""
     side = samples.shape[-1]
     flat = samples.flatten(2)
     lines = []
@@ -384,7 +384,10 @@ def _look(
     scale = pixel / (gain * gain)
 
     # The way back: sum h (T(w + s) - M(w)) = 0 with the slopes h of the match.
-    part = [torch.where(free > 0, (one - own * m1 / samples) / bb.clamp_min(_TINY), 0.0) for one, own in ((xm, x1), (ym, y1))]
+    part = [
+        torch.where(free > 0, (one - own * m1 / samples) / bb.clamp_min(_TINY), 0.0)
+        for one, own in ((xm, x1), (ym, y1))
+    ]
     rest = [torch.where(free > 0, t - share * tm, t - m) for t, share, m in ((xt, part[0], xm), (yt, part[1], ym))]
     back = _solved(
         jx[0] - part[0] * p[0], jx[1] - part[0] * p[1], jy[0] - part[1] * p[0], jy[1] - part[1] * p[1], *rest

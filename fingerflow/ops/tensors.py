@@ -21,5 +21,5 @@ def finite(values: Tensor) -> Tensor:
 
 
 def sum_rows(values: Tensor) -> Tensor:
-    """(..., 1, P) of (..., K, P), K fixed: as a product with ones, where a sum over such an axis is ten times as slow."""
+    """(..., 1, P) of (..., K, P), K fixed, as a product with ones: a sum over such an axis is ten times as slow."""
     return values.new_ones(1, values.shape[-2]) @ values

@@ -23,8 +23,8 @@ from fingerflow.ops.windows import sample_windows
 
 MISMATCH_LIMIT = 0.05
 ROUNDS = 5  # tables a point may use up before it counts as not found
-# Windows over which the deformation of a template is taken to be uniform: less follows short waves and takes part in the
-# noise of fewer neighbours (`python -m bench dic`).
+# Windows over which the deformation of a template is taken to be uniform: fewer follow shorter waves (`python -m bench
+# dic`).
 _GAUGE = 3.0
 _SEARCHED = 1.0  # px that a search is good to
 

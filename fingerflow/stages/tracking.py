@@ -114,7 +114,8 @@ class TrackingStage:
 
     def _search(self, images: Tensor, followed: Followed) -> Followed:
         """The points that get lost on the way, followed once more, one frame after the other, with a search."""
-        assert self._templates is not None and self._key is not None
+        assert self._templates is not None
+        assert self._key is not None
         chosen = (followed.found.status >= TrackStatus.NOT_CONVERGED).any(0).nonzero().squeeze(1)
         templates = self._templates.of(chosen[None])
         place, speed = self._place[:, chosen], self._speed[:, chosen]
@@ -130,16 +131,15 @@ class TrackingStage:
             # What a search has found is no motion: it may have been a jolt.
             seen = seen & (one.status == TrackStatus.TRACKED)[..., None]
             place, speed, seen = expected(place, speed, seen, searched)
-        again = Found(*(torch.cat(one) for one in zip(*every, strict=True)))
-        found = Found(*(old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)))
-        return Followed(
-            found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed)
-        )
+        again = Found(*[torch.cat(one) for one in zip(*every, strict=True)])
+        found = Found(*[old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)])
+        return Followed(found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed))
 
     def _renew(self, warp: Tensor, frames: int) -> None:
         """Prepares anew the templates whose windows have changed by more than a part of a pixel at their edge, and
         takes as many frames at once as leave the others below it."""
-        assert self._templates is not None and self._key is not None
+        assert self._templates is not None
+        assert self._key is not None
         half = self._settings.window_px // 2
         identity = torch.eye(2, device=warp.device)
         unknown = half * (warp @ self._inverse_warp - identity).flatten(-2).norm(dim=-1)

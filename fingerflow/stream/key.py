@@ -5,7 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.tracking import GRADIENT_NOISE, TEXTURE_TO_NOISE
+from fingerflow.ops.tracking_limits import GRADIENT_NOISE as _GRADIENT_NOISE
+from fingerflow.ops.tracking_limits import TEXTURE_TO_NOISE
 from fingerflow.stream.components import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.noise import noise_variance
@@ -13,7 +14,6 @@ from fingerflow.stream.spline_features import feature_bends, features_and_slopes
 from fingerflow.stream.windows import Windows
 
 _TINY = 1e-20
-_GRADIENT_NOISE = GRADIENT_NOISE[3]
 
 
 class Templates(NamedTuple):

@@ -5,7 +5,8 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.tracking import CONVERGED, VALUE_NOISE, TrackStatus
+from fingerflow.ops.tracking_limits import VALUE_NOISE as _VALUE_NOISE
+from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.stream.components import components_first
 from fingerflow.stream.finite import finite
 from fingerflow.stream.key import Templates
@@ -17,7 +18,7 @@ _TABLE_STEPS = 2  # each leaves a fifth of the error far from the root, a tenth 
 _LAST_STEP = 0.2  # px that the step in the frame may have: a window stretched by 10 % asks for 0.14, and 1e-4 are left
 _BACK_STEPS = 2  # after a linear one
 _MISMATCH_LIMIT = 0.05
-_VALUE_NOISE = VALUE_NOISE[3]
+_CONVERGED = 1e-2  # px, of the last step
 
 WayBack = Literal["table", "step", "edges"]
 
@@ -132,7 +133,7 @@ class TrackStep(nn.Module):
             else:
                 rest = rest - torch.cat((sum_rows(by_right * last), sum_rows(by_down * last)), dim=1)
                 back, back_step = self._way_back(by_right, by_down, bends, rest)
-                returned = converged & _within(back, reach) & (back_step < CONVERGED)
+                returned = converged & _within(back, reach) & (back_step < _CONVERGED)
         error = _length(back)
 
         # The key frame's table is one px wider.

@@ -124,7 +124,7 @@ def test_speed_against_error(tmp_path: Path) -> None:
     assert len(rows) == 2 * len(speed_against_error.TRACKERS)
     for row in rows:
         assert 0.75 < number(row, "over_bound") < 1.4, row
-    assert one(rows, window_px=21, tracker="fingerflow, cubic")["wrong"] == 0
+    assert one(rows, window_px=21, tracker="fingerflow")["wrong"] == 0
     speed_against_error.draw(rows, tmp_path / "figure.png")
     pixels = plt.imread(tmp_path / "figure.png")
     assert pixels.shape[0] > 600

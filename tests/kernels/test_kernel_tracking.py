@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
-from fingerflow.ops import tracking
+from fingerflow.ops import templates
+from fingerflow.ops.following import follow_templates
+from fingerflow.ops.templates import prepare_templates
 from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture
 
@@ -53,7 +55,8 @@ def same(found: Tracks, expected: Tracks) -> None:
     assert torch.equal(found.status == TrackStatus.TRACKED, tracked)
     assert (found.points[tracked] - expected.points[tracked]).abs().max() < TOLERANCE_PX
     assert (found.error[tracked] - expected.error[tracked]).abs().max() < TOLERANCE_PX
-    torch.testing.assert_close(found.covariance[tracked], expected.covariance[tracked], rtol=5e-3, atol=1e-9)
+    # The residual is a difference of sums of squares, a hundredth of them and less: float32 leaves some percent of it.
+    torch.testing.assert_close(found.covariance[tracked], expected.covariance[tracked], rtol=2e-2, atol=2e-6)
     assert found.points[~tracked].isnan().all()
     assert found.covariance[~tracked].isnan().all()
 
@@ -78,7 +81,7 @@ def test_same_tracks(window: int, gain_offset: bool, instruction_set: int) -> No
 
 def test_it_serves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise every test here would compare the portable form with itself."""
-    monkeypatch.setattr(tracking, "find_templates", None)
+    monkeypatch.setattr(templates, "_look", None)
     track_points(skin((0, 0)), skin((0.6, -0.3)), starts())
 
 
@@ -238,23 +241,74 @@ def test_what_needs_a_derivative_is_portable() -> None:
     assert image.grad.abs().sum() > 0
 
 
+def test_followed_in_one_call_as_one_after_the_other() -> None:
+    """Eight frames in which a point speeds up, and one that cannot be seen in three of them."""
+    frames = torch.cat([skin((0.05 * k * k, -0.1 * k), seed=k) for k in range(9)])
+    frames[4:7, :, 60:110, 90:150] = 128
+    points = starts()
+    kept = prepare_templates(frames[:1], points)
+    begin = {"place": points, "speed": torch.zeros_like(points), "rounds": 3}
+    found = follow_templates(kept, frames[1:], **begin)  # type: ignore[arg-type]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "serve", lambda *_: False)
+        portably = prepare_templates(frames[:1], points)
+        expected = follow_templates(portably, frames[1:], **begin)  # type: ignore[arg-type]
+    same(Tracks(*found.found[:4]), Tracks(*expected.found[:4]))
+    assert (expected.found.status[4] != TrackStatus.TRACKED).any()
+    assert (expected.found.status[7] == TrackStatus.TRACKED).float().mean() > 0.9
+    torch.testing.assert_close(found.place, expected.place, atol=2e-4, rtol=0)
+    torch.testing.assert_close(found.speed, expected.speed, atol=2e-4, rtol=0)
+    torch.testing.assert_close(found.found.estimate, expected.found.estimate, atol=2e-4, rtol=0)
+
+
+def test_templates_of_either_form() -> None:
+    image, points = skin((0, 0)), starts(count=20)
+    points[0, 3] = torch.nan
+    warp = torch.tensor([[1.05, 0.02], [-0.03, 0.97]]).expand(1, 20, 2, 2)
+    for deformation in (None, warp):
+        for free in (False, True):
+            found = prepare_templates(image, points, 15, deformation, gain_offset=free)
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(kernels, "serve", lambda *_: False)
+                expected = prepare_templates(image, points, 15, deformation, gain_offset=free)
+            known = [k for k in range(20) if k != 3]
+            for one, other in zip(found[1:4], expected[1:4], strict=True):
+                scale = other[:, known].abs().amax((0, 1))
+                assert ((one - other)[:, known].abs() <= 2e-4 * scale + 0.02).all()
+            assert found.start[0, 3].isnan().all()
+
+
 def test_wrong_shapes_are_named() -> None:
-    image, points = torch.zeros(1, 1, 40, 40), torch.zeros(3, 2)
-    index, noise = torch.zeros(3, dtype=torch.int64), torch.zeros(3)
-    settings = {
-        "window": 9,
-        "gain_offset": False,
-        "rounding": 0.0,
-        "forward_backward_limit": 1.0,
-        "mismatch_limit": 0.1,
-    }
-    for change, message in (
-        ((image.double(), image, index, noise, points), "float64"),
-        ((image, image[..., :30], index, noise, points), "images"),
-        ((image, image, index + 1, noise, points), "image_index"),
-        ((image, image, index, noise[:2], points), "noise"),
-        ((image, image, index, noise, points[:, :1]), "start"),
+    image, points, variance = torch.zeros(1, 1, 40, 40), torch.zeros(1, 3, 2), torch.zeros(1)
+    for arguments, message in (
+        ((image.double(), points, None, variance, 9), "float64"),
+        ((image, points[..., :1], None, variance, 9), "points"),
+        ((image, points, torch.zeros(1, 3, 2), variance, 9), "inverse_warp"),
+        ((image, points, None, torch.zeros(2), 9), "variance"),
+        ((image, points, None, variance, 8), "window"),
+        ((image[..., :3], points, None, variance, 9), "frames"),
     ):
-        first, second, of_point, deviation, begin = change
         with pytest.raises((TypeError, ValueError), match=message):
-            kernels.track_points((first, second), of_point, deviation, begin, begin, None, None, **settings)  # type: ignore[arg-type]
+            kernels.prepare_templates(*arguments, gain_offset=True, rounding=0.0)  # type: ignore[arg-type]
+    kept = kernels.prepare_templates(image, points, None, variance, 9, True, 0.0)
+    for change, message in (
+        ({"frames": image.double()}, "float64"),
+        ({"place": points[:, :2]}, "start"),
+        ({"speed": points[:, :2]}, "speed"),
+        ({"variance": torch.zeros(3)}, "variance"),
+        ({"templates": (kept[0], kept[1][..., :80], *kept[2:])}, "samples|window"),
+        ({"frames": torch.zeros(3, 1, 40, 40), "place": points.expand(2, -1, -1)}, "recordings"),
+    ):
+        given: dict[str, Any] = {
+            "templates": kept,
+            "frames": image,
+            "place": points,
+            "speed": None,
+            "variance": None,
+            "rounds": 1,
+            "rounding": 0.0,
+            "forward_backward_limit": 1.0,
+            "mismatch_limit": 0.1,
+        }
+        with pytest.raises((TypeError, ValueError), match=message):
+            kernels.find_templates(**{**given, **change})
