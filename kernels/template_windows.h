@@ -67,6 +67,13 @@ inline void cut_around(const Frames& frames, std::int64_t image, Vector center, 
     const auto first = static_cast<float>(before);
     const Rectangle where{pixel_of(center.x - first, frames.width, side), pixel_of(center.y - first, frames.height, side), side, side};
     const auto from = [&](const auto* data) { cut_patch(data + image * frames.frame_stride, frames, where, level, lines, to, stride); };
+    if (frames.kind == kFloat32) {
+        cut_patch(static_cast<const float*>(frames.data) + image * frames.frame_stride, frames, where, level, lines, to, stride);
+        // What lies behind a row is read too, times zero: it must be a number.
+        for (int r = 0; r < side; ++r)
+            for (int c = side; c < stride; ++c) to[r * stride + c] = 0.0f;
+        return;
+    }
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
 }
 

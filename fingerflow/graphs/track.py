@@ -5,9 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.following import Followed, follow_templates
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.templates import Templates
+from fingerflow.ops.templates import Found, Templates, find_templates
 from fingerflow.ops.tracking_limits import Number
 
 WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
@@ -41,30 +40,22 @@ class DeformationGraph(nn.Module):
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
         identity = torch.eye(2, dtype=found.dtype, device=found.device)
         warp = identity + gradient.nan_to_num(0.0, 0.0, 0.0)
-        unknown = warp @ inverse_warp - identity
-        leaning = (lean @ unknown.flatten(-2)[..., None]).squeeze(-1)
+        unknown = multiplied(warp, inverse_warp) - identity
+        leaning = (lean * unknown.flatten(-2)[..., None, :]).sum(-1)
         bulge = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self.window**2 - 1) / 24)
         return Deformed(found - leaning - bulge, warp)
 
 
 class TrackGraph(nn.Module):
-    """Templates followed through frames; settings as in `ops.follow_templates`."""
+    """Templates of a key frame found in a frame; settings as in `ops.find_templates`."""
 
-    def __init__(self, rounds: int = 1, forward_backward_limit: float = 1.0) -> None:
+    def __init__(self, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
-        self.rounds = rounds
         self.forward_backward_limit = forward_backward_limit
 
-    def forward(self, templates: Templates, frames: Tensor, place: Tensor, speed: Tensor) -> Followed:
-        """Templates of (1, N) points, (K, 1, H, W) frames, (1, N, 2) px and px a frame."""
-        return follow_templates(
-            templates,
-            frames,
-            place,
-            speed,
-            rounds=self.rounds,
-            forward_backward_limit=self.forward_backward_limit,
-        )
+    def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
+        """Templates of (B, N) points, (B, 1, H, W) view, (B, N, 2) px."""
+        return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
 
 
 def lean_of(templates: Templates) -> Tensor:
@@ -80,3 +71,8 @@ def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Template
             for old, new in zip(templates, renewed, strict=True)
         ]  # type: ignore[arg-type]
     )
+
+
+def multiplied(a: Tensor, b: Tensor) -> Tensor:
+    """Products of matrices (..., 2, 2), broadcast: a batched product of small ones takes ten times as long."""
+    return a[..., :1] * b[..., :1, :] + a[..., 1:] * b[..., 1:, :]

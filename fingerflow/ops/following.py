@@ -1,5 +1,6 @@
 """Templates followed from frame to frame, each frame expected where the speed of its points leads."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -7,7 +8,7 @@ from torch import Tensor
 
 from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
-from fingerflow.ops.templates import Found, Templates, find_templates
+from fingerflow.ops.templates import Found, Templates, further_rounds
 from fingerflow.ops.tracking_limits import TrackStatus
 
 
@@ -25,6 +26,7 @@ class Followed(NamedTuple):
 
 
 def follow_templates(
+    find: Callable[[Templates, Tensor, Tensor], Found],
     templates: Templates,
     frames: Tensor,
     place: Tensor,
@@ -41,34 +43,26 @@ def follow_templates(
     where its speed leads, for some four frames.
 
     Args:
+        find: `find_templates` with these limits, or what does the same, of templates, image and predictions; it is not
+            called for templates that the compiled twin has prepared, which does all in one call.
         frames: (K, 1, H, W).
         place, speed: (1, N, 2) px, px a frame, in the frame before the first.
         rounds, forward_backward_limit, mismatch_limit: as for `find_templates`.
     """
     if templates.pixels is None:
-        followed = kernels.find_templates(
-            templates[:4],
-            frames,
-            place,
-            speed,
-            None,
-            rounds,
-            0.0 if frames.is_floating_point() else 1 / 12,
-            forward_backward_limit,
-            mismatch_limit,
-        )
+        rounding = 0.0 if frames.is_floating_point() else 1 / 12
+        settings = (rounds, rounding, forward_backward_limit, mismatch_limit)
+        followed = kernels.find_templates(templates[:4], frames, place, speed, None, *settings)
         return Followed(Found(*[one[:, 0] for one in followed[:5]]), followed.place, followed.speed)
     every = []
     seen = torch.ones_like(place[..., :1], dtype=torch.bool)
     for frame in frames.split(1):
-        found = find_templates(
-            templates,
-            frame,
-            place + speed,
-            rounds=rounds,
-            forward_backward_limit=forward_backward_limit,
-            mismatch_limit=mismatch_limit,
-        )
+
+        def look(some: Templates, near: Tensor, frame: Tensor = frame) -> Found:
+            return find(some, frame, near)
+
+        guess = place + speed
+        found = further_rounds(look, templates, look(templates, guess), guess, rounds)
         every.append(found)
         place, speed, seen = expected(place, speed, seen, found)
     return Followed(Found(*[torch.cat(one) for one in zip(*every, strict=True)]), place, speed)

@@ -15,6 +15,7 @@ taken without its parts along a constant and along T: then the equation holds wh
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -197,17 +198,52 @@ def find_templates(
         followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
     found = _look(templates, current, guess, variance, *settings)
+    if rounds == 1:
+        return found
+    return further_rounds(
+        lambda some, near: _look(some, current, near, variance, *settings), templates, found, guess, rounds
+    )
+
+
+def further_rounds(
+    look: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, prediction: Tensor, rounds: int
+) -> Found:
+    """Looks again, up to ``rounds`` times in all, for points (B, N, 2) that lie further from their predictions than a
+    look reaches, each time where the look before has led. Depends on data: it does not export."""
+    guess = prediction
     for _ in range(rounds - 1):
         lost = (found.status == TrackStatus.NOT_CONVERGED) & _went_beyond(guess, found.estimate)
         if not lost.any():
             break
         guess = torch.where(lost[..., None], found.estimate, guess)
-        chosen = lost.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, : int(lost.sum(1).max())]
-        again = _look(
-            templates.of(chosen), current, guess.gather(1, chosen[..., None].expand(-1, -1, 2)), variance, *settings
-        )
-        found = Found(*[_replaced(whole, part, chosen, lost) for whole, part in zip(found, again, strict=True)])
+        chosen = first_of(lost, exactly=templates.pixels is None)
+        again = look(templates.of(chosen), guess.gather(1, chosen[..., None].expand(-1, -1, 2)))
+        found = replaced(found, again, chosen, lost)
     return found
+
+
+def first_of(wanted: Tensor, exactly: bool) -> Tensor:
+    """Numbers (B, L) of points with those that are wanted (B, N) bool first, and not many more.
+
+    Args:
+        exactly: as few as hold all that are wanted; else L is a quarter of N, or N, so that what is exported for it
+            knows few sizes.
+    """
+    count, most = wanted.shape[1], int(wanted.sum(1).max())
+    quarter = max(1, count // 4)
+    size = most if exactly else quarter if most <= quarter else count
+    return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
+
+
+def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
+    """``found`` of (B, N) points with what was found ``again`` of the chosen (B, L), where that is wanted (B, N)."""
+
+    def one(whole: Tensor, part: Tensor) -> Tensor:
+        extra = [1] * (whole.ndim - 2)
+        index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
+        return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
+
+    return Found(*[one(whole, part) for whole, part in zip(found, again, strict=True)])
 
 
 def check_window(image: Tensor, points: Tensor, window: int) -> None:
@@ -494,10 +530,3 @@ def _length(vectors: Tensor) -> Tensor:
 def _went_beyond(guess: Tensor, estimate: Tensor) -> Tensor:
     """(B, N) whether the look has led out of its reach."""
     return ((estimate - guess.round()).abs() >= limits.REACH).any(-1)
-
-
-def _replaced(whole: Tensor, part: Tensor, chosen: Tensor, lost: Tensor) -> Tensor:
-    """``whole`` (B, N, ...) with the parts (B, L, ...) of the chosen points, where they are lost."""
-    extra = [1] * (whole.ndim - 2)
-    index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
-    return torch.where(lost.reshape(*lost.shape, *extra), whole.scatter(1, index, part), whole)

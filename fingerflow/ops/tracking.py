@@ -1,5 +1,7 @@
 """Tracking of points between two images by Lucas-Kanade: templates prepared in one, found in the other."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -15,8 +17,11 @@ from fingerflow.ops.templates import (
     Templates,
     check_window,
     find_templates,
+    first_of,
+    further_rounds,
     inverse_2x2,
     prepare_templates,
+    replaced,
 )
 from fingerflow.ops.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.windows import sample_windows
@@ -96,15 +101,16 @@ def track_points(
     if noise is None:
         noise = torch.maximum(*(estimate_noise(image) for image in plain))
 
+    find = partial(
+        find_templates, forward_backward_limit=forward_backward_limit, mismatch_limit=mismatch_limit, noise=noise
+    )
+
     def one_pass(deformation: Tensor | None, near: Tensor) -> Found:
         templates = prepare_templates(plain[0], start, window, deformation, gain_offset=gain_offset, noise=noise)
-        limits = {"forward_backward_limit": forward_backward_limit, "mismatch_limit": mismatch_limit}
-        found = find_templates(templates, plain[1], near, rounds=ROUNDS, noise=noise, **limits)
+        found = find(templates, plain[1], near, rounds=ROUNDS)
         if search == 0:
             return found
-        return search_lost(
-            plain[0], plain[1], templates, found, near, search, forward_backward_limit, mismatch_limit, noise
-        )
+        return search_lost(find, plain[0], plain[1], templates, found, near, search, forward_backward_limit)
 
     with torch.no_grad():
         found = one_pass(warp, guess)
@@ -118,6 +124,7 @@ def track_points(
 
 
 def search_lost(
+    find: Callable[[Templates, Tensor, Tensor], Found],
     key: Tensor,
     current: Tensor,
     templates: Templates,
@@ -125,40 +132,31 @@ def search_lost(
     guess: Tensor,
     radius: int,
     forward_backward_limit: float,
-    mismatch_limit: float,
-    noise: Tensor | None,
 ) -> Found:
     """The same points, those that were not found searched for within ``radius`` px of ``guess`` (B, N, 2).
 
     Searched for backward too, without knowing the way there: one that leads elsewhere by more than the limit, and the
     pixel that a search is good to, keeps the status FORWARD_BACKWARD.
+
+    Args:
+        find: `find_templates`, or what does the same, of templates, image and predictions.
     """
     lost = found.status >= TrackStatus.NOT_CONVERGED
     if not lost.any():
         return found
     image, point = lost.nonzero(as_tuple=True)
-    count = int(lost.sum(1).max())
     start, near = templates.start[image, point], guess.to(templates.start.dtype)[image, point]
     ahead = search_windows(key, current, image, start, near, templates.window, radius)
     back = search_windows(current, key, image, ahead, start, templates.window, radius)
-    chosen = lost.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :count]
     everywhere = torch.full_like(templates.start, torch.nan)
     everywhere[image, point] = ahead
-    again = find_templates(
-        templates.of(chosen),
-        current,
-        everywhere.gather(1, chosen[..., None].expand(-1, -1, 2)),
-        rounds=2,
-        forward_backward_limit=forward_backward_limit,
-        mismatch_limit=mismatch_limit,
-        noise=noise,
+    chosen = first_of(lost, exactly=templates.pixels is None)
+    near = everywhere.gather(1, chosen[..., None].expand(-1, -1, 2))
+    some = templates.of(chosen)
+    again = further_rounds(
+        lambda these, there: find(these, current, there), some, find(some, current, near), near, rounds=2
     )
-    whole = [one.clone() for one in found]
-    for old, new in zip(whole, again, strict=True):
-        index = chosen.reshape(*chosen.shape, *[1] * (new.ndim - 2)).expand_as(new)
-        kept = lost.reshape(*lost.shape, *[1] * (new.ndim - 2))
-        old.copy_(torch.where(kept, old.scatter(1, index, new), old))
-    result = Found(*whole)
+    result = replaced(found, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)
     elsewhere[image, point] = ~((back - start).square().sum(-1).sqrt() <= forward_backward_limit + _SEARCHED)
     wrong = elsewhere & (result.status == TrackStatus.TRACKED)

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs.track import DeformationGraph, TrackGraph, lean_of, merged
+from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.track import DeformationGraph, TrackGraph, lean_of, merged, multiplied
 from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.following import Followed, expected
+from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.templates import Found, Templates, inverse_2x2, prepare_templates
-from fingerflow.ops.tracking import MISMATCH_LIMIT, ROUNDS, search_lost
+from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
+from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.stages.inputs import Inputs
 
@@ -62,7 +63,8 @@ class TrackingStage:
         self._inputs = inputs
         self._view = view
         self._settings = inputs.scene.tracking
-        self._track = TrackGraph(ROUNDS, self._settings.forward_backward_limit_px)
+        self._keys = inputs.engine(KeyGraph(self._settings.window_px, self._settings.gain_offset))
+        self._track = inputs.engine(TrackGraph(self._settings.forward_backward_limit_px))
         self._deformation = DeformationGraph(self._settings.window_px)
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
         self._region = region
@@ -99,7 +101,7 @@ class TrackingStage:
         """Finds the points in the next images (n, 1, h, w); estimates are where points are or were last."""
         assert self._templates is not None
         before = self._place
-        followed = self._track(self._templates, images, self._place, self._speed)
+        followed = self._follow(self._templates, images, self._place, self._speed)
         if self._settings.search_px and (followed.found.status >= TrackStatus.NOT_CONVERGED).any():
             followed = self._search(images, followed)
         found, self._place, self._speed = followed
@@ -112,6 +114,12 @@ class TrackingStage:
             self._prepare(images[-1:], found.points)
         return found._replace(estimate=_last_seen(found.points, before))
 
+    def _follow(self, templates: Templates, images: Tensor, place: Tensor, speed: Tensor) -> Followed:
+        limit = self._settings.forward_backward_limit_px
+        return follow_templates(
+            self._track, templates, images, place, speed, rounds=ROUNDS, forward_backward_limit=limit
+        )
+
     def _search(self, images: Tensor, followed: Followed) -> Followed:
         """The points that get lost on the way, followed once more, one frame after the other, with a search."""
         assert self._templates is not None
@@ -120,13 +128,11 @@ class TrackingStage:
         templates = self._templates.of(chosen[None])
         place, speed = self._place[:, chosen], self._speed[:, chosen]
         seen = torch.ones_like(place[..., :1], dtype=torch.bool)
-        limits = (self._settings.forward_backward_limit_px, MISMATCH_LIMIT)
+        reach = (self._settings.search_px, self._settings.forward_backward_limit_px)
         every = []
         for image in images.split(1):
-            one = self._track(templates, image, place, speed).found
-            searched = search_lost(
-                self._key, image, templates, one, place + speed, self._settings.search_px, *limits, None
-            )
+            one = self._follow(templates, image, place, speed).found
+            searched = search_lost(self._track, self._key, image, templates, one, place + speed, *reach)
             every.append(searched)
             # What a search has found is no motion: it may have been a jolt.
             seen = seen & (one.status == TrackStatus.TRACKED)[..., None]
@@ -142,12 +148,13 @@ class TrackingStage:
         assert self._key is not None
         half = self._settings.window_px // 2
         identity = torch.eye(2, device=warp.device)
-        unknown = half * (warp @ self._inverse_warp - identity).flatten(-2).norm(dim=-1)
-        changed = (unknown[0] > RENEWAL_PX).nonzero().squeeze(1)
+        unknown = half * (multiplied(warp, self._inverse_warp) - identity).flatten(-2).norm(dim=-1)
+        much = unknown > RENEWAL_PX
+        changed = first_of(much, exactly=self._templates.pixels is None)[0]
         fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
         self._at_once = int(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE))
         self._warp = warp
-        if len(changed):
+        if much.any():
             known = warp[:, changed]
             renewed = self._templates_of(self._key, self._templates.start[:, changed], known)
             self._templates = merged(self._templates, renewed, changed)
@@ -194,10 +201,7 @@ class TrackingStage:
         self._templates = self._templates_of(self._key, points, None)
 
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
-        settings = self._settings
-        return prepare_templates(
-            key, points, settings.window_px, warp, gain_offset=settings.gain_offset, noise=self._noise
-        )
+        return self._keys(key, points, self._noise, warp)
 
     def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
         """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.

@@ -10,7 +10,7 @@ from torch import Tensor
 from fingerflow import kernels
 from fingerflow.ops import templates
 from fingerflow.ops.following import follow_templates
-from fingerflow.ops.templates import prepare_templates
+from fingerflow.ops.templates import find_templates, prepare_templates
 from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture
 
@@ -248,11 +248,11 @@ def test_followed_in_one_call_as_one_after_the_other() -> None:
     points = starts()
     kept = prepare_templates(frames[:1], points)
     begin = {"place": points, "speed": torch.zeros_like(points), "rounds": 3}
-    found = follow_templates(kept, frames[1:], **begin)  # type: ignore[arg-type]
+    found = follow_templates(find_templates, kept, frames[1:], **begin)  # type: ignore[arg-type]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kernels, "serve", lambda *_: False)
         portably = prepare_templates(frames[:1], points)
-        expected = follow_templates(portably, frames[1:], **begin)  # type: ignore[arg-type]
+        expected = follow_templates(find_templates, portably, frames[1:], **begin)  # type: ignore[arg-type]
     same(Tracks(*found.found[:4]), Tracks(*expected.found[:4]))
     assert (expected.found.status[4] != TrackStatus.TRACKED).any()
     assert (expected.found.status[7] == TrackStatus.TRACKED).float().mean() > 0.9
