@@ -260,7 +260,7 @@ PROVIDERS = {
 }
 _PLUGINS = {"openvino": "onnxruntime_ep_openvino"}  # providers that come as a package beside onnxruntime
 _ON_GPU = ("tensorrt", "cuda")  # those whose memory can be bound, so that states and held tensors stay there
-GRAPHS = ("frame", "fields", "detect", "key", "background")  # without which nothing can be played
+GRAPHS = ("frame", "fields", "detect", "key", "renew", "background")  # without which nothing can be played
 _MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 
 
@@ -860,6 +860,7 @@ _NEWEST = 0.5  # weight of the speed seen last
 _TRUSTED = 4  # frames that a speed is good for: after them a point waits for what comes
 
 
+_OF_TEMPLATES = ("stale", "warp")  # outputs of `frame` that say which templates to renew, and how
 LAG = 2  # frames: each begins from what the one before the last has found, whether or not a newer one has ended
 
 
@@ -898,15 +899,21 @@ class Stepper:
             self._sessions[_MEASURING] = self._open_measuring()
         states = [name for name in inputs["fields"] if f"next_{name}" in outputs["fields"]]
         results = {name: tensor for name, tensor in outputs["fields"].items() if name.removeprefix("next_") == name}
-        self.outputs = outputs["frame"] | results
+        self.outputs = {name: one for name, one in (outputs["frame"] | results).items() if name not in _OF_TEMPLATES}
         self.found = self.keyed = 0
-        self._of_scene: dict[str, Array] = {"topography_to_contact": scene.topography_to_contact}
+        self._of_scene: dict[str, Array] = {
+            "topography_to_contact": scene.topography_to_contact,
+            "mm_per_px": np.array([scene.mm_per_px]),
+        }
         self._mask = _region_mask(scene, (1, 1, self._bundle.height, self._bundle.width))
         if "prediction" not in inputs["frame"]:
             raise PlayerError(f"{engine.bundle.files['frame']}: has no input 'prediction'; use a bundle of fingerflow")
 
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
-        self._held = {name: self._room(tensor) for name, tensor in held.items()}
+        self._held = {name: np.zeros(tensor.shape, tensor.dtype) for name, tensor in held.items()}
+        self._held_values = {name: self._value(array) for name, array in self._held.items()}
+        self._renewed = inputs["renew"]["points"].shape[1]  # points in a call
+        self._key_view = np.empty(0)
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         self.parallel, self.lag = parallel, max(LAG, parallel)
         # What a frame writes is not written again while its motion is still asked for.
@@ -959,9 +966,31 @@ class Stepper:
 
     def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
-        self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
+        self._key_view = slot.views["topography_view"].copy()
+        straight = np.broadcast_to(np.eye(2), (*points.shape, 2))
+        self._run("key", {"topography_view": self._key_view, "points": points, "warp": straight})
         self._motions = [motion.without(points) for motion in self._motions]
         self.keyed = _count_known(points)
+
+    def renewed(self, outputs: Mapping[str, Array]) -> Renewal | None:
+        """The templates that a frame has found to be deformed by more than they know, prepared for its deformation."""
+        rows = np.flatnonzero(outputs["stale"][0])
+        found: list[dict[str, Array]] = []
+        for first in range(0, len(rows), self._renewed):
+            some = rows[first : first + self._renewed]
+            padded = np.pad(some, (0, self._renewed - len(some)), mode="edge")
+            given = {"points": self._held["template_start"][:, padded], "warp": outputs["warp"][:, padded]}
+            results = self._run("renew", {"topography_view": self._key_view, **given}, hold=False)
+            found.append({name: array[:, : len(some)] for name, array in results.items()})
+        if not found:
+            return None
+        return Renewal(rows, {name: np.concatenate([one[name] for one in found], axis=1) for name in found[0]})
+
+    def renew(self, renewal: Renewal) -> None:
+        """Uses them from now on; no frame may be under way."""
+        for name, array in renewal.templates.items():
+            self._held[name][:, renewal.rows] = array
+            self._push(name)
 
     def use(self, threshold: float) -> None:
         """Makes this the share of light lost above which a pixel touches."""
@@ -1012,6 +1041,21 @@ class Stepper:
     def _room(self, tensor: _Tensor) -> Any:
         return ort.OrtValue.ortvalue_from_shape_and_type(tensor.shape, tensor.dtype, self._engine.device)
 
+    def _value(self, array: Array) -> Any:
+        """The same memory where the provider computes in it, else a copy."""
+        if self._engine.device == "cpu":
+            return ort.OrtValue.ortvalue_from_numpy(array)
+        return ort.OrtValue.ortvalue_from_numpy(array, self._engine.device)
+
+    def _push(self, name: str) -> None:
+        """Gives `frame` what is held now."""
+        if self._engine.device != "cpu":
+            self._held_values[name].update_inplace(self._held[name])
+        if name in self._frame_inputs:
+            # Providers with memory of their own copy an input when it is bound, not when they run.
+            for each in self._bindings:
+                each.bind_ortvalue_input(name, self._held_values[name])
+
     def _open_measuring(self) -> ort.InferenceSession:
         if _MEASURING not in self._bundle.files:
             raise PlayerError(
@@ -1060,34 +1104,31 @@ class Stepper:
             binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
         return binding
 
-    def _run(self, graph: str, given: Mapping[str, Array]) -> dict[str, Array]:
-        """One of the graphs that run rarely; what it gives is held where `frame` takes it."""
+    def _run(self, graph: str, given: Mapping[str, Array], hold: bool = True) -> dict[str, Array]:
+        """One of the graphs that run rarely; what it gives is held where `frame` takes it, if it is to be."""
         session, path = self._sessions[graph], self._bundle.files[graph]
         inputs = self._tensors(graph, "get_inputs")
-        if unknown := sorted(set(inputs) - set(given) - set(self._held)):
+        known = {**self._held, **given}
+        if unknown := sorted(set(inputs) - set(known)):
             raise PlayerError(f"{path}: needs inputs {unknown} that this player does not give; use its bundle's")
-        binding = session.io_binding()
-        values = {}  # keeps the memory that is bound
-        for name, tensor in inputs.items():
-            if name in given:
-                values[name] = np.ascontiguousarray(given[name], tensor.dtype).reshape(tensor.shape)
-                binding.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(values[name]))
-            else:
-                binding.bind_ortvalue_input(name, self._held[name])
+        feed = {
+            name: np.ascontiguousarray(known[name], tensor.dtype).reshape(tensor.shape)
+            for name, tensor in inputs.items()
+        }
         names = [argument.name for argument in session.get_outputs()]
-        for name in names:
-            if name in self._held:
-                binding.bind_ortvalue_output(name, self._held[name])
-            else:
-                binding.bind_output(name)
-        session.run_with_iobinding(binding)
-        for name in names:
-            if name in self._frame_inputs and name in self._held:
-                # Providers with memory of their own copy an input when it is bound, not when they run.
-                for each in self._bindings:
-                    each.bind_ortvalue_input(name, self._held[name])
-        found = dict(zip(names, binding.get_outputs(), strict=True))
-        return {name: value.numpy() for name, value in found.items() if name not in self._held}
+        found = dict(zip(names, session.run(names, feed), strict=True))
+        if hold:
+            for name in self._held.keys() & found.keys():
+                self._held[name][...] = found.pop(name)
+                self._push(name)
+        return found
+
+
+class Renewal(NamedTuple):
+    """Rows of the templates, and what they become: arrays (1, rows, ...) by the names of what is held."""
+
+    rows: Array
+    templates: dict[str, Array]
 
 
 def _count_known(points: Array) -> int:
@@ -1423,6 +1464,7 @@ _HANGING = 2.0  # s that a stopped stream waits for its source before it is left
 _REKEY_SHARE = 0.8
 _REKEY = "rekey"  # why the key frame changes while its points stay
 _PAGE = "page"  # somebody asked for other points
+_RENEWAL_FRAMES = 8  # frames after which templates are looked at
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -1488,6 +1530,7 @@ class Player:
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: _Change | None = None
+        self._renewal: tuple[int, int, Renewal] | None = None  # frame that found it, key frames until then
         self._drawing = False  # a frame is on its way to the page
         self._last_trouble = ""
 
@@ -1697,13 +1740,20 @@ class Player:
             self._restart(index, slot, self._stepper.choose(slot), "start")
         if change is not None and index < change.after + self._stepper.lag:
             change = None
-        if change is None and threshold is None:
+        renewal = self._renewal
+        if renewal is not None and index < renewal[0] + self._stepper.lag:
+            renewal = None
+        if change is None and threshold is None and renewal is None:
             return True
         if not self._order.wait_for_all():  # they read what changes now
             return False
         if threshold is not None:
             self._stepper.use(threshold)
             self._search.used()
+        if renewal is not None:
+            if renewal[1] == self.restarts + self.keys:  # else there are new templates already
+                self._stepper.renew(renewal[2])
+            self._renewal = None
         if change is not None:
             if change.cause == _REKEY:
                 self._rekey(change.key, change.points)
@@ -1744,6 +1794,9 @@ class Player:
         self._fill(slot, outputs, place)
         if self._stepper.measures:
             self._learn_threshold(slot, index, float(outputs["real_area_px"][0]), self._stepper.measured(side))
+        if self._renewal is None and (index + 1) % _RENEWAL_FRAMES == 0:
+            renewal = self._stepper.renewed(outputs)
+            self._renewal = None if renewal is None else (index, self.restarts + self.keys, renewal)
         drawn = None
         if self._change is None and (cause := self._cause_to_change(slot, index)):
             self._change = _Change(index, slot, outputs["points"].copy(), cause)

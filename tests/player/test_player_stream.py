@@ -128,7 +128,9 @@ def test_results_do_not_depend_on_the_clock(
     generator = np.random.default_rng(5)
     found = FOUND + [10] * 20 + FOUND * 3
     moved = np.cumsum(generator.integers(-3, 4, len(found))).clip(-60, 60)
-    frames = np.stack([frame(f, 4 * i % 700, m) for i, (f, m) in enumerate(zip(found, moved.tolist(), strict=True))])
+    stale = generator.integers(0, 5, len(found)).tolist()
+    given = zip(found, moved.tolist(), stale, strict=True)
+    frames = np.stack([frame(one, 4 * i % 700, *others) for i, (one, *others) in enumerate(given)])
     np.save(stream.folder / "frames.npy", frames)
     source = ("--source", str(stream.folder / "frames.npy"))
     plain = stream.run(*source)
@@ -291,6 +293,25 @@ def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pyte
     np.testing.assert_array_equal(records["divergence"][:, 0], np.where(number < 17, number, number - 17))
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
     assert events == [("restart", 0, 10), ("key_frame", 7, 7), ("restart", 15, 10)]
+
+
+@pytest.mark.parametrize("parallel", ["1", "2"])
+def test_stale_templates_are_renewed(stream: Stream, parallel: str) -> None:
+    """Looked at after every eighth frame, in calls of four points; they count two frames later, and not after a new key
+    frame: the second is after frame 15, where 7 of 10 points are found for the fourth time."""
+    stale = {7: 6, 15: 3, 23: 1}
+    found = [10] * 12 + [7] * 20
+    frames = [frame(found=count, stale=stale.get(number, 0)) for number, count in enumerate(found)]
+    ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", parallel)
+    records, number = ended.results.records, np.arange(len(found))
+    assert [event["frame"] for event in ended.results.events if event["event"] == "key_frame"] == [15]
+    assert "stale" not in (records.dtype.names or ())
+    assert "warp" not in (records.dtype.names or ())
+    start = records["points"][0, :, 0]
+    moved = records["points"][..., 0] - start
+    np.testing.assert_array_equal(moved[:, 0], np.select([number < 9, number < 25], [0, 1], 2))
+    np.testing.assert_array_equal(moved[:, 5], np.where(number < 9, 0, 1))
+    np.testing.assert_array_equal(moved[:, 6], 0)
 
 
 def test_single_frames_change_nothing() -> None:

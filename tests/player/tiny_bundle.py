@@ -1,7 +1,8 @@
 """A bundle of graphs small enough to know by heart, with the inputs and outputs that the export writes.
 
 Pixel (0, 0) of the topography view says how many of the points are found: what is lost is told by the test; pixel
-(0, 1) says how far they have moved since the key frame. The other outputs are simple: `error` is the number that pixel
+(0, 1) says how far they have moved since the key frame, pixel (0, 2) how many templates are stale, each of which moves
+its point by a pixel in x when it is renewed. The other outputs are simple: `error` is the number that pixel
 (0, 0) had in the key frame, `expected` is x or y of the prediction, `divergence` counts frames since the restart (a
 state), areas are the pixels that lose more than the threshold of light. Where the scene gives none it is half of what
 the darkest pixel loses, and unknown while that is less than 0.2.
@@ -16,7 +17,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-HEIGHT, WIDTH, POINTS = 24, 32, 10
+HEIGHT, WIDTH, POINTS, RENEWED = 24, 32, 10, 4
 _OF_TYPE = {
     "float": TensorProto.FLOAT,
     "bool": TensorProto.BOOL,
@@ -68,11 +69,11 @@ threshold = 0.5
     return path
 
 
-def frame(found: int = POINTS, contact_px: int = 0, moved: int = 0) -> np.ndarray[Any, Any]:
+def frame(found: int = POINTS, contact_px: int = 0, moved: int = 0, stale: int = 0) -> np.ndarray[Any, Any]:
     """A frame in which so many points are found, moved by quarters of a pixel, and so many pixels touch."""
     picture = np.full((HEIGHT, 2 * WIDTH), 200, np.uint8)
     picture[:, :WIDTH] = 90
-    picture[0, 0], picture[0, 1] = found, 90 + moved
+    picture[0, 0], picture[0, 1], picture[0, 2] = found, 90 + moved, stale
     picture[:, WIDTH:].reshape(-1)[:0] = 0
     contact = np.full(HEIGHT * WIDTH, 200, np.uint8)
     contact[:contact_px] = 20
@@ -150,10 +151,10 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
             [
                 *corner,
                 helper.make_node("Identity", ["pixel"], ["template_pixel"]),
-                helper.make_node("Identity", ["points"], ["template_points"]),
+                helper.make_node("Identity", ["points"], ["template_start"]),
             ],
             {"topography_view": (pixel, view), "points": ("float", (1, POINTS, 2))},
-            {"template_pixel": ("float", (1, 1)), "template_points": ("float", (1, POINTS, 2))},
+            {"template_pixel": ("float", (1, 1)), "template_start": ("float", (1, POINTS, 2))},
             corner_constants,
         ),
         "frame": _model(
@@ -166,12 +167,17 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 helper.make_node("Sub", ["motion", "rest"], ["quarters"]),
                 helper.make_node("Mul", ["quarters", "quarter"], ["shift"]),
                 helper.make_node("Mul", ["prediction", "nothing"], ["known_ones"]),
-                helper.make_node("Add", ["template_points", "known_ones"], ["start"]),
+                helper.make_node("Add", ["template_start", "known_ones"], ["start"]),
                 helper.make_node("Add", ["start", "shift"], ["place"]),
                 helper.make_node("Where", ["seen2", "place", "nan3"], ["points"]),
                 helper.make_node("ReduceMin", ["prediction", "last"], ["expected"], keepdims=0),
+                helper.make_node("Slice", ["topography", "beside", "fourth", "axes"], ["stale4"]),
+                helper.make_node("Reshape", ["stale4", "flat"], ["stale_count"]),
+                helper.make_node("Less", ["names", "stale_count"], ["is_stale"]),
+                helper.make_node("Cast", ["is_stale"], ["stale"], to=TensorProto.UINT8),
+                helper.make_node("Identity", ["straight"], ["warp"]),
                 helper.make_node("Add", ["noughts", "template_pixel"], ["error"]),
-                helper.make_node("ReduceMax", ["template_points", "last"], ["started"], keepdims=0),
+                helper.make_node("ReduceMax", ["template_start", "last"], ["started"], keepdims=0),
                 helper.make_node("Cast", ["contact_view"], ["contact"], to=TensorProto.FLOAT),
                 helper.make_node("Mul", ["contact", "gain"], ["share"]),
                 helper.make_node("Sub", ["one", "share"], ["lost"]),
@@ -189,7 +195,7 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "limit": ("float", (1,)),
                 "gain": ("float", view),
                 "template_pixel": ("float", (1, 1)),
-                "template_points": ("float", (1, POINTS, 2)),
+                "template_start": ("float", (1, POINTS, 2)),
             },
             {
                 "real_area_px": ("float", (1,)),
@@ -200,6 +206,8 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "status": ("uint8", (1, POINTS)),
                 "expected": ("float", (1, POINTS)),
                 "touching": ("bool", view),
+                "stale": ("uint8", (1, POINTS)),
+                "warp": ("float", (1, POINTS, 2, 2)),
             },
             {
                 **corner_constants,
@@ -209,6 +217,9 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "nan3": np.full((1, 1, 1), np.nan, np.float32),
                 "second": np.array([0, 1]),
                 "third": np.array([1, 2]),
+                "beside": np.array([0, 2]),
+                "fourth": np.array([1, 3]),
+                "straight": np.broadcast_to(np.eye(2, dtype=np.float32), (1, POINTS, 2, 2)).copy(),
                 "flat3": np.array([1, 1, 1]),
                 "rest": np.full(1, 90, np.float32),
                 "quarter": np.full(1, 0.25, np.float32),
@@ -217,6 +228,16 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "one": np.ones(1, np.float32),
                 "middle": np.array([[WIDTH / 2, HEIGHT / 2, 1]], np.float32),
             },
+        ),
+        "renew": _model(
+            [
+                helper.make_node("Slice", ["warp", "nought", "one1", "row"], ["across"]),
+                helper.make_node("Squeeze", ["across", "row"], ["by"]),
+                helper.make_node("Add", ["points", "by"], ["template_start"]),
+            ],
+            {"points": ("float", (1, RENEWED, 2)), "warp": ("float", (1, RENEWED, 2, 2))},
+            {"template_start": ("float", (1, RENEWED, 2))},
+            {"nought": np.array([0]), "one1": np.array([1]), "row": np.array([2])},
         ),
         "fields": _model(
             [
