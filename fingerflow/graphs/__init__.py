@@ -2,6 +2,7 @@
 
 from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse, SkinFields, SkinFieldsGraph
+from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import TrackGraph
 
 __all__ = [
@@ -10,6 +11,8 @@ __all__ = [
     "Fields",
     "FieldsGraph",
     "GrossEllipse",
+    "Light",
+    "LightGraph",
     "SkinFields",
     "SkinFieldsGraph",
     "TrackGraph",

@@ -10,7 +10,9 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs import TrackGraph
+from fingerflow.ops.cells import covered
 from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.dense_region import cell_of
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tracking import Tracks, TrackStatus
@@ -75,9 +77,9 @@ class TrackingStage:
         self._warp: Tensor | None = None
         self.series: TrackSeries | None = None
 
-    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], gross: Tensor) -> NDArray[np.bool_]:
-        """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
-        (n, N)."""
+    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], excess: Tensor) -> NDArray[np.bool_]:
+        """Tracks through these frames, in the order given; says which points the gross contact (`Contact.excess`)
+        covers, (n, N)."""
         images = self._inputs.view(frames, self._view)
         steps, where = [], []
         for image, noise in zip(images.split(1), estimate_noise(images).split(1), strict=True):
@@ -90,7 +92,7 @@ class TrackingStage:
         self.series.deviation[indices] = variances.mean(-1).sqrt().cpu()
         self.series.error[indices] = tracks.error.cpu()
         self.series.status[indices] = tracks.status.cpu()
-        return self._inside(gross[:, 0], torch.cat(where)).cpu().numpy()
+        return self._inside(excess, torch.cat(where)).cpu().numpy()
 
     def _step(self, image: Tensor, noise: Tensor) -> Tracks:
         """Finds the points in the next image (1, 1, h, w), whose noise is (1,)."""
@@ -154,13 +156,7 @@ class TrackingStage:
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
         return found - laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self._graph.window**2 - 1) / 24)
 
-    def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
-        """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.
-
-        False beyond the mask or for NaN.
-        """
-        place = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).round()
-        size = place.new_tensor(masks.shape[:0:-1])
-        within = ((place >= 0) & (place < size)).all(-1)
-        column, row = torch.where(within[..., None], place, 0.0).long().unbind(-1)
-        return masks.flatten(1).gather(1, row * masks.shape[2] + column) & within
+    def _inside(self, excess: Tensor, points: Tensor) -> Tensor:
+        """Whether the gross contact (`Contact.excess`) covers points (n, P, 2) of the topographic view, (n, P)."""
+        x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
+        return covered(excess, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
