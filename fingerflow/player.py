@@ -2337,6 +2337,7 @@ def check_scene(scene: Scene, bundle: Bundle) -> None:
 _PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
     "contact.threshold": "reference_frame",
     "tracking.direction": "forward",
+    "tracking.search_px": 0,
     "tracking.template": "keyframe",
     "fields.strain": "green_lagrange",
 }
@@ -2345,20 +2346,11 @@ _PLAYED = {  # what a stream does, whatever a scene says, because later frames a
 def contradictions(scene: Scene, recipe: Mapping[str, Any]) -> list[str]:
     """One sentence for each setting of the scene that the recipe has decided otherwise."""
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
-    wrong = [
+    return [
         f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"
         for name, value in scene.asked.items()
         if name in decided and value != decided[name] and not (name == "contact.threshold" and scene.threshold)
     ]
-    if (gauge := scene.asked.get("fields.gauge_length_mm")) is not None:
-        # Of the topography view, in whose pixels the bundle has it.
-        size = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
-        if abs(recipe["fields"]["gauge_px"] * size / gauge - 1) > 0.01:
-            wrong.append(
-                f"fields.gauge_length_mm of the scene is {gauge!r}; the bundle plays with "
-                f"{recipe['fields']['gauge_px'] * size:.3g}, {recipe['fields']['gauge_px']:g} px"
-            )
-    return wrong
 
 
 @contextlib.contextmanager

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import fingerflow.stream
 import pytest
 import torch
 from torch import Tensor, nn
 
 import fingerflow.graphs
-import fingerflow.stream
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe

@@ -27,11 +27,10 @@ ARROWS: dict[str, set[str]] = {
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "whole_file"},
     "pipeline": {"export", "errors", "plan", "result", "scene", "stages"},
-    "stream": {"graphs", "ops"},
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
-    "export": {"errors", "graphs", "stream", "strict", "synthetic"},
+    "export": {"errors", "graphs", "strict", "synthetic"},
     "player": set(),
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below

@@ -25,7 +25,7 @@ width = {WIDTH}
 points = {POINTS}
 window_px = 21
 [fields]
-gauge_length_mm = 1.0
+gauge_length_mm = 1.6
 [export]
 graphs = ["background", "detect", "key", "renew", "frame", "fields"]
 """
@@ -36,7 +36,7 @@ threshold = 0.27
 points = {POINTS}
 window_px = 21
 [fields]
-gauge_length_mm = 1.0
+gauge_length_mm = 1.6
 """
 
 

@@ -52,11 +52,10 @@ CONTACT: list[dict[str, Any]] = [
     {"median_px": 1, "lattice_px": 8},
 ]
 TRACKING: list[dict[str, Any]] = [
+    {"points": 700, "window_px": 25},
     {"points": 700, "window_px": 21},
-    {"points": 700, "window_px": 21, "way_back": "step"},
-    {"points": 300, "window_px": 15, "way_back": "step"},
-    {"points": 300, "window_px": 11, "way_back": "step"},
-    {"points": 300, "window_px": 11, "way_back": "edges"},
+    {"points": 300, "window_px": 15},
+    {"points": 300, "window_px": 11},
 ]
 
 
@@ -99,7 +98,7 @@ def _row(graph: str, settings: dict[str, Any], nodes: int, cells: dict[str, floa
 
 
 def _recipe(**tables: dict[str, Any]) -> Recipe:
-    return Recipe.model_validate({"views": {"height": 512, "width": 640}, "fields": {"gauge_px": 58.0}, **tables})
+    return Recipe.model_validate({"views": {"height": 512, "width": 640}, **tables})
 
 
 def _inputs(scene: Press) -> dict[str, Tensor]:
@@ -130,6 +129,8 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     tensors = dict(known)
     tensors.update(zip(graphs["background"].outputs, _apply(graphs["background"], tensors), strict=True))
     if "points" in tensors:
+        count = tensors["points"].shape[1]
+        tensors |= {"warp": torch.eye(2).expand(1, count, 2, 2), "mm_per_px": torch.tensor([0.0325])}
         key = {**tensors, "topography_view": tensors["topography_before"]}
         tensors.update(zip(graphs["key"].outputs, _apply(graphs["key"], key), strict=True))
         tensors["prediction"] = tensors["points"]

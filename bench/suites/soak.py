@@ -20,9 +20,6 @@ touching = false
 [tracking]
 points = 50
 window_px = 15
-way_back = "step"
-[fields]
-gauge_px = 40.0
 """
 
 

@@ -6,36 +6,40 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.export.recipe import GraphName, Recipe
-from fingerflow.graphs.fields import SkinFieldsGraph
-from fingerflow.stream.background import Background, BackgroundStep
-from fingerflow.stream.contact import ContactStep
-from fingerflow.stream.detect import DetectStep
-from fingerflow.stream.frame import FrameResult, FrameStep, SinceOnsetResult, SinceOnsetStep
-from fingerflow.stream.key import KeyStep, Templates
-from fingerflow.stream.measured_contact import MeasuredContact, MeasuredContactStep
-from fingerflow.stream.track import StreamTracks, TrackStep
+from fingerflow.graphs import Contact, ContactGraph, KeyGraph, Light, LightGraph
+from fingerflow.graphs.detect import DetectGraph
+from fingerflow.graphs.frame import (
+    Followed,
+    FollowGraph,
+    FrameGraph,
+    FrameResult,
+    Held,
+    HeldGraph,
+    SinceOnset,
+    SinceOnsetGraph,
+)
 
-_TYPES = {"uint8": torch.uint8, "float16": torch.float16, "float32": torch.float32, "float64": torch.float64}
+_TYPES = {"float32": torch.float32, "float64": torch.float64}
+
+RENEWED = 64  # points whose templates `renew` prepares in a call
 
 #: Unit of every input and output; px are those of the views, counts those of the camera.
 UNITS = {
-    **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "limit", "template_values"), "counts"),
-    **dict.fromkeys(("template_level",), "counts"),
+    **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "light", "black"), "counts"),
     **dict.fromkeys(("points", "prediction", "reference", "next_reference"), "px"),
-    **dict.fromkeys(("template_start", "error", "deviation", "center", "semi_axes"), "px"),
-    **dict.fromkeys(("real_area_px", "gross_area_px", "covariance"), "px^2"),
-    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold"), "1"),
-    **dict.fromkeys(("mask", "touching", "valid", "status", "topography_to_contact"), "1"),
+    **dict.fromkeys(("error", "deviation", "center", "semi_axes", "template_start"), "px"),
+    **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
+    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
+    **dict.fromkeys(("mask", "touching", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"),
+    "stale": "1",
     **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
+    "mm_per_px": "mm/px",
     "angle": "rad",
-    "gain": "levels/count",
-    "offset": "levels",
     "response": "counts^2/px^2",
-    "template_noise": "counts^2",
-    "template_products": "px^2/counts^2, counts^2, counts^2/px^3, 1",
-    "template_gradients": "counts/px",
-    "template_pixels": "counts/px",
-    "template_table": "counts^2/px",
+    "template_samples": "counts, counts/px",
+    "template_table": "counts^2/px, counts^2",
+    "template_numbers": "see ops.tracking_limits.Number",
+    "template_pixels": "counts, counts/px",
 }
 
 
@@ -49,61 +53,76 @@ class Graph:
 
 
 class _Flat(nn.Module):
-    """A module whose last argument is `Templates`, with one argument a tensor, and some of its outputs."""
+    """A module whose last argument is `Held`, with one argument a tensor, and some of its outputs."""
 
-    def __init__(self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], templates: bool) -> None:
+    def __init__(self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], held: bool) -> None:
         super().__init__()
         self.module = module
         self.kept = [names.index(name) for name in kept]
-        self.plain = -len(Templates._fields) if templates else None
+        self.plain = -len(Held._fields) if held else None
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        arguments = tensors if self.plain is None else (*tensors[: self.plain], Templates(*tensors[self.plain :]))
+        arguments = tensors if self.plain is None else (*tensors[: self.plain], Held(*tensors[self.plain :]))
         results = self.module(*arguments)
         return tuple(results[place] for place in self.kept)
+
+
+_MEASURED = tuple(name for name in Contact._fields if name != "excess")
+
+
+class _Measured(nn.Module):
+    """Contact with the threshold measured in the frame itself, and that threshold."""
+
+    def __init__(self, graph: ContactGraph) -> None:
+        super().__init__()
+        self.graph = graph
+
+    def forward(self, contact_view: Tensor, light: Tensor, black: Tensor) -> tuple[Tensor, ...]:
+        threshold = self.graph.threshold(contact_view, light, black)
+        contact = self.graph(contact_view, light, black, 1 - threshold)._asdict()
+        return (*(contact[name] for name in _MEASURED), threshold)
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
     """The graphs that a recipe asks for, in the order in which they can run.
 
     Args:
-        precision: in place of the recipe's; a median carried by float32 or float64 follows it.
+        precision: in place of the recipe's.
     """
     kind = precision or _TYPES[recipe.export.precision]
     contact, tracking = recipe.contact, recipe.tracking
-    pixel = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
-    median_type = _TYPES[contact.median_type]
-    scatter = contact.count_by == "scatter"
-    known = ContactStep(contact.median_px, median_type, kind, contact.cell_px)
-    measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
-    table = (tracking.window_px, tracking.reach_px)
-    track = TrackStep(*table, tracking.way_back, tracking.forward_backward_limit_px, kind)
-    fields = SinceOnsetStep(SkinFieldsGraph(recipe.fields.gauge_px, kind))
-    border = tracking.window_px // 2 + tracking.reach_px + 3  # window and table of the key frame
-    detect = DetectStep(tracking.points, tracking.min_distance_px, border, kind)
-    templates = Templates._fields
+    touching = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.lattice_px)
+    follow = FollowGraph(tracking.window_px, tracking.forward_backward_limit_px)
+    key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset))
+    border = tracking.window_px // 2 + 3
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
+    of_key = ("topography_view", "points", "warp")
     described = {
-        "background": (BackgroundStep(pixel, kind), ("background", "dark", "threshold"), Background._fields),
-        "contact": (measured, ("contact_view", "gain", "offset", "valid"), MeasuredContact._fields),
-        "detect": (detect, ("topography_view", "mask"), ("points", "response")),
-        "key": (KeyStep(*table, kind), ("topography_view", "points"), templates),
-        "track": (track, ("topography_view", "prediction", *templates), StreamTracks._fields),
-        "fields": (
-            fields,
-            (
-                *("points", "covered", "reference", "reached", "topography_to_contact"),
-                *("center", "semi_axes", "angle"),
-            ),
-            SinceOnsetResult._fields,
+        "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
+        "contact": (_Measured(touching), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
+        "detect": (
+            DetectGraph(tracking.points, tracking.min_distance_px, border, kind),
+            ("topography_view", "mask"),
+            ("points", "response"),
         ),
+        "key": (key, of_key, Held._fields),
+        "renew": (key, of_key, Held._fields),
+        "track": (follow, ("topography_view", "prediction", *Held._fields), Followed._fields),
         "frame": (
-            FrameStep(known, track),
+            FrameGraph(touching, follow),
             (
                 *("contact_view", "topography_view", "topography_to_contact", "prediction"),
-                *("limit", "valid", *templates),
+                *(*Light._fields, *Held._fields),
             ),
             FrameResult._fields,
+        ),
+        "fields": (
+            SinceOnsetGraph(recipe.fields.gauge_length_mm),
+            (
+                *("points", "covered", "reference", "reached", "topography_to_contact", "mm_per_px"),
+                *("center", "semi_axes", "angle"),
+            ),
+            SinceOnset._fields,
         ),
     }
     return {

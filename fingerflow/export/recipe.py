@@ -7,11 +7,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
-from fingerflow.stream.track import WayBack
 from fingerflow.strict import Number, Odd, Switch, Whole
 
-GraphName = Literal["background", "contact", "detect", "key", "track", "fields", "frame"]
-GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "track", "fields", "frame")
+GraphName = Literal["background", "contact", "detect", "key", "renew", "track", "frame", "fields"]
+GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "renew", "track", "frame", "fields")
 _LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
 
 
@@ -29,31 +28,29 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """[contact]: median, the type that carries it, and how the threshold is measured (`MeasuredContactStep`)."""
+    """[contact]: as in a scene, and what `ContactGraph` may leave out."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
-    median_type: Literal["uint8", "float32", "float16"] = "uint8"
+    gross_radius_px: Annotated[Whole, Field(ge=1, le=255)] = 8
     lattice_px: Annotated[Whole, Field(ge=1, le=16)] = 1
-    count_by: Literal["scatter", "product"] = "scatter"
-    cell_px: Literal[4, 8] = 4  # of the gross region
+    cell_px: Literal[4, 8] | None = None  # of the gross region
     touching: Switch = True  # whether `frame` gives the mask
 
 
 class TrackingRecipe(_Table):
-    """[tracking]: points, window and table (`TrackStep`), distance of corners (`DetectStep`)."""
+    """[tracking]: as in a scene."""
 
     points: Annotated[Whole, Field(ge=3, le=5000)] = 700
-    window_px: Annotated[Odd, Field(ge=5, le=41)] = 21
-    reach_px: Annotated[Whole, Field(ge=1, le=4)] = 1
-    way_back: WayBack = "table"
+    window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
+    min_distance_px: Annotated[Number, Field(ge=1, le=50)] = 6.0
     forward_backward_limit_px: Annotated[Number, Field(gt=0)] = 1.0
-    min_distance_px: Annotated[Whole, Field(ge=1, le=50)] = 3
+    gain_offset: Switch = True
 
 
 class FieldsRecipe(_Table):
-    """[fields]: diameter of the support of a local fit, px of the topography view."""
+    """[fields]: as in a scene."""
 
-    gauge_px: Annotated[Number, Field(gt=0)]
+    gauge_length_mm: Annotated[Number, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):
@@ -69,18 +66,11 @@ class Recipe(_Table):
     views: ViewRecipe
     contact: ContactRecipe = ContactRecipe()
     tracking: TrackingRecipe = TrackingRecipe()
-    fields: FieldsRecipe
+    fields: FieldsRecipe = FieldsRecipe()
     export: ExportRecipe = ExportRecipe()
 
     @model_validator(mode="after")
-    def _windows_fit(self) -> Self:
-        side = self.tracking.window_px + 2 * (self.tracking.reach_px + 2)
-        least = min(self.views.height, self.views.width)
-        if side > least:
-            raise ValueError(
-                f"a window of {self.tracking.window_px} px with its table needs {side} px, and the views have "
-                f"{least}: choose a smaller tracking.window_px or tracking.reach_px"
-            )
+    def _points_have_room(self) -> Self:
         if self.tracking.points > (self.views.height * self.views.width) // 16:
             raise ValueError(
                 f"tracking.points is {self.tracking.points}: views of {self.views.height} x {self.views.width} px hold "

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.export.build import Graph
+from fingerflow.export.build import RENEWED, Graph
 from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.synthetic import Camera, Press
 
@@ -32,6 +32,7 @@ class _Pictures(NamedTuple):
     glass: Tensor
     dark: Tensor
     topography_to_contact: Tensor
+    mm_per_px: float
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
@@ -67,11 +68,11 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "points": points,
         "prediction": points,
         "reference": _reference(points, size),
-        "center": torch.tensor([[size[1] / 2, size[0] / 2]]).expand(batch, -1).contiguous(),
-        "semi_axes": (_BORDER / 2 * torch.tensor([[size[1], size[0]]])).expand(batch, -1).contiguous(),
-        "angle": torch.zeros(batch),
         "reached": (radius < _BORDER - 0.05).to(torch.uint8),
         "covered": (radius < _BORDER).to(torch.uint8),
+        "warp": _warp(points),
+        "mm_per_px": torch.tensor([pictures.mm_per_px]),
+        **dict(zip(("center", "semi_axes", "angle"), _ellipse(batch, size), strict=True)),
     }
     noise = view((torch.rand(size, generator=generator) * most).round())
     hard = {"blank": flat(0.5), "black": flat(0.0), "saturated": flat(2.0), "noise": noise}
@@ -89,7 +90,9 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tensor, ...]:
     """The inputs of a graph, by position; the key frame is a view of its own."""
-    source = {**known, "topography_view": known["key_view"]} if name in ("key", "detect") else known
+    source = {**known, "topography_view": known["key_view"]} if name in ("key", "renew", "detect") else known
+    if name == "renew":
+        source |= {one: source[one][:, :RENEWED] for one in ("points", "warp")}
     return tuple(source[one] for one in graph.inputs)
 
 
@@ -113,7 +116,13 @@ def _press(height: int, width: int, bit_depth: int) -> _Pictures:
     )
     matrix = torch.tensor(press.topography_to_contact, dtype=torch.float32)
     return _Pictures(
-        picture(_FRAME, "contact"), picture(_FRAME, "topography"), picture(_KEY, "topography"), glass, dark, matrix
+        picture(_FRAME, "contact"),
+        picture(_FRAME, "topography"),
+        picture(_KEY, "topography"),
+        glass,
+        dark,
+        matrix,
+        press.mm_per_px,
     )
 
 
@@ -129,6 +138,19 @@ def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
     arm = points - torch.tensor([size[1] / 2, size[0] / 2])
     moved = (_BORDER - radius) * (0.2 * arm + 0.05 * torch.stack((-arm[..., 1], arm[..., 0]), dim=-1))
     return torch.where(radius < _BORDER - 0.05, points - moved, torch.nan)
+
+
+def _warp(points: Tensor) -> Tensor:
+    """Deformation gradients (B, N, 2, 2) of some per cent, other ones from point to point."""
+    x, y = points[..., 0] / 40, points[..., 1] / 40
+    change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
+    return torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
+
+
+def _ellipse(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Centre, semi axes (B, 2) and angle (B,) of the contact for the fields, px."""
+    half = torch.tensor([size[1] / 2, size[0] / 2]).expand(batch, -1)
+    return half.contiguous(), (_BORDER * half).contiguous(), torch.full((batch,), 0.1)
 
 
 def _points(size: tuple[int, int], count: int) -> Tensor:

@@ -1,8 +1,9 @@
 """Torch modules made of ops: exactly what runs for a batch of frames, for any device, without hidden state."""
 
 from fingerflow.graphs.contact import Contact, ContactGraph
-from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse, SkinFields, SkinFieldsGraph
+from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import DeformationGraph, TrackGraph
 
 __all__ = [
@@ -13,7 +14,7 @@ __all__ = [
     "FieldsGraph",
     "GrossEllipse",
     "KeyGraph",
-    "SkinFields",
-    "SkinFieldsGraph",
+    "Light",
+    "LightGraph",
     "TrackGraph",
 ]

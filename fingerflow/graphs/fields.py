@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor, nn
 
 from fingerflow.ops.area_medians import area_medians
@@ -82,42 +81,3 @@ class FieldsGraph(nn.Module):
             median,
             median_std,
         )
-
-
-class SkinFields(NamedTuple):
-    """What `SkinFieldsGraph` gives of B frames: at N points, NaN where not known, and `median_divergence` (B,)."""
-
-    divergence: Tensor
-    curl: Tensor
-    strain: Tensor
-    median_divergence: Tensor
-
-
-class SkinFieldsGraph(nn.Module):
-    """`FieldsGraph` of points in pixels of the topographic view, with lengths in pixels of the contact view.
-
-    Args:
-        gauge_px: diameter of the support of a fit, px of the contact view.
-    """
-
-    def __init__(self, gauge_px: float, precision: torch.dtype = torch.float32) -> None:
-        super().__init__()
-        self.precision = precision
-        self.fields = FieldsGraph(gauge_px)
-
-    def forward(
-        self,
-        points: Tensor,
-        reference: Tensor,
-        topography_to_contact: Tensor,
-        center: Tensor,
-        semi_axes: Tensor,
-        angle: Tensor,
-    ) -> SkinFields:
-        """Positions (B, N, 2) now and at the onset of contact, px, NaN where there is none; transform (2, 3) to pixels
-        of the contact view, in which the ellipse of the gross contact is given."""
-        matrix = topography_to_contact.to(self.precision)
-        now, then = (one.to(self.precision) @ matrix[:, :2].T for one in (points, reference))
-        fields = self.fields(then + matrix[:, 2], now - then, None, GrossEllipse(center, semi_axes, angle))
-        assert fields.median is not None
-        return SkinFields(fields.divergence, fields.curl, fields.strain, fields.median[:, 0])

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.point_gradients import neighbour_gradients
 from fingerflow.ops.templates import Found, Templates, find_templates
 from fingerflow.ops.tracking_limits import Number
 
+RENEWAL_PX = 0.25  # that a deformation may shift the edge of a window before its template is prepared anew
 WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
 
 
@@ -35,8 +36,8 @@ class DeformationGraph(nn.Module):
 
     def forward(self, start: Tensor, found: Tensor, lean: Tensor, inverse_warp: Tensor) -> Deformed:
         """(1, N, 2) px in the key frame, (K, N, 2) px found, (1, N, 2, 4) and F_0^-1 (1, N, 2, 2) of the templates."""
-        gradient = local_gradients(start, found - start, gauge_length=WARP_GAUGE_PX).gradient
-        second = local_gradients(start, gradient.flatten(-2), gauge_length=WARP_GAUGE_PX).gradient
+        gradient = neighbour_gradients(start, found - start, WARP_GAUGE_PX)
+        second = neighbour_gradients(start, gradient.flatten(-2), WARP_GAUGE_PX)
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
         identity = torch.eye(2, dtype=found.dtype, device=found.device)
         warp = identity + gradient.nan_to_num(0.0, 0.0, 0.0)
@@ -56,6 +57,12 @@ class TrackGraph(nn.Module):
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
         """Templates of (B, N) points, (B, 1, H, W) view, (B, N, 2) px."""
         return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
+
+
+def unknown_shift(warp: Tensor, inverse_warp: Tensor, window: int) -> Tensor:
+    """(B, N) px by which the edge of a window has moved since its template was prepared, with F_0^-1, if F is now."""
+    change = (multiplied(warp, inverse_warp) - torch.eye(2, dtype=warp.dtype, device=warp.device)).flatten(-2)
+    return window // 2 * (change * change).sum(-1).sqrt()
 
 
 def lean_of(templates: Templates) -> Tensor:

@@ -38,3 +38,23 @@ def point_gradients(
     if planes is None:
         return gradient, None
     return gradient, gradient_covariance(fitted, places, planes, radius) + 0 * gradient[..., None, None]
+
+
+def neighbour_gradients(reference: Tensor, values: Tensor, gauge_length: float) -> Tensor:
+    """`local_gradients` of values (B, N, 2 M) at all given reference positions (1 or B, N, 2): (B, N, 2 M, 2).
+
+    Also where a point's own value is not known, from its neighbours. Forms as for `point_gradients`.
+    """
+    if kernels.serve(reference, values):
+        return local_gradients(reference, values, gauge_length=gauge_length).gradient
+    radius = gauge_length / 2
+    given = finite(sum_rows(reference.mT))
+    number = given.to(reference.dtype)
+    places = torch.where(given, reference.mT, 0.0)
+    origin = places.sum(2, keepdim=True) / number.sum(2, keepdim=True).clamp_min(1)
+    places = (places - origin) * number / radius
+    every = []
+    for pair in values.mT.split(2, dim=1):
+        fitted = fit_planes(places, pair, places, given & finite(sum_rows(pair)), radius)
+        every.append(torch.where(fitted.known & given, fitted.gradient, torch.nan))
+    return torch.cat(every, dim=1).mT.unflatten(2, (-1, 2))

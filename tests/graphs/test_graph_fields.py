@@ -5,7 +5,8 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
-from fingerflow.graphs import FieldsGraph, GrossEllipse, SkinFieldsGraph
+from fingerflow.graphs import FieldsGraph, GrossEllipse
+from fingerflow.graphs.frame import SinceOnsetGraph
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.strain_uncertainty import curl_deviation, divergence_deviation
@@ -86,7 +87,11 @@ def test_pixels_of_the_topographic_view_or_millimetres(monkeypatch: pytest.Monke
         place, moved, None, GrossEllipse(center * millimetres, axes * millimetres, angle)
     )
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    found = SkinFieldsGraph(GAUGE)(reference + displacement, reference, matrix, center, axes, angle)
+    touched = torch.ones(reference.shape[:2], dtype=torch.uint8)
+    glass = (matrix, torch.tensor([millimetres]))
+    found = SinceOnsetGraph(GAUGE * millimetres)(
+        reference + displacement, touched, reference, touched, *glass, center, axes, angle
+    )[2:]
     assert expected.median is not None
     for ours, theirs in zip(found, (*expected[:3], expected.median[:, 0]), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-4, equal_nan=True)

@@ -137,7 +137,11 @@ def test_the_frames_that_count(stream: Stream) -> None:
 
 def test_settings_that_the_bundle_has_decided_otherwise_are_said(stream: Stream) -> None:
     """In the log and in the results, one sentence each; what agrees is not."""
-    recipe = {"tracking": {"points": 10, "window_px": 21}, "contact": {"median_px": 3}, "fields": {"gauge_px": 8.0}}
+    recipe = {
+        "tracking": {"points": 10, "window_px": 21},
+        "contact": {"median_px": 3},
+        "fields": {"gauge_length_mm": 1.6},
+    }
     views = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": 8}}
     _rewritten(stream.bundle, recipe=views | recipe)
     text = stream.scene.read_text()
@@ -146,7 +150,7 @@ points = 700
 window_px = 21
 template = "previous"
 [fields]
-gauge_length_mm = 4.0
+gauge_length_mm = 1.6
 strain = "as_printed"
 """
     stream.scene.write_text(text + "median_px = 9\n" + scene_text)
@@ -166,7 +170,7 @@ strain = "as_printed"
     (stream.folder / "results").rename(stream.folder / "first")
     assert stream.run(*stream.frames([frame()])).results.header["warnings"] == [
         "contact.threshold of the scene is 'per_frame'; the bundle plays with 'reference_frame'",
-        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 4, 8 px",
+        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 1.6",
     ]
 
 

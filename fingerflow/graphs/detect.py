@@ -4,31 +4,32 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from fingerflow.stream.noise import noise_variance
+from fingerflow.ops.noise import estimate_noise
 
 _BOX = 5  # px, of the structure tensor: a corner must be local (as `stages.tracking` has it)
 _QUALITY = 0.01  # least share of the strongest response
 _NOISE = 12 / 64 * (1 + 18 / _BOX)  # response of pure noise of variance 1 that no window reaches (`ops.corners`)
 
 
-class DetectStep(nn.Module):
+class DetectGraph(nn.Module):
     """The strongest local maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994).
 
     `ops.detect_corners` takes the strongest first and drops what lies too near, one after the other. Here a corner is
-    the largest of a square around it: the same distance apart, in x or y, and fewer where corners crowd.
+    the largest of a square around it, of a side of that distance: half as far apart where they crowd, and as far on
+    average.
 
     Args:
         points: N, the number of corners.
-        min_distance_px: largest distance in x or y at which of two corners only the stronger is kept.
+        min_distance_px: side of that square.
         border_px: without corners, at each side.
     """
 
     def __init__(
-        self, points: int, min_distance_px: int = 3, border_px: int = 13, precision: torch.dtype = torch.float32
+        self, points: int, min_distance_px: float = 6.0, border_px: int = 13, precision: torch.dtype = torch.float32
     ) -> None:
         super().__init__()
         self.points = points
-        self.min_distance_px = min_distance_px
+        self.beside = max(1, round(min_distance_px / 2))
         self.border_px = border_px
         self.precision = precision
 
@@ -38,15 +39,14 @@ class DetectStep(nn.Module):
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
         response = _response(view)
-        noise = noise_variance(view).reshape(-1, 1, 1, 1)
+        noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
         if not topography_view.is_floating_point():
             noise = noise + 1 / 12  # of rounding
         edge = self.border_px
         inside = functional.pad(response[..., edge : height - edge, edge : width - edge], (edge,) * 4)
         inside = torch.where(mask, inside, 0.0)
         limit = torch.maximum(_QUALITY * inside.amax((2, 3), keepdim=True), _NOISE * noise)
-        side = 2 * self.min_distance_px + 1
-        largest = functional.max_pool2d(inside, side, 1, self.min_distance_px)
+        largest = functional.max_pool2d(inside, 2 * self.beside + 1, 1, self.beside)
         corner = torch.where((inside >= largest) & (inside > limit), inside, 0.0)
         strongest = corner.flatten(1).topk(self.points, dim=1)
         row = (strongest.indices // width).to(self.precision)

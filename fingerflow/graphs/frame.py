@@ -1,0 +1,189 @@
+"""Modules of a stream: what the key frame says of its points, one frame, and the fields that follow."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from fingerflow.graphs.contact import ContactGraph
+from fingerflow.graphs.fields import FieldsGraph, GrossEllipse
+from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph, lean_of, unknown_shift
+from fingerflow.ops.cells import covered
+from fingerflow.ops.templates import Templates, inverse_2x2
+
+
+class Held(NamedTuple):
+    """What a frame needs to know of the key frame: `Templates` of (B, N) points, and the inverse (B, N, 2, 2) of the
+    deformation with which they were prepared."""
+
+    template_start: Tensor
+    template_samples: Tensor
+    template_table: Tensor
+    template_numbers: Tensor
+    template_pixels: Tensor
+    template_inverse_warp: Tensor
+
+    def templates(self) -> Templates:
+        """Those of `ops.templates`."""
+        return Templates(*self[:5])
+
+
+class HeldGraph(nn.Module):
+    """`KeyGraph` with what else a frame needs; the noise is that of the view."""
+
+    def __init__(self, key: KeyGraph) -> None:
+        super().__init__()
+        self.key = key
+
+    def forward(self, topography_view: Tensor, points: Tensor, warp: Tensor) -> Held:
+        """(B, 1, H, W), (B, N, 2) px, NaN where there is none, and the deformation gradient (B, N, 2, 2) since."""
+        start, samples, table, numbers, pixels = self.key(topography_view, points, None, warp)
+        assert pixels is not None  # as exported
+        return Held(start, samples, table, numbers, pixels, inverse_2x2(warp.to(samples.dtype)))
+
+
+class Followed(NamedTuple):
+    """Positions `points` (B, N, 2) px of the topography view and their standard deviation a component (B, N) px, NaN
+    where lost; forward-backward `error` (B, N) px; `status` (B, N) uint8 (`TrackStatus`). `warp` (B, N, 2, 2) is the
+    deformation gradient since the key frame, and `stale` (B, N) uint8 says which templates are to be prepared anew with
+    it."""
+
+    points: Tensor
+    error: Tensor
+    deviation: Tensor
+    status: Tensor
+    warp: Tensor
+    stale: Tensor
+
+
+class FollowGraph(nn.Module):
+    """Points of a key frame in one frame, corrected for the deformation that their templates do not know."""
+
+    def __init__(self, window: int = 25, forward_backward_limit: float = 1.0) -> None:
+        super().__init__()
+        self.window = window
+        self.track = TrackGraph(forward_backward_limit)
+        self.deformation = DeformationGraph(window)
+
+    def forward(self, topography_view: Tensor, prediction: Tensor, held: Held) -> Followed:
+        """(B, 1, H, W), (B, N, 2) px, and what `HeldGraph` gave."""
+        templates, inverse_warp = held.templates(), held.template_inverse_warp
+        found = self.track(templates, topography_view, prediction)
+        deformed = self.deformation(templates.start, found.points, lean_of(templates), inverse_warp)
+        variance = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
+        stale = unknown_shift(deformed.warp, inverse_warp, self.window) > RENEWAL_PX
+        return Followed(
+            deformed.points, found.error, variance.sqrt(), found.status, deformed.warp, stale.to(torch.uint8)
+        )
+
+
+class FrameResult(NamedTuple):
+    """Contact (`graphs.Contact`) and points (`Followed`) of B frames. `covered` (B, N) uint8 says which points the
+    gross contact covers, those that are lost where they were expected."""
+
+    touching: Tensor
+    real_area_px: Tensor
+    gross_area_px: Tensor
+    center: Tensor
+    semi_axes: Tensor
+    angle: Tensor
+    light_gain: Tensor
+    points: Tensor
+    error: Tensor
+    deviation: Tensor
+    status: Tensor
+    warp: Tensor
+    stale: Tensor
+    covered: Tensor
+
+
+class FrameGraph(nn.Module):
+    """Contact and points of one frame: all that needs nothing of the frames before but predictions."""
+
+    def __init__(self, contact: ContactGraph, follow: FollowGraph) -> None:
+        super().__init__()
+        self.contact = contact
+        self.follow = follow
+
+    def forward(
+        self,
+        contact_view: Tensor,
+        topography_view: Tensor,
+        topography_to_contact: Tensor,
+        prediction: Tensor,
+        light: Tensor,
+        black: Tensor,
+        limit: Tensor,
+        held: Held,
+    ) -> FrameResult:
+        """Views (B, 1, H, W), transform (2, 3), prediction (B, N, 2) px of the topography view, `Light`, and what
+        `HeldGraph` gave."""
+        contact = self.contact(contact_view, light, black, limit)
+        followed = self.follow(topography_view, prediction, held)
+        place = torch.where((followed.status == 0)[..., None], followed.points, prediction)
+        matrix = topography_to_contact.to(place.dtype)
+        x, y = (place @ matrix[:, :2].T + matrix[:, 2]).unbind(-1)
+        touches = covered(contact.excess, x, y, self.contact.cell_px)
+        shown = {name: value for name, value in contact._asdict().items() if name in FrameResult._fields}
+        return FrameResult(**shown, **followed._asdict(), covered=touches.to(torch.uint8))
+
+
+class SinceOnset(NamedTuple):
+    """Fields of B frames since the onset of contact of each point, and what the next frame needs to know.
+
+    `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known;
+    `next_reached` (B, N) uint8, whether it ever did.
+    """
+
+    next_reference: Tensor
+    next_reached: Tensor
+    divergence: Tensor
+    curl: Tensor
+    strain: Tensor
+    median_divergence: Tensor
+
+
+class SinceOnsetGraph(nn.Module):
+    """Onset of contact of each point, and the fields that count from there, on the glass.
+
+    A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
+    """
+
+    def __init__(self, gauge_length_mm: float = 1.6) -> None:
+        super().__init__()
+        self.fields = FieldsGraph(gauge_length_mm)
+
+    def forward(
+        self,
+        points: Tensor,
+        covered: Tensor,
+        reference: Tensor,
+        reached: Tensor,
+        topography_to_contact: Tensor,
+        mm_per_px: Tensor,
+        center: Tensor,
+        semi_axes: Tensor,
+        angle: Tensor,
+    ) -> SinceOnset:
+        """Points, covered and the ellipse of the gross contact of `FrameGraph`; reference and reached as the frame
+        before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view."""
+        arriving = torch.minimum(covered, 1 - reached)
+        onset = torch.where(arriving[..., None] > 0, points, reference)
+        kind = points.dtype
+        scale = mm_per_px.to(kind)
+        turn = topography_to_contact[:, :2].to(kind) * scale
+        # Displacements by themselves: of two positions on the glass the digits would be lost.
+        moved, then = (points - onset) @ turn.T, onset @ turn.T
+        middle = (center.to(kind) - topography_to_contact[:, 2].to(kind)) * scale
+        ellipse = GrossEllipse(middle, semi_axes.to(kind) * scale, angle.to(kind))
+        fields = self.fields(then, moved, None, ellipse)
+        assert fields.median is not None
+        return SinceOnset(
+            onset,
+            torch.maximum(reached, covered),
+            fields.divergence,
+            fields.curl,
+            fields.strain,
+            fields.median[:, 0],
+        )
