@@ -13,7 +13,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import fingerflow.stream
 import pytest
 import torch
 from torch import Tensor, nn
@@ -22,7 +21,7 @@ import fingerflow.graphs
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe
-from fingerflow.graphs import ContactGraph, FieldsGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, LightGraph
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -55,11 +54,10 @@ def steps() -> dict[str, Step]:
 
     glass = images(torch.float32)
     found = {
-        "contact": step(ContactGraph(), images(), glass, glass, alone(torch.float64)),
-        "contact with its own threshold": step(ContactGraph(), images(), glass, glass),
-        "track": step(TrackGraph(11, gain_offset=True), images(), images(), points(2)),
-        "track with warps": step(TrackGraph(11), images(), images(), points(2), points(2), points(2, 2), alone()),
-        "fields": step(FieldsGraph(30.0), points(2), points(2), points()),
+        "light": step(LightGraph(), glass, glass, alone()),
+        "contact": step(ContactGraph(), images(), glass, glass, alone()),
+        "key": step(KeyGraph(11), images(), points(2), alone()),
+        "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
     }
     for recipe, path in RECIPES.items():
         found |= {f"{recipe} {name}": step for name, step in of_recipe(small(load_recipe(path)))}
@@ -80,6 +78,8 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "mask": images(torch.bool),
         "threshold": alone(),
         "topography_to_contact": lambda _: torch.zeros(2, 3),
+        "mm_per_px": lambda _: torch.ones(1),
+        "warp": points(2, 2),
         **dict.fromkeys(("points", "prediction", "reference"), points(2)),
         **dict.fromkeys(("covered", "reached"), lambda batch: torch.zeros(batch, POINTS, dtype=torch.uint8)),
     }
@@ -100,15 +100,10 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
 
 STEPS = steps()
 
-_COMPONENTS = "components are followed as far as they go"
-_FOUND = "points that leave the table are searched for one by one"
 _BROUGHT = "a constant is made in every call"
 #: What the modules do not meet yet, by step: the tests say when they do.
 WAITS = {
-    "contact": _COMPONENTS,
-    "contact with its own threshold": _COMPONENTS,
-    "track": _FOUND,
-    "track with warps": _FOUND,
+    "contact": _BROUGHT,
     **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("contact", "track", "frame")},
 }
 BROKEN = {name: reason for name, reason in WAITS.items() if reason != _BROUGHT}
@@ -145,7 +140,7 @@ def modules_in(package: ModuleType) -> set[type[nn.Module]]:
 
 def test_every_module_is_tried() -> None:
     tried = {type(part) for step in STEPS.values() for part in step.module.modules()}
-    wanted = modules_in(fingerflow.graphs) | modules_in(fingerflow.stream)
+    wanted = modules_in(fingerflow.graphs)
     assert wanted
     assert not {kind.__qualname__ for kind in wanted - tried}, "give these inputs in `steps`"
 
