@@ -32,8 +32,8 @@ def grid() -> Tensor:
 
 
 def test_a_template_that_does_not_know_the_deformation_leans_as_far_as_stated() -> None:
-    """Stretched by 2 %, the edge of a window of 25 px is off by a quarter of a pixel: less than a fifth of what leans is
-    left. At the corners of the cloud the fits are one-sided."""
+    """Stretched by 2 %, the edge of a window of 25 px is off by a quarter of a pixel: less than a fifth of what leans
+    is left. At the corners of the cloud the fits are one-sided."""
     deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
     points = grid()
     truth = ((points.double() - MIDDLE) @ deformation.T + MIDDLE).float()
