@@ -1,12 +1,15 @@
-"""The graphs on a graphics processor: eager and compiled, one frame or the frames of several recordings at once.
+"""The graphs on a graphics processor: eager, captured and compiled, one frame or the frames of several recordings.
 
 `contact` is `ContactGraph` on frames of a press in full contact, `tracking` is `TrackGraph` on 700 points of skin moved
 by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points; views of 512 x 640 px (a quarter of the side
-and 100 points with --quick). Frames stay on the device: a camera's cable and the disk are not in it. `compiled` is
-`torch.compile` with fixed shapes, compiled before it is timed. ms is a frame's share of a call, and time_to_peer is
-over the same frames on this machine's processor, by the same graphs and with the compiled kernels where they were
-built. `deviation` is the largest from the processor's result: of an area in px, of a position in px, of a divergence;
-NaN in one and not in the other counts as infinite.
+and 100 points with --quick). Frames stay on the device: a camera's cable and the disk are not in it. `captured` is the
+step in a CUDA graph, which the host starts by one call; `compiled` is `torch.compile` with fixed shapes, before it is
+timed. ms is a frame's share of a call, and time_to_peer is over the same frames on this machine's processor, by
+the same graphs and with the compiled kernels where they were built. `deviation` is the largest from the processor's
+result: of an area in px, of a position in px, of a divergence; NaN in one and not in the other counts as infinite.
+
+`launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
+a step that makes the host wait, `waits` says for what, and it cannot be captured. Without CUDA these are all rows.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +18,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from bench.rows import Row, Skipped
+from bench.launches import HostWait, count_launches
+from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
 from fingerflow.graphs import ContactGraph, FieldsGraph, TrackGraph
@@ -24,8 +28,37 @@ from fingerflow.synthetic import Press
 PEER = "processor"
 SHAPE, QUICK_SHAPE = (512, 640), (128, 160)
 
-WAYS: Mapping[str, Callable[[nn.Module], Callable[..., object]]] = {
+Call = Callable[..., object]
+
+
+def captured(graph: nn.Module) -> Call:
+    """The graph as one CUDA graph for the inputs of the first call, which are read again in every call."""
+    replay: list[Callable[[], object]] = []
+
+    def call(*inputs: Tensor) -> object:
+        if not replay:
+            ahead = torch.cuda.Stream()  # what is set up in a first call is not to be captured
+            with torch.cuda.stream(ahead):
+                for _ in range(3):
+                    graph(*inputs)
+            torch.cuda.current_stream().wait_stream(ahead)
+            recorded = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(recorded):
+                results = graph(*inputs)
+
+            def again() -> object:
+                recorded.replay()
+                return results
+
+            replay.append(again)
+        return replay[0]()
+
+    return call
+
+
+WAYS: Mapping[str, Callable[[nn.Module], Call]] = {
     "eager": lambda graph: graph,
+    "captured": captured,
     "compiled": lambda graph: torch.compile(graph, dynamic=False),
 }
 
@@ -40,11 +73,21 @@ class Work(NamedTuple):
 
 def run(quick: bool) -> list[Row]:
     """One row a work, way and number of recordings."""
-    if not torch.cuda.is_available():
-        built = "was built without CUDA" if torch.version.cuda is None else "finds no CUDA device here"
-        raise Skipped(f"torch {torch.__version__} {built}")
     shape, points, batches = (QUICK_SHAPE, 100, (1, 4)) if quick else (SHAPE, 700, (1, 8, 32))
+    if not torch.cuda.is_available():
+        return [
+            {"work": name, "recordings": batch, **_launches(work)}
+            for batch in batches
+            for name, work in _works(shape, points, batch).items()
+        ]
     return rows_on(torch.device("cuda"), shape, points, batches, WAYS, rounds=2 if quick else 9)
+
+
+def _launches(work: "Work") -> dict[str, int | str | None]:
+    try:
+        return {"launches": count_launches(work.graph, work.inputs).calls, "waits": None}
+    except HostWait as wait:
+        return {"launches": None, "waits": str(wait)}
 
 
 @torch.inference_mode()
@@ -53,7 +96,7 @@ def rows_on(
     shape: tuple[int, int],
     points: int,
     batches: Sequence[int],
-    ways: Mapping[str, Callable[[nn.Module], Callable[..., object]]],
+    ways: Mapping[str, Callable[[nn.Module], Call]],
     rounds: int,
 ) -> list[Row]:
     """The rows of any device."""
@@ -62,7 +105,12 @@ def rows_on(
         for name, work in _works(shape, points, batch).items():
             calls: dict[str, Callable[[], object]] = {PEER: _call(work.graph, work.inputs)}
             on_device = tuple(tensor.to(device) for tensor in work.inputs)
-            calls |= {way: _call(prepare(work.graph), on_device) for way, prepare in ways.items()}
+            launches = _launches(work)
+            calls |= {
+                way: _call(prepare(work.graph), on_device)
+                for way, prepare in ways.items()
+                if prepare is not captured or launches["waits"] is None
+            }
             times = time_in_turns(calls, PEER, rounds)
             expected = work.result(calls[PEER]())
             for way, call in calls.items():
@@ -71,6 +119,7 @@ def rows_on(
                         "work": name,
                         "recordings": batch,
                         "way": way,
+                        **launches,
                         **times[way].of_each(batch).cells(),
                         "deviation": _deviation(work.result(call()).cpu(), expected),
                     }
@@ -78,7 +127,7 @@ def rows_on(
     return rows
 
 
-def _call(graph: Callable[..., object], inputs: tuple[Tensor, ...]) -> Callable[[], object]:
+def _call(graph: Call, inputs: tuple[Tensor, ...]) -> Callable[[], object]:
     def call() -> object:
         result = graph(*inputs)
         if inputs[0].is_cuda:
