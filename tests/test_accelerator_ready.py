@@ -22,7 +22,7 @@ import fingerflow.stream
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe
-from fingerflow.graphs import ContactGraph, FieldsGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, TrackGraph
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -47,10 +47,14 @@ def alone(dtype: torch.dtype = torch.float32) -> Callable[[int], Tensor]:
     return lambda batch: torch.zeros(batch, dtype=dtype)
 
 
+def ellipse(batch: int) -> GrossEllipse:
+    return GrossEllipse(torch.zeros(batch, 2), torch.ones(batch, 2), torch.zeros(batch))
+
+
 def steps() -> dict[str, Step]:
     """All modules by name: of the graphs, and of the recipes that are shipped."""
 
-    def step(module: nn.Module, *inputs: Callable[[int], Tensor]) -> Step:
+    def step(module: nn.Module, *inputs: Callable[[int], Any]) -> Step:
         return Step(module, lambda batch: tuple(one(batch) for one in inputs))
 
     glass = images(torch.float32)
@@ -59,7 +63,8 @@ def steps() -> dict[str, Step]:
         "contact with its own threshold": step(ContactGraph(), images(), glass, glass),
         "track": step(TrackGraph(11, gain_offset=True), images(), images(), points(2)),
         "track with warps": step(TrackGraph(11), images(), images(), points(2), points(2), points(2, 2), alone()),
-        "fields": step(FieldsGraph(30.0), points(2), points(2), points()),
+        "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
+        "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
     }
     for recipe, path in RECIPES.items():
         found |= {f"{recipe} {name}": step for name, step in of_recipe(small(load_recipe(path)))}
@@ -81,6 +86,8 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         "threshold": alone(),
         "topography_to_contact": lambda _: torch.zeros(2, 3),
         **dict.fromkeys(("points", "prediction", "reference"), points(2)),
+        **dict.fromkeys(("center", "semi_axes"), lambda batch: torch.zeros(batch, 2)),
+        "angle": alone(),
         **dict.fromkeys(("covered", "reached"), lambda batch: torch.zeros(batch, POINTS, dtype=torch.uint8)),
     }
 
