@@ -4,9 +4,10 @@ from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.light import Light, LightGraph
-from fingerflow.graphs.track import DeformationGraph, TrackGraph
+from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph
 
 __all__ = [
+    "AgreementGraph",
     "Contact",
     "ContactGraph",
     "DeformationGraph",

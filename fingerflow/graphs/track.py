@@ -5,19 +5,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.point_gradients import neighbour_gradients
+from fingerflow.ops.outliers import Neighbours, find_outliers
+from fingerflow.ops.point_gradients import neighbour_planes
 from fingerflow.ops.templates import Found, Templates, find_templates
-from fingerflow.ops.tracking_limits import Number
+from fingerflow.ops.tracking_limits import Number, TrackStatus
 
 RENEWAL_PX = 0.25  # that a deformation may shift the edge of a window before its template is prepared anew
 WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
 
 
 class Deformed(NamedTuple):
-    """Positions (K, N, 2) px corrected for the deformation of their templates, and that deformation (K, N, 2, 2)."""
+    """Positions (K, N, 2) px corrected for the deformation of their templates, that deformation (K, N, 2, 2), and where
+    the neighbours of a point expect it (K, N, 2) px, NaN where too few are known."""
 
     points: Tensor
     warp: Tensor
+    expected: Tensor
 
 
 class DeformationGraph(nn.Module):
@@ -36,15 +39,39 @@ class DeformationGraph(nn.Module):
 
     def forward(self, start: Tensor, found: Tensor, lean: Tensor, inverse_warp: Tensor) -> Deformed:
         """(1, N, 2) px in the key frame, (K, N, 2) px found, (1, N, 2, 4) and F_0^-1 (1, N, 2, 2) of the templates."""
-        gradient = neighbour_gradients(start, found - start, WARP_GAUGE_PX)
-        second = neighbour_gradients(start, gradient.flatten(-2), WARP_GAUGE_PX)
+        expected, gradient = neighbour_planes(start, found - start, WARP_GAUGE_PX)
+        _, second = neighbour_planes(start, gradient.flatten(-2), WARP_GAUGE_PX)
         laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
         identity = torch.eye(2, dtype=found.dtype, device=found.device)
         warp = identity + gradient.nan_to_num(0.0, 0.0, 0.0)
         unknown = multiplied(warp, inverse_warp) - identity
         leaning = (lean * unknown.flatten(-2)[..., None, :]).sum(-1)
         bulge = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self.window**2 - 1) / 24)
-        return Deformed(found - leaning - bulge, warp)
+        return Deformed(found - leaning - bulge, warp, start + expected)
+
+
+class AgreementGraph(nn.Module):
+    """Points that were found, but not where their neighbours say, or that are far more uncertain than they, marked."""
+
+    def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
+        """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
+        frames, (K, N, ...)."""
+        deviation = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+        outliers = find_outliers(neighbours, found.points - start, deviation)
+        status = found.status
+        for reason, applies in (
+            (TrackStatus.OFF_NEIGHBOURS, outliers.off_neighbours),
+            (TrackStatus.UNCERTAIN, outliers.uncertain),
+        ):
+            status = torch.where(applies & (found.status == TrackStatus.TRACKED), int(reason), status)
+        tracked = (status == TrackStatus.TRACKED)[..., None]
+        return Found(
+            torch.where(tracked, found.points, torch.nan),
+            found.error,
+            torch.where(tracked[..., None], found.covariance, torch.nan),
+            status,
+            found.estimate,
+        )
 
 
 class TrackGraph(nn.Module):

@@ -1,5 +1,7 @@
 """Gradients of the displacement at the points themselves, at fixed cost."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -40,13 +42,21 @@ def point_gradients(
     return gradient, gradient_covariance(fitted, places, planes, radius) + 0 * gradient[..., None, None]
 
 
-def neighbour_gradients(reference: Tensor, values: Tensor, gauge_length: float) -> Tensor:
-    """`local_gradients` of values (B, N, 2 M) at all given reference positions (1 or B, N, 2): (B, N, 2 M, 2).
+class NeighbourPlanes(NamedTuple):
+    """What their neighbours say of N points: values (B, N, C) there, and gradients (B, N, C, 2)."""
+
+    value: Tensor
+    gradient: Tensor
+
+
+def neighbour_planes(reference: Tensor, values: Tensor, gauge_length: float) -> NeighbourPlanes:
+    """`local_gradients` of values (B, N, C), C even, at all given reference positions (1 or B, N, 2).
 
     Also where a point's own value is not known, from its neighbours. Forms as for `point_gradients`.
     """
     if kernels.serve(reference, values):
-        return local_gradients(reference, values, gauge_length=gauge_length).gradient
+        fit = local_gradients(reference, values, gauge_length=gauge_length)
+        return NeighbourPlanes(fit.value, fit.gradient)
     radius = gauge_length / 2
     given = finite(sum_rows(reference.mT))
     number = given.to(reference.dtype)
@@ -56,5 +66,7 @@ def neighbour_gradients(reference: Tensor, values: Tensor, gauge_length: float) 
     every = []
     for pair in values.mT.split(2, dim=1):
         fitted = fit_planes(places, pair, places, given & finite(sum_rows(pair)), radius)
-        every.append(torch.where(fitted.known & given, fitted.gradient, torch.nan))
-    return torch.cat(every, dim=1).mT.unflatten(2, (-1, 2))
+        known = fitted.known & given
+        every.append([torch.where(known, one, torch.nan) for one in (fitted.value, fitted.gradient)])
+    value, gradient = (torch.cat(parts, dim=1).mT for parts in zip(*every, strict=True))
+    return NeighbourPlanes(value, gradient.unflatten(2, (-1, 2)))

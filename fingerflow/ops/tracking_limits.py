@@ -13,6 +13,8 @@ class TrackStatus(IntEnum):
     NOT_CONVERGED = 4  # no root of the normal equations near the prediction
     MISMATCH = 5  # what was found looks different from the template
     FORWARD_BACKWARD = 6  # tracking back does not return to the start
+    UNCERTAIN = 7  # its standard deviation is far above that of its neighbours
+    OFF_NEIGHBOURS = 8  # it was found, but not where any plane through its neighbours leads
 
 
 class Number(IntEnum):

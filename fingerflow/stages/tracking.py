@@ -1,6 +1,7 @@
 """Points of the skin through all frames of the topography view."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -10,12 +11,22 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs.key import KeyGraph
-from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph, lean_of, merged, unknown_shift
+from fingerflow.graphs.track import (
+    RENEWAL_PX,
+    WARP_GAUGE_PX,
+    AgreementGraph,
+    DeformationGraph,
+    TrackGraph,
+    lean_of,
+    merged,
+    unknown_shift,
+)
 from fingerflow.ops.cells import covered
 from fingerflow.ops.corners import detect_corners
 from fingerflow.ops.dense_region import cell_of
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import TrackStatus
@@ -33,6 +44,7 @@ GIVES = frozenset(
     }
 )
 _CORNER_PX = 5  # a corner must be local; averaged over a tracking window few are left apart
+_FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
 
 
@@ -66,6 +78,7 @@ class TrackingStage:
         self._settings = inputs.scene.tracking
         self._keys = inputs.engine(KeyGraph(self._settings.window_px, self._settings.gain_offset))
         self._track = inputs.engine(TrackGraph(self._settings.forward_backward_limit_px))
+        self._agreement = inputs.engine(AgreementGraph())
         self._deformation = inputs.engine(DeformationGraph(self._settings.window_px))
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
         self._region = region
@@ -74,6 +87,7 @@ class TrackingStage:
         self._templates: Templates | None = None
         self._place = self._speed = torch.empty(0)
         self._warp = self._inverse_warp = torch.empty(0)  # as the templates have it, (1, N, 2, 2)
+        self._neighbours: Neighbours | None = None
         self._at_once = 1  # frames
         self.series: TrackSeries | None = None
 
@@ -108,8 +122,16 @@ class TrackingStage:
         found, self._place, self._speed = followed
         if self._settings.template == "keyframe":
             start = self._templates.start
-            deformed = self._deformation(start, found.points, lean_of(self._templates), self._inverse_warp)
+            deform = partial(self._deformation, start, lean=lean_of(self._templates), inverse_warp=self._inverse_warp)
+            deformed = deform(found=found.points)
+            if _may_disagree(found, deformed.expected):
+                found = self._agreement(self._neighbours, start, found)
+                deformed = deform(found=found.points)
             found = found._replace(points=deformed.points)
+            # One that is lost, or elsewhere, is looked for where its neighbours are.
+            astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
+            self._place = torch.where(astray, deformed.expected[-1:], self._place)
+            self._speed = torch.where(astray, 0.0, self._speed)
             self._renew(deformed.warp[-1:], len(images))
         else:
             self._prepare(images[-1:], found.points)
@@ -190,6 +212,7 @@ class TrackingStage:
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
         self._warp = self._inverse_warp = torch.eye(2, device=image.device).expand(1, points.shape[1], 2, 2)
+        self._neighbours = find_neighbours(points, WARP_GAUGE_PX)
         self._prepare(image, points)
         exact = torch.zeros_like(points[..., 0])
         return Found(points, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8), points)
@@ -206,6 +229,15 @@ class TrackingStage:
         """Whether the gross contact (`Contact.excess`) covers points (n, P, 2) of the topographic view, (n, P)."""
         x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
         return covered(excess, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
+
+
+def _may_disagree(found: Found, expected: Tensor) -> bool:
+    """Whether any point is far enough from where its neighbours expect it, or uncertain enough, to be looked at: what
+    `find_outliers` marks is further off, and mostly there is nothing."""
+    off = (found.points - expected).square().sum(-1)
+    variance = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
+    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))
+    return bool(((off > _FAR**2 * usual) | (variance > _UNSURE**2 * usual_variance)).any())
 
 
 def _last_seen(points: Tensor, before: Tensor) -> Tensor:

@@ -97,17 +97,22 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             for (float element : {stretch, 0.1f, -0.05f, 0.9f}) warp.push_back(element);
             index.push_back(k % batch);
         }
+        // Of each image all points but those that its number does not divide.
+        const std::int64_t each = points / batch, all = each * batch;
         std::vector<std::uint8_t> status(points);
         for (int window : {5, 21, 33})
-            for (const float* deformation : {static_cast<const float*>(nullptr), static_cast<const float*>(warp.data())})
-                expect(fingerflow_track_points(&first, &second, height, width, index.data(), deviation.data(), start.data(), start.data(), nullptr, deformation, points, window, 1, 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), threads) == 0, "track");
+            for (const float* deformation : {static_cast<const float*>(nullptr), static_cast<const float*>(warp.data())}) {
+                std::vector<float> places = start, ends(start.begin(), start.begin() + 2 * all), speed(2 * all, 0.5f);
+                std::vector<float> samples(3 * all * window * window), table(75 * all), numbers(24 * all), estimate(2 * all);
+                places.resize(2 * all);
+                expect(fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), table.data(), numbers.data(), threads) == 0, "templates");
+                expect(fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), table.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads) == 0, "found");
+            }
         for (int reach : {0, 5})
             expect(fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads) == 0, "search");
     }
     if (height >= 3 && width >= 3) {
-        std::vector<float> coefficients(real.size());
         std::vector<double> means(static_cast<std::size_t>(batch));
-        expect(fingerflow_spline_coefficients(eight.data(), coefficients.data(), batch, height, width, frame, width, 0, threads) == 0, "spline");
         expect(fingerflow_mean_response(sixteen.data(), means.data(), batch, height, width, frame, width, 1, threads) == 0, "noise");
     }
 }
@@ -121,7 +126,7 @@ void try_medians(std::int64_t points, std::int64_t positions, int threads) {
         for (float number : {2.0f, 0.5f, 0.5f, 1.0f}) covariance.push_back(number);
     for (float middle : {200.0f, 2000.0f})
         for (float number : {middle, middle, 100.0f, 40.0f, 0.8f, 0.6f}) ellipses.push_back(number);
-    for (const float* own : {static_cast<const float*>(nullptr), covariance.data()}) {
+    for (const float* own : {static_cast<const float*>(nullptr), static_cast<const float*>(covariance.data())}) {
         const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
                                             medians.data(), own ? deviations.data() : nullptr, batch, 1, points, positions,
                                             0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4};

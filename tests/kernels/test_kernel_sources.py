@@ -22,7 +22,8 @@ def test_sanitizers_find_nothing(widest: list[str], tmp_path: Path) -> None:
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
         pytest.skip("no C++ compiler here")
-    runpy.run_path(str(ROOT / "kernels" / "generate_median.py"))["main"](str(tmp_path / "median_networks.h"))
+    for stem, header in (("generate_median", "median_networks.h"), ("generate_limits", "tracking_limits.h")):
+        runpy.run_path(str(ROOT / "kernels" / f"{stem}.py"))["main"](str(tmp_path / header))
     flags = [
         "-std=c++17",
         "-O0",
