@@ -132,7 +132,7 @@ _ONE_BY_ONE = "views are warped one after the other"
 WAITS = {
     "key with warps": _ONE_BY_ONE,
     "fields and medians": _BROUGHT,
-    **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("contact", "frame", "track", "fields")},
+    **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
     **{f"{recipe} {name}": _ONE_BY_ONE for recipe in RECIPES for name in ("key", "renew")},
 }
 BROKEN: dict[str, str] = {}

@@ -36,6 +36,7 @@ from bench.timing import time_in_turns
 from bench.trackers import track_opencv
 from fingerflow.export.build import build
 from fingerflow.export.bundle import write_graph
+from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.ops.corners import detect_corners
 from fingerflow.synthetic import Press
@@ -148,6 +149,6 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
 
 
 def _apply(graph: Any, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
-    with torch.inference_mode():
+    with torch.inference_mode(), Portable():
         results: tuple[Tensor, ...] = graph.module(*(tensors[name] for name in graph.inputs))
     return results

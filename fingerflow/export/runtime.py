@@ -16,8 +16,8 @@ from typing import Any, TypeVar, cast
 import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as tree
-from torch.utils._python_dispatch import TorchDispatchMode
 
+from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
 M = TypeVar("M", bound=nn.Module)
@@ -136,7 +136,7 @@ class _Executed:
         )
         if key not in self._sessions:
             leaves = _Leaves(self._module, method, values, structure)
-            with _Portable():  # compiled kernels may give less
+            with Portable():  # compiled kernels may give less
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
             count = sum(isinstance(one, Tensor) for one in result)
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
@@ -168,13 +168,6 @@ class _Leaves(nn.Module):
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         return tuple(one for one in tree.tree_leaves(self.result(*tensors)) if isinstance(one, Tensor))
-
-
-class _Portable(TorchDispatchMode):
-    """Where compiled kernels do not serve."""
-
-    def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
-        return operation(*arguments, **(named or {}))
 
 
 def _own_folder() -> Path:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
+from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import Recipe
 from fingerflow.export.trial import cases, feed
 
@@ -79,7 +80,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
                 if any(one not in known and one not in ("topography_view",) for one in graph.inputs):
                     known.update(missing(recipe, known))
                 tensors = feed(name, graph, known)
-                with torch.inference_mode():
+                with torch.inference_mode(), Portable():
                     reference = graph.module(*tensors)
                     double = exact[name].module(*(_double(one) for one in tensors))
                 arrays = {one: tensor.numpy() for one, tensor in zip(graph.inputs, tensors, strict=True)}
@@ -117,7 +118,7 @@ def missing(recipe: Recipe, known: dict[str, Tensor]) -> dict[str, Tensor]:
         recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": ("background", "key")})})
     )
     found: dict[str, Tensor] = {}
-    with torch.inference_mode():
+    with torch.inference_mode(), Portable():
         for name, graph in everything.items():
             found.update(zip(graph.outputs, graph.module(*feed(name, graph, known)), strict=True))
     return found

@@ -15,6 +15,7 @@ from fingerflow import player
 from fingerflow.errors import FingerflowError
 from fingerflow.export import Difference, export_bundle, verify
 from fingerflow.export.build import build
+from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, load_recipe
 from fingerflow.export.trial import cases, feed
 
@@ -175,7 +176,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
 
     def run(name: str) -> dict[str, Tensor]:
         graph = graphs[name]  # type: ignore[index]
-        with torch.inference_mode():
+        with torch.inference_mode(), Portable():
             return dict(zip(graph.outputs, graph.module(*(known[one] for one in graph.inputs)), strict=True))
 
     def key(view: Tensor, points: Tensor) -> None:
