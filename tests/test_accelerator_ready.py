@@ -23,7 +23,9 @@ from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, TrackGraph
-from fingerflow.graphs.track import DeformationGraph
+from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.ops.outliers import Neighbours, find_neighbours
+from fingerflow.ops.templates import Found
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -63,6 +65,15 @@ def templates(key: nn.Module) -> Callable[[int], Any]:
     return of
 
 
+def neighbours(_: int) -> Neighbours:
+    return find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
+
+
+def found(batch: int) -> Found:
+    status = torch.zeros(batch, POINTS, dtype=torch.uint8)
+    return Found(points(2)(batch), points()(batch), points(2, 2)(batch), status, points(2)(batch))
+
+
 def ellipse(batch: int) -> GrossEllipse:
     return GrossEllipse(torch.zeros(batch, 2), torch.ones(batch, 2), torch.zeros(batch))
 
@@ -80,6 +91,7 @@ def steps() -> dict[str, Step]:
         "key": step(KeyGraph(11), images(), points(2)),
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
+        "agreement": step(AgreementGraph(), neighbours, alone_points(2), found),
         "deformation": step(DeformationGraph(11), alone_points(2), points(2), alone_points(2, 4), alone_points(2, 2)),
         "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
         "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
