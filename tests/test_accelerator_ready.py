@@ -69,7 +69,7 @@ def neighbours(_: int) -> Neighbours:
     return find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
 
 
-def found(batch: int) -> Found:
+def found_points(batch: int) -> Found:
     status = torch.zeros(batch, POINTS, dtype=torch.uint8)
     return Found(points(2)(batch), points()(batch), points(2, 2)(batch), status, points(2)(batch))
 
@@ -91,7 +91,7 @@ def steps() -> dict[str, Step]:
         "key": step(KeyGraph(11), images(), points(2)),
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
-        "agreement": step(AgreementGraph(), neighbours, alone_points(2), found),
+        "agreement": step(AgreementGraph(), neighbours, alone_points(2), found_points),
         "deformation": step(DeformationGraph(11), alone_points(2), points(2), alone_points(2, 4), alone_points(2, 2)),
         "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
         "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
