@@ -17,36 +17,32 @@ KERNELS = Path("kernels")
 PLAIN = [
     "area_medians",
     "components",
-    "contact_above",
-    "contact_classes",
     "corners",
     "dense_region",
     "ellipse",
-    "illumination",
     "instruction_sets",
+    "light_gain",
     "local_fit",
     "median",
-    "median_above",
     "morphology",
     "noise",
     "otsu",
     "parallel",
     "search",
     "templates",
+    "touching",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
     "corners_rows",
-    "dense_region_rows",
     "ellipse_rows",
     "halve_rows",
-    "illumination_rows",
-    "median_above_rows",
     "median_band",
     "morphology_rows",
     "noise_rows",
+    "touching_rows",
 ]
-ROUNDED = ["area_medians_block", "local_fit_block", "search_points", "templates_points"]
+ROUNDED = ["area_medians_block", "dense_region_cells", "local_fit_block", "search_points", "templates_points"]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers

@@ -19,29 +19,18 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS
 
-_INTERFACE = 14  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 15  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
-LARGEST_MEDIAN_ABOVE = 15
+LARGEST_MAJORITY = 15
 LARGEST_CORNER_WINDOW = 15
-LARGEST_DENSITY_RADIUS = 17
+CELLS = (1, 2, 4, 8)
 WIDEST_MOMENTS = (1 << 16) - 1
-MEDIAN_ABOVE_DTYPES = (torch.uint8, torch.uint16, torch.float32)
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
 TABLE = 75  # numbers of a template's table
 
 _log = logging.getLogger(__name__)
-
-
-class OtsuClasses(NamedTuple):
-    """Threshold (B,), fractions, means, deviations (B, 2) and separability (B,), float64."""
-
-    threshold: Tensor
-    fractions: Tensor
-    means: Tensor
-    deviations: Tensor
-    separability: Tensor
 
 
 class CornerPlaces(NamedTuple):
@@ -59,14 +48,6 @@ class FittedPlanes(NamedTuple):
     covariance: Tensor | None
     point_count: Tensor
     centroid_offset: Tensor
-
-
-class ContactPictures(NamedTuple):
-    """(B, 1, H, W) bool, uint8 and bool."""
-
-    valid: Tensor
-    smooth: Tensor
-    touching: Tensor
 
 
 def serve(*tensors: Tensor | None) -> bool:
@@ -105,95 +86,43 @@ def median(frames: Tensor, size: int) -> Tensor:
     return medians
 
 
-def median_above(frames: Tensor, thresholds: Tensor, size: int) -> Tensor:
-    """Where more than half of a window lies above the threshold (B,) float64 of its frame, (B, 1, H, W) bool.
+class _LitFrames(ctypes.Structure):
+    """`fingerflow_lit_frames` of kernels/interface.h."""
 
-    Raises:
-        TypeError, ValueError: another dtype or shape, or a size that is even or outside 1 to 15.
-    """
-    _check_frames(frames, MEDIAN_ABOVE_DTYPES)
-    _check_size_above(size)
-    _check_like("thresholds", thresholds, torch.float64, (len(frames),))
-    frames, thresholds = _rows_in_one_piece(frames), thresholds.contiguous()
-    above = torch.empty(frames.shape, dtype=torch.bool)
-    _call(
-        "fingerflow_median_above",
-        frames.data_ptr(),
-        above.data_ptr(),
-        *_extent(frames),
-        FRAME_KINDS[frames.dtype],
-        thresholds.data_ptr(),
-        size,
-        torch.get_num_threads(),
+    _fields_ = (
+        ("frames", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("count", "image_stride", "row_stride", "kind")),
+        *((name, ctypes.c_void_p) for name in ("light", "black")),
+        *((name, ctypes.c_int64) for name in ("lights", "blacks", "batch", "height", "width")),
     )
-    return above
 
 
-def light_lost(
-    frames: Tensor, reference: Tensor, dark: Tensor | None, minimum: float, low: float, levels_per_unit: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Signal float32, levels uint8 and valid bool, (B, 1, H, W), as `ops.illumination.light_lost` has them.
+def touching(frames: Tensor, light: Tensor, black: Tensor, limits: Tensor, size: int) -> Tensor:
+    """(B, 1, H, W) bool, as `ops.touching` has it: frames of FRAME_KINDS, light and black (1 or B, 1, H, W) and limits
+    (B,) float32.
 
     Raises:
-        TypeError, ValueError: images of another dtype than FRAME_KINDS, or not (B, 1, H, W) and (1 or B, 1, H, W).
+        TypeError, ValueError: another dtype, shapes that do not belong together, or a size that is even or outside 1 to 15.
     """
-    signal = torch.empty(frames.shape)
-    levels, valid = (torch.empty(frames.shape, dtype=dtype) for dtype in (torch.uint8, torch.bool))
-    pointers = (result.data_ptr() for result in (signal, levels, valid))
-    _call_on_images("fingerflow_light_lost", frames, reference, dark, minimum, low, levels_per_unit, *pointers)
-    return signal, levels, valid
+    if not 1 <= size <= LARGEST_MAJORITY or size % 2 == 0:
+        raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")
+    _check_like("limits", limits, torch.float32, (len(frames),))
+    touch, limits = torch.empty(frames.shape, dtype=torch.bool), limits.contiguous()
+    _call_on_lit("fingerflow_touching", frames, light, black, limits.data_ptr(), size, touch.data_ptr())
+    return touch
 
 
-def contact_classes(
-    frames: Tensor,
-    reference: Tensor,
-    dark: Tensor | None,
-    minimum: float,
-    low: float,
-    levels_per_unit: float,
-    size: int,
-) -> tuple[ContactPictures, OtsuClasses]:
-    """Light lost, smoothed, and split by Otsu's threshold.
-
-    As `ops.contact_classes` has them; images as for `light_lost`, `size` as for `median`, or 1.
+def light_gain(frames: Tensor, light: Tensor, black: Tensor, side: int) -> Tensor:
+    """(B,) float32, as `ops.light_gain` has it, from blocks of `side` px; tensors as for `touching`.
 
     Raises:
-        TypeError, ValueError: see there.
+        TypeError, ValueError: see there; a side that is no multiple of 8.
     """
-    _check_size(size, 1)
-    table = None if size in (1, *COMPILED_SIZES) else _table(size)
-    smooth = torch.empty(frames.shape, dtype=torch.uint8)
-    valid, touching = (torch.empty(frames.shape, dtype=torch.bool) for _ in range(2))
-    classes = torch.empty(8 * len(frames), dtype=torch.float64)
-    _call_on_images(
-        "fingerflow_contact_classes",
-        frames,
-        reference,
-        dark,
-        minimum,
-        low,
-        levels_per_unit,
-        size,
-        None if table is None else ctypes.addressof(table),
-        *(result.data_ptr() for result in (valid, smooth, touching, classes)),
-    )
-    return ContactPictures(valid, smooth, touching), _classes(classes)
-
-
-def contact_above(
-    frames: Tensor, reference: Tensor, dark: Tensor | None, minimum: float, thresholds: Tensor, size: int
-) -> Tensor:
-    """What touches (B, 1, H, W) bool by thresholds (B,) float64, as `ops.contact_above` has it.
-
-    Raises:
-        TypeError, ValueError: images as for `light_lost`, `size` as for `median_above`.
-    """
-    _check_size_above(size)
-    _check_like("thresholds", thresholds, torch.float64, (len(frames),))
-    thresholds, touching = thresholds.contiguous(), torch.empty(frames.shape, dtype=torch.bool)
-    pointers = thresholds.data_ptr(), size, touching.data_ptr()
-    _call_on_images("fingerflow_contact_above", frames, reference, dark, minimum, *pointers)
-    return touching
+    if side < 8 or side % 8:
+        raise ValueError(f"blocks of {side} px: the compiled gain takes multiples of 8")
+    gains = torch.empty(len(frames))
+    _call_on_lit("fingerflow_light_gain", frames, light, black, side, gains.data_ptr())
+    return gains
 
 
 def histogram(frames: Tensor, mask: Tensor | None, bin_of_level: Tensor | None, bins: int) -> Tensor:
@@ -236,18 +165,8 @@ def otsu_threshold(counts: Tensor, low: float, high: float) -> Tensor:
     _check_like("counts", counts, torch.int64, (len(counts), 256))
     thresholds = torch.empty(len(counts), dtype=torch.float64)
     counts = counts.contiguous()
-    _call("fingerflow_otsu_classes", counts.data_ptr(), len(counts), low, high, thresholds.data_ptr(), *[None] * 4)
+    _call("fingerflow_otsu_threshold", counts.data_ptr(), len(counts), low, high, thresholds.data_ptr())
     return thresholds
-
-
-def otsu_classes(counts: Tensor) -> OtsuClasses:
-    """Otsu's threshold and classes of histograms (B, 256) int64 of uint8."""
-    _check_like("counts", counts, torch.int64, (len(counts), 256))
-    counts, batch = counts.contiguous(), len(counts)
-    results = torch.empty(8 * batch, dtype=torch.float64)
-    pointers = (results.data_ptr() + 8 * first * batch for first in (0, 1, 3, 5, 7))
-    _call("fingerflow_otsu_classes", counts.data_ptr(), batch, -1.0, 255.0, *pointers)
-    return _classes(results)
 
 
 def dilate(mask: Tensor, half_widths: list[int], of_background: bool) -> Tensor:
@@ -287,15 +206,33 @@ def largest_component(mask: Tensor) -> Tensor:
     return _changed_mask("fingerflow_largest_component", mask)
 
 
-def dense_region(mask: Tensor, radius: int) -> Tensor:
-    """The region that a mask (B, 1, H, W) bool spans, as `ops.dense_region` has it.
+class _DenseRegions(ctypes.Structure):
+    """`fingerflow_dense_regions` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("masks", "excess", "numbers")),
+        *((name, ctypes.c_int64) for name in ("batch", "height", "width", "radius", "side")),
+    )
+
+
+def dense_region(mask: Tensor, radius: int, side: int) -> tuple[Tensor, Tensor]:
+    """Excess (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a mask (B, 1, H, W)
+    bool on cells of `side` px of CELLS, as `ops.dense_region` has them.
 
     Raises:
-        TypeError, ValueError: another dtype or shape, or a radius outside 1 to LARGEST_DENSITY_RADIUS.
+        TypeError, ValueError: another dtype or shape, or cells that are not among these.
     """
-    if not 1 <= radius <= LARGEST_DENSITY_RADIUS:
-        raise ValueError(f"the compiled density has radii of 1 to {LARGEST_DENSITY_RADIUS} px: {radius} was asked for")
-    return _changed_mask("fingerflow_dense_region", mask, radius)
+    if side not in CELLS or radius < 1:
+        raise ValueError(f"cells of {side} px and a radius of {radius}: the compiled region has cells of {CELLS} px")
+    _check_frames(mask, (torch.bool,))
+    mask = mask.contiguous()
+    batch, _, height, width = mask.shape
+    excess = torch.empty(batch, 1, -(-height // side), -(-width // side))
+    numbers = torch.empty(batch, 7)
+    pointers = (tensor.data_ptr() for tensor in (mask, excess, numbers))
+    request = _DenseRegions(*pointers, batch, height, width, radius, side)
+    _call("fingerflow_dense_region", ctypes.addressof(request), torch.get_num_threads())
+    return excess, numbers
 
 
 def mask_moments(mask: Tensor) -> Tensor:
@@ -711,17 +648,15 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_mean_response.argtypes = [pointer, pointer, *extent, number, number]
     real: Any = ctypes.c_float
     double: Any = ctypes.c_double
-    library.fingerflow_median_above.argtypes = [pointer, pointer, *extent, number, pointer, number, number]
     beside = [count] * 3
-    library.fingerflow_light_lost.argtypes = [pointer, *[real] * 3, *[pointer] * 3, number]
-    library.fingerflow_contact_classes.argtypes = [pointer, *[real] * 3, number, *[pointer] * 5, number]
-    library.fingerflow_contact_above.argtypes = [pointer, real, pointer, number, pointer, number]
+    library.fingerflow_touching.argtypes = [*[pointer] * 2, number, pointer, number]
+    library.fingerflow_light_gain.argtypes = [pointer, count, pointer, number]
     library.fingerflow_histogram.argtypes = [
         *[pointer, *extent, number],
         *[pointer, *beside],
         *[pointer, count, pointer, number],
     ]
-    library.fingerflow_otsu_classes.argtypes = [pointer, count, double, double, *[pointer] * 5]
+    library.fingerflow_otsu_threshold.argtypes = [pointer, count, double, double, pointer]
     library.fingerflow_corners.argtypes = [
         *[pointer, *extent],
         *[pointer, *beside],
@@ -732,7 +667,7 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]
-    library.fingerflow_dense_region.argtypes = [pointer, pointer, *extent, number, number]
+    library.fingerflow_dense_region.argtypes = [pointer, number]
     library.fingerflow_mask_moments.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_fit_ellipse.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_halve.argtypes = [pointer, pointer, *extent, number, number]
@@ -815,42 +750,23 @@ def _check_frames(frames: Tensor, dtypes: tuple[torch.dtype, ...]) -> None:
         raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
 
 
-def _classes(numbers: Tensor) -> OtsuClasses:
-    batch = numbers.shape[0] // 8
-    threshold, *pairs, separability = numbers.split_with_sizes((batch, 2 * batch, 2 * batch, 2 * batch, batch))
-    fractions, means, variances = (pair.view(batch, 2) for pair in pairs)
-    # The portable op's own root: torch's is not the nearest number for all (the root of 8).
-    return OtsuClasses(threshold, fractions, means, variances.sqrt(), separability)
-
-
 def _check_size(size: int, least: int) -> None:
     if not least <= size <= LARGEST_MEDIAN or size % 2 == 0:
         raise ValueError(f"the compiled median has odd sizes from {least} to {LARGEST_MEDIAN}: {size} was asked for")
 
 
-def _call_on_images(
-    name: str, frames: Tensor, reference: Tensor, dark: Tensor | None, *arguments: int | float | None
-) -> None:
-    """Frames and what lies beside them, checked, pixels of a row neighbours in memory."""
-    given = [frames, reference] if dark is None else [frames, reference, dark]
-    for image in given:
-        _check_frames(image, tuple(FRAME_KINDS))
+def _call_on_lit(name: str, frames: Tensor, light: Tensor, black: Tensor, *arguments: int | float | None) -> None:
+    """Frames and the light behind them, checked, pixels of a row neighbours in memory."""
+    _check_frames(frames, tuple(FRAME_KINDS))
+    for image in (light, black):
+        _check_frames(image, (torch.float32,))
         if image.shape[1:] != frames.shape[1:] or image.shape[0] not in (1, frames.shape[0]):
             raise ValueError(f"an image of {tuple(image.shape)} beside frames of {tuple(frames.shape)}")
-    given = [_rows_in_one_piece(image) for image in given]
-    numbers = [
-        number
-        for image in given
-        for number in (image.data_ptr(), len(image), image.stride(0), image.stride(2), FRAME_KINDS[image.dtype])
-    ]
-    numbers += [0] * (15 - len(numbers))
-    record = (ctypes.c_int64 * 18)(*numbers, len(frames), *frames.shape[2:])
-    _call(name, ctypes.addressof(record), *arguments, torch.get_num_threads())
-
-
-def _check_size_above(size: int) -> None:
-    if not 1 <= size <= LARGEST_MEDIAN_ABOVE or size % 2 == 0:
-        raise ValueError(f"the compiled count has odd sizes from 1 to {LARGEST_MEDIAN_ABOVE}: {size} was asked for")
+    frames, light, black = _rows_in_one_piece(frames), light.contiguous(), black.contiguous()
+    described = (frames.data_ptr(), len(frames), frames.stride(0), frames.stride(2), FRAME_KINDS[frames.dtype])
+    images = (light.data_ptr(), black.data_ptr(), len(light), len(black))
+    request = _LitFrames(*described, *images, len(frames), *frames.shape[2:])
+    _call(name, ctypes.addressof(request), *arguments, torch.get_num_threads())
 
 
 def _mask_of(frames: Tensor, mask: Tensor) -> Tensor:

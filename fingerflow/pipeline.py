@@ -100,7 +100,7 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
 
 def _tracking(inputs: Inputs, contact: ContactStage) -> TrackingStage | None:
     """None where no skin touches, so that there is none to follow."""
-    region = contact.largest().gross
+    region = contact.largest()
     if region.any():
         return TrackingStage(inputs, region)
     inputs.warnings.append(
@@ -133,9 +133,9 @@ def _stream(
             with _timed(seconds, "decoding"):
                 frames = recording[indices].mapped()
             with _timed(seconds, "contact"):
-                gross = contact.run(indices, frames).gross
+                excess = contact.run(indices, frames).excess
                 damaged.extend(indices[~_whole(scene.views.contact.crop(frames))].tolist())
-        return indices, frames, gross
+        return indices, frames, excess
 
     batches = [order[first : first + _BATCH] for first in range(0, len(order), _BATCH)]
     if torch.get_num_threads() == 1 or tracking is None:
@@ -145,12 +145,13 @@ def _stream(
     bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
     # Closed also after an error: the recording must not be while another thread reads from it.
     with closing(begun), bar:
-        for indices, frames, gross in begun:
+        for indices, frames, excess in begun:
             if tracking is not None:
                 with _timed(seconds, "tracking"):
-                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, gross), strict=True))
+                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, excess), strict=True))
             bar.update(len(indices))
-            del frames, gross  # before the batch after the next one is read
+            del frames, excess  # before the batch after the next one is read
+    contact.finish()
     if damaged:
         # What is left of such a frame has some area, but not that of the contact.
         for values in vars(contact.series).values():

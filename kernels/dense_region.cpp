@@ -1,11 +1,12 @@
-// The rounds of fingerflow/ops/dense_region.py: the same whole numbers, and the same arithmetic in double between them.
+// The region that a mask spans, as fingerflow/ops/dense_region.py has it: planes of cells of one frame stay in a cache.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <exception>
+#include <limits>
 #include <vector>
 
-#include "components.h"
-#include "dense_region_rows.h"
+#include "dense_region_cells.h"
 #include "interface.h"
 #include "parallel.h"
 #include "workspace.h"
@@ -13,144 +14,177 @@
 namespace fingerflow {
 namespace {
 
-double clamped(double value, double low, double high) { return std::min(std::max(value, low), high); }
+constexpr float kLeastShare = 0.2f, kLeastLevel = 0.25f;
+constexpr int kFirstRounds = 2, kRounds = 3;
+constexpr std::int64_t kBlock = 8;  // cells, a side of a block in which a component is followed
 
-constexpr double kLeastShare = 0.2, kLeastLevel = 0.25;
+float clamped(float value, float low, float high) { return std::min(std::max(value, low), high); }
 
-// The part of a plane that a box covers, and what lies up to `margin` around it.
-Box grown(const Box& box, std::int64_t margin, std::int64_t height, std::int64_t width) {
-    return {std::max<std::int64_t>(0, box.top - margin), std::min(height, box.bottom + margin),
-            std::max<std::int64_t>(0, box.left - margin), std::min(width, box.right + margin)};
-}
-
-// One frame, or the part of it that matters, its rows in bands that threads share.
-class Region {
+class Finder {
 public:
-    Region(const Plane& plane, const unsigned char* mask, unsigned char* region, std::int64_t row_stride,
-           std::int64_t region_stride, int threads)
-        : plane_(plane), mask_(mask), region_(region), row_stride_(row_stride), region_stride_(region_stride), threads_(threads) {
-        const std::int64_t most_bands = std::min<std::int64_t>(threads, (plane.height + least_rows() - 1) / least_rows());
-        share_rows();
-        const auto side = static_cast<double>(2 * plane.radius + 1);
-        full_ = side * side * side * side * side * side;
-        const std::int64_t pixels = (4 * plane.height * plane.pitch + 63) / 64 * 64;
-        band_bytes_ = FINGERFLOW_PICK(smoothing_bytes)(plane);
-        density_ = static_cast<std::int32_t*>(workspace(static_cast<std::size_t>(pixels + most_bands * band_bytes_)));
-        memory_ = reinterpret_cast<unsigned char*>(density_) + pixels;
+    Finder(const fingerflow_dense_regions& given, std::int64_t frame)
+        : given_(given), mask_(given.masks + frame * given.height * given.width),
+          excess_(given.excess + frame * cells_of(given.height, given.side) * cells_of(given.width, given.side)),
+          numbers_(given.numbers + 7 * frame), width_(static_cast<float>(2 * given.radius + 1) / static_cast<float>(given.side)) {
+        plane_.height = cells_of(given.height, given.side);
+        plane_.width = cells_of(given.width, given.side);
+        plane_.margin = static_cast<std::int64_t>(width_ / 2) + 3;
+        plane_.pitch = (plane_.width + 2 * plane_.margin + 31) / 16 * 16;
     }
 
     void find() {
-        const auto smooth = FINGERFLOW_PICK(density_rows);
-        over_bands([&](std::int64_t band, std::int64_t top, std::int64_t bottom) {
-            smooth(plane_, mask_, row_stride_, top, bottom, memory_ + band * band_bytes_, density_);
-        });
-        if (!narrow_down()) return;
-        std::int32_t limit = limit_of(kLeastLevel);
-        for (int round = 0; round < 2; ++round) limit = limit_of(share_above(limit) * 0.5);
-        const double level = border_level(limit);
-        for (int round = 0; round < 2; ++round) limit = limit_of(share_above(limit) * level);
-        const auto write = FINGERFLOW_PICK(write_denser);
-        over_bands([&](std::int64_t, std::int64_t top, std::int64_t bottom) {
-            write(plane_, density_, limit, top, bottom, region_, region_stride_);
-        });
-        fill_holes(region_, plane_.height, plane_.width, region_stride_);
-        keep_largest(region_, plane_.height, plane_.width, region_stride_);
+        const std::int64_t all = (plane_.height + 2 * plane_.margin) * plane_.pitch + 16, line = (given_.width + 127) / 64 * 64;
+        const std::size_t bytes = static_cast<std::size_t>(8 * 4 * all + line);
+        auto* const memory = static_cast<unsigned char*>(workspace(bytes));
+        std::memset(memory, 0, bytes);
+        const std::int64_t origin = plane_.margin * plane_.pitch + plane_.margin;
+        auto* const planes = reinterpret_cast<std::int32_t*>(memory + line);
+        counts_ = planes + origin;
+        inside_ = planes + all + origin;
+        filled_ = planes + 2 * all + origin;
+        near_ = planes + 3 * all + origin;
+        density_ = reinterpret_cast<float*>(planes + 4 * all) + origin;
+        own_ = reinterpret_cast<float*>(planes + 5 * all) + origin;
+        other_ = reinterpret_cast<float*>(planes + 6 * all) + origin;
+        inverse_ = reinterpret_cast<float*>(planes + 7 * all) + origin;
+
+        FINGERFLOW_PICK(count_cells)(mask_, given_.height, given_.width, static_cast<int>(given_.side), plane_, memory, counts_);
+        const float each = 1.0f / static_cast<float>(given_.side * given_.side);
+        std::int64_t covered = 0;
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            for (std::int64_t x = 0; x < plane_.width; ++x) covered += counts_[y * plane_.pitch + x];
+        FINGERFLOW_PICK(scale_cells)(plane_, counts_, each, density_);
+        const auto smooth = FINGERFLOW_PICK(smooth_cells);
+        smooth(plane_, width_, density_, other_);
+        FINGERFLOW_PICK(inverse_slopes)(plane_, density_, inverse_);
+        float limit = 0.25f;
+        for (int round = 0; round < kFirstRounds; ++round) limit = share_above(limit) / 2;
+        FINGERFLOW_PICK(parts_above)(plane_, density_, inverse_, limit, own_);
+        smooth(plane_, width_, own_, other_);
+        const BorderLevel border = FINGERFLOW_PICK(border_level)(plane_, density_, inverse_, own_, limit);
+        const float level = clamped(static_cast<float>(border.density / std::max(border.weight, 1e-3)), kLeastLevel, 0.5f);
+        for (int round = 0; round < kRounds; ++round) limit = share_above(limit) * level;
+        FINGERFLOW_PICK(above_limit)(plane_, density_, limit, inside_);
+        fill();
+        const float* const coverage = cover(limit);
+        measure(coverage, covered);
     }
+
+    static std::int64_t cells_of(std::int64_t pixels, std::int64_t side) { return (pixels + side - 1) / side; }
 
 private:
-    // A band is smoothed with lines of three radii above and below it: it should not be lower than those.
-    std::int64_t least_rows() const { return std::max<std::int64_t>(32, 6 * plane_.radius); }
-
-    void share_rows() {
-        rows_ = std::max(least_rows(), (plane_.height + threads_ - 1) / threads_);
-        bands_ = (plane_.height + rows_ - 1) / rows_;
+    float share_above(float limit) const {
+        const CellShare share = FINGERFLOW_PICK(share_above)(plane_, density_, inverse_, counts_, limit);
+        const double pixels = static_cast<double>(given_.side * given_.side) * std::max(share.parts, 1.0);
+        return clamped(static_cast<float>(static_cast<double>(share.covered) / pixels), kLeastShare, 1.0f);
     }
 
-    // No region has pixels less dense than the least level of the least share. Around the others a region's own density
-    // is wanted one pixel beyond it, and depends on no other sums than those one radius further away. False: no pixels.
-    bool narrow_down() {
-        const Box dense = FINGERFLOW_PICK(denser_box)(plane_, density_, limit_of(kLeastShare * kLeastLevel), memory_);
-        if (dense.bottom == 0) return false;
-        const Box box = grown(dense, plane_.radius + 1, plane_.height, plane_.width);
-        plane_.height = box.bottom - box.top;
-        plane_.width = box.right - box.left;
-        density_ += box.top * plane_.pitch + box.left;
-        mask_ += box.top * row_stride_ + box.left;
-        region_ += box.top * region_stride_ + box.left;
-        share_rows();
-        return true;
+    // The part around the densest place, by blocks, and what it encloses.
+    void fill() {
+        const std::int64_t down = cells_of(plane_.height, kBlock), across = cells_of(plane_.width, kBlock);
+        std::vector<float> densest(static_cast<std::size_t>(down * across), 0.0f);
+        std::vector<unsigned char> some(densest.size(), 0);
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            for (std::int64_t x = 0; x < plane_.width; ++x)
+                if (inside_[y * plane_.pitch + x] != 0) {
+                    const auto block = static_cast<std::size_t>(y / kBlock * across + x / kBlock);
+                    some[block] = 1;
+                    densest[block] = std::max(densest[block], density_[y * plane_.pitch + x]);
+                }
+        const float most = *std::max_element(densest.begin(), densest.end());
+        std::vector<unsigned char> reached(some.size());
+        std::vector<std::int64_t> edge, next;
+        for (std::size_t k = 0; k < some.size(); ++k)
+            if (some[k] != 0 && densest[k] >= most) {
+                reached[k] = 1;
+                edge.push_back(static_cast<std::int64_t>(k));
+            }
+        for (std::int64_t step = 0; step < std::max(down, across) && !edge.empty(); ++step) {
+            next.clear();
+            for (const std::int64_t block : edge)
+                for (std::int64_t y = std::max<std::int64_t>(0, block / across - 1); y < std::min(down, block / across + 2); ++y)
+                    for (std::int64_t x = std::max<std::int64_t>(0, block % across - 1); x < std::min(across, block % across + 2); ++x) {
+                        const auto at = static_cast<std::size_t>(y * across + x);
+                        if (some[at] == 0 || reached[at] != 0) continue;
+                        reached[at] = 1;
+                        next.push_back(static_cast<std::int64_t>(at));
+                    }
+            edge.swap(next);
+        }
+        std::vector<std::int64_t> top(static_cast<std::size_t>(plane_.width), plane_.height), bottom(top.size(), -1);
+        std::vector<std::int64_t> left(static_cast<std::size_t>(plane_.height), plane_.width), right(left.size(), -1);
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            for (std::int64_t x = 0; x < plane_.width; ++x) {
+                if (inside_[y * plane_.pitch + x] == 0 || reached[static_cast<std::size_t>(y / kBlock * across + x / kBlock)] == 0) continue;
+                const auto row = static_cast<std::size_t>(y), column = static_cast<std::size_t>(x);
+                top[column] = std::min(top[column], y);
+                bottom[column] = y;
+                left[row] = std::min(left[row], x);
+                right[row] = x;
+            }
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            for (std::int64_t x = left[static_cast<std::size_t>(y)]; x <= right[static_cast<std::size_t>(y)]; ++x) {
+                const auto column = static_cast<std::size_t>(x);
+                if (y < top[column] || y > bottom[column]) continue;
+                filled_[y * plane_.pitch + x] = 1;
+                for (std::int64_t row = -1; row <= 1; ++row)
+                    for (std::int64_t beside = -1; beside <= 1; ++beside) near_[(y + row) * plane_.pitch + x + beside] = 1;
+            }
     }
 
-    template <class Work>
-    void over_bands(Work work) {
-        parallel_for(bands_, threads_, [&](std::int64_t band) {
-            work(band, band * rows_, std::min(plane_.height, (band + 1) * rows_));
-        });
+    const float* cover(float limit) {
+        const auto cover = FINGERFLOW_PICK(cover_row);
+        for (std::int64_t y = 0; y < plane_.height; ++y)
+            cover(plane_, y, density_, inverse_, inside_, filled_, near_, limit, other_ + y * plane_.pitch, excess_ + y * plane_.width);
+        return other_;
     }
 
-    std::int32_t limit_of(double level) const { return static_cast<std::int32_t>(std::floor(full_ * level)); }
-
-    // Share of the region denser than the limit that the mask covers.
-    double share_above(std::int32_t limit) {
-        std::vector<DenseCount> counts(static_cast<std::size_t>(bands_));
-        const auto count = FINGERFLOW_PICK(count_denser);
-        over_bands([&](std::int64_t band, std::int64_t top, std::int64_t bottom) {
-            counts[static_cast<std::size_t>(band)] = count(plane_, density_, mask_, row_stride_, top, bottom, limit);
-        });
-        DenseCount sum{0, 0};
-        for (const DenseCount& some : counts) sum = {sum.all + some.all, sum.covered + some.covered};
-        return clamped(static_cast<double>(sum.covered) / static_cast<double>(std::max<std::int64_t>(sum.all, 1)), kLeastShare, 1.0);
+    void measure(const float* coverage, std::int64_t covered) {
+        double mass = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
+        const auto sum = FINGERFLOW_PICK(row_moments);
+        for (std::int64_t row = 0; row < plane_.height; ++row) {
+            const RowMoments of_row = sum(coverage + row * plane_.pitch, plane_.width);
+            const auto at = static_cast<double>(row);
+            mass += of_row.mass;
+            x += of_row.first;
+            xx += of_row.second;
+            y += of_row.mass * at;
+            yy += of_row.mass * at * at;
+            xy += of_row.first * at;
+        }
+        const auto side = static_cast<double>(given_.side), square = side * side;
+        numbers_[0] = static_cast<float>(covered);
+        if (mass <= 0.5) {
+            numbers_[1] = 0;
+            for (int k = 2; k < 7; ++k) numbers_[k] = std::numeric_limits<float>::quiet_NaN();
+            return;
+        }
+        x /= mass;
+        y /= mass;
+        xx = (xx / mass - x * x) * square + (square - 1) / 12;
+        yy = (yy / mass - y * y) * square + (square - 1) / 12;
+        xy = (xy / mass - x * y) * square;
+        const double middle = (xx + yy) / 2, half = (xx - yy) / 2, spread = std::sqrt(half * half + xy * xy);
+        const double results[] = {mass * square, x * side + (side - 1) / 2, y * side + (side - 1) / 2, 2 * std::sqrt(middle + spread),
+                                  2 * std::sqrt(std::max(middle - spread, 0.0)), std::atan2(xy, half) / 2};
+        for (int k = 0; k < 6; ++k) numbers_[k + 1] = static_cast<float>(results[k]);
     }
 
-    // What the region's own density falls to at its border, as a share of that inside.
-    double border_level(std::int32_t limit) {
-        std::vector<BorderSum> sums(static_cast<std::size_t>(bands_));
-        const auto add = FINGERFLOW_PICK(border_density);
-        over_bands([&](std::int64_t band, std::int64_t top, std::int64_t bottom) {
-            sums[static_cast<std::size_t>(band)] = add(plane_, density_, limit, top, bottom, memory_ + band * band_bytes_);
-        });
-        BorderSum sum{0, 0};
-        for (const BorderSum& some : sums) sum = {sum.pixels + some.pixels, sum.density + some.density};
-        const double pixels = full_ * static_cast<double>(std::max<std::int64_t>(sum.pixels, 1));
-        return clamped(static_cast<double>(sum.density) / pixels, kLeastLevel, 0.5);
-    }
-
-    Plane plane_;
+    const fingerflow_dense_regions& given_;
     const unsigned char* mask_;
-    unsigned char* region_;
-    const std::int64_t row_stride_, region_stride_;
-    const int threads_;
-    std::int64_t rows_, bands_, band_bytes_;
-    double full_;
-    std::int32_t* density_;
-    unsigned char* memory_;
+    float *excess_, *numbers_;
+    const float width_;
+    CellPlane plane_;
+    std::int32_t *counts_, *inside_, *filled_, *near_;
+    float *density_, *own_, *other_, *inverse_;
 };
 
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_dense_region(const unsigned char* masks, unsigned char* regions, std::int64_t batch, std::int64_t height,
-                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int radius,
-                            int threads) try {
+int fingerflow_dense_region(const fingerflow_dense_regions* given, int threads) try {
     using namespace fingerflow;
-    if (batch * height * width == 0) return 0;
-    const bool by_frames = batch >= threads;  // a frame a thread: nobody waits for another's rows
-    const auto box_of = FINGERFLOW_PICK(covered_box);
-    const auto find = [&](std::int64_t frame) {
-        const unsigned char* const mask = masks + frame * frame_stride;
-        unsigned char* const region = regions + frame * height * width;
-        std::fill_n(region, height * width, 0);
-        const Box covered = box_of(mask, height, width, row_stride, static_cast<unsigned char*>(workspace(static_cast<std::size_t>(width))));
-        if (covered.bottom == 0) return;
-        // A region reaches less than three radii beyond the mask. Further away all is empty, as beyond the frame.
-        const Box box = grown(covered, 4 * radius, height, width);
-        const Plane plane{box.bottom - box.top, box.right - box.left, radius, box.right - box.left};
-        Region(plane, mask + box.top * row_stride + box.left, region + box.top * width + box.left, row_stride, width,
-               by_frames ? 1 : threads).find();
-    };
-    if (by_frames) parallel_for(batch, threads, find);
-    else
-        for (std::int64_t frame = 0; frame < batch; ++frame) find(frame);
+    parallel_for(given->batch, threads, [&](std::int64_t frame) { Finder(*given, frame).find(); });
     return 0;
 } catch (const std::exception&) {
     return 1;

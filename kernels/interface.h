@@ -64,29 +64,21 @@ FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means
                                                std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                std::int64_t row_stride, int kind, int threads);
 
-// Frames, their reference and dark (data null for none): one image or one a frame each.
-struct fingerflow_images {
-    fingerflow_image frames, reference, dark;
-    std::int64_t batch, height, width;
+// Frames and the light of the empty glass behind them (height, width), with the counts without light: one image, or as
+// many as frames.
+struct fingerflow_lit_frames {
+    fingerflow_image frames;
+    const float *light, *black;
+    std::int64_t lights, blacks, batch, height, width;
 };
 
-// The contact signal of frames (or null), in one byte too, and where it is known, as fingerflow/ops/illumination.py has
-// it; results are contiguous.
-FINGERFLOW_EXPORT int fingerflow_light_lost(const fingerflow_images* images, float minimum, float low, float levels_per_unit,
-                                            float* signal, unsigned char* levels, unsigned char* valid, int threads);
+// Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
+// (fingerflow/ops/touching.py); limits (batch), `touching` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits, int size,
+                                          unsigned char* touching, int threads);
 
-// From frames to what touches: levels of light lost, smoothed by a median of `size` (1 for none; `table` as for
-// fingerflow_median), Otsu's threshold of the valid ones, what lies above it. `classes` holds batch x (threshold), (2
-// fractions), (2 means), (2 variances), (separability), one after the other.
-FINGERFLOW_EXPORT int fingerflow_contact_classes(const fingerflow_images* images, float minimum, float low,
-                                                 float levels_per_unit, int size, const std::uint16_t* table,
-                                                 unsigned char* valid, unsigned char* smooth, unsigned char* touching,
-                                                 double* classes, int threads);
-
-// Where more than half of a window of up to 15 x 15 of the contact signal lies above the threshold of its frame, and the
-// signal is known.
-FINGERFLOW_EXPORT int fingerflow_contact_above(const fingerflow_images* images, float minimum, const double* thresholds,
-                                               int size, unsigned char* touching, int threads);
+// Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
+FINGERFLOW_EXPORT int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
@@ -97,17 +89,9 @@ FINGERFLOW_EXPORT int fingerflow_histogram(const void* frames, std::int64_t batc
                                            const std::uint16_t* bins, std::int64_t count, std::int64_t* counts,
                                            int threads);
 
-// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`; where `fractions` is not null, for bins that
-// are one whole number each, also fractions, means, variances (batch, 2) and separability (batch) of the classes.
-FINGERFLOW_EXPORT int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                                              double* thresholds, double* fractions, double* means, double* variances,
-                                              double* separability);
-
-// Where more than half of a window of up to 15 x 15 lies above the threshold of its frame; `above` is contiguous.
-FINGERFLOW_EXPORT int fingerflow_median_above(const void* frames, unsigned char* above, std::int64_t batch,
-                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                              std::int64_t row_stride, int kind, const double* thresholds, int size,
-                                              int threads);
+// Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
+FINGERFLOW_EXPORT int fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
+                                                double* thresholds);
 
 // Masks of bytes dilated, or eroded where `of_background` is 1, by an element given by the half widths of its 2 radius +
 // 1 rows, which grow towards the middle; `dilated` is contiguous.
@@ -125,11 +109,15 @@ FINGERFLOW_EXPORT int fingerflow_largest_component(const unsigned char* masks, u
                                                    std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                    std::int64_t row_stride, int threads);
 
-// The regions that masks of bytes span, as fingerflow/ops/dense_region.py has them, for a radius of up to 17 px;
-// `regions` is contiguous.
-FINGERFLOW_EXPORT int fingerflow_dense_region(const unsigned char* masks, unsigned char* regions, std::int64_t batch,
-                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                              std::int64_t row_stride, int radius, int threads);
+// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/dense_region.py has
+// them: excess (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
+// angle.
+struct fingerflow_dense_regions {
+    const unsigned char* masks;
+    float *excess, *numbers;
+    std::int64_t batch, height, width, radius, side;
+};
+FINGERFLOW_EXPORT int fingerflow_dense_region(const fingerflow_dense_regions* given, int threads);
 
 // Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
 FINGERFLOW_EXPORT int fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch,

@@ -1,4 +1,4 @@
-// Histograms of frames, and Otsu's threshold with its two classes from them.
+// Histograms of frames, and Otsu's threshold from them.
 #include <algorithm>
 #include <cstring>
 #include <exception>
@@ -153,10 +153,8 @@ int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t he
     return 1;
 }
 
-int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds,
-                            double* fractions, double* means, double* variances, double* separability) {
+int fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds) {
     constexpr int kBins = 256;
-    const double nan = std::numeric_limits<double>::quiet_NaN();
     for (std::int64_t frame = 0; frame < batch; ++frame, counts += kBins) {
         double total = 0, all = 0;
         for (int bin = 0; bin < kBins; ++bin) {
@@ -178,30 +176,7 @@ int fingerflow_otsu_classes(const std::int64_t* counts, std::int64_t batch, doub
                 last = bin;
             }
         }
-        const double threshold = split ? low + (last + 1) * ((high - low) / kBins) : nan;
-        thresholds[frame] = threshold;
-        if (fractions == nullptr) continue;
-
-        // Moments about the threshold are whole numbers: exact in any order.
-        double number[2] = {}, first[2] = {}, second[2] = {};
-        for (int bin = 0; bin < kBins; ++bin) {
-            const double count = static_cast<double>(counts[bin]), from = low + 1 + bin - threshold;
-            const int above = from > 0;
-            number[above] += count;
-            first[above] += count * from;
-            second[above] += count * (from * from);
-        }
-        for (int side = 0; side < 2; ++side) {
-            const double n = split ? number[side] : nan, mean = first[side] / n;
-            const double variance = second[side] / n - mean * mean;
-            variances[2 * frame + side] = variance < 0 ? 0 : variance;
-            fractions[2 * frame + side] = split ? n / (number[0] + number[1]) : nan;
-            means[2 * frame + side] = mean + threshold;
-        }
-        const double *const f = fractions + 2 * frame, *const v = variances + 2 * frame;
-        const double apart = means[2 * frame + 1] - means[2 * frame];
-        const double between = f[0] * f[1] * (apart * apart);
-        separability[frame] = between / (between + (f[0] * v[0] + f[1] * v[1]));
+        thresholds[frame] = split ? low + (last + 1) * ((high - low) / kBins) : std::numeric_limits<double>::quiet_NaN();
     }
     return 0;
 }

@@ -24,7 +24,7 @@ from bench.launches import HostWait, count_launches
 from bench.rows import Row
 from bench.skin import clean_picture, photograph
 from bench.timing import time_in_turns
-from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, FieldsGraph, KeyGraph, LightGraph, TrackGraph
 from fingerflow.synthetic import Press
 
 PEER = "processor"
@@ -166,7 +166,7 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
 
 
 def _contact_frames(shape: tuple[int, int], batch: int) -> tuple[Tensor, ...]:
-    """Frames, empty glass, darkness and thresholds, as `ContactGraph` takes them."""
+    """Frames, light, darkness and limits, as `ContactGraph` takes them."""
     rows, columns = shape
     large = min(rows / 512, columns / 640)
     press = Press(
@@ -182,5 +182,6 @@ def _contact_frames(shape: tuple[int, int], batch: int) -> tuple[Tensor, ...]:
     empty, dark = (
         torch.from_numpy(view.crop(picture)).float()[None, None] for picture in (press.empty(), press.dark())
     )
-    threshold = ContactGraph().threshold(frames[:1], empty, dark).expand(batch).clone()
-    return frames, empty, dark, threshold
+    light, black, _ = LightGraph()(empty, dark, torch.zeros(1))
+    limit = 1 - ContactGraph().threshold(frames[:1], light, black)
+    return frames, light, black, limit.expand(batch).clone()

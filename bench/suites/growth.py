@@ -33,7 +33,7 @@ from bench.skin import MM_PER_PX, clean_picture, photograph
 from bench.suites.pipeline import PIPELINES, QUICK_PRESS, write_quietly
 from bench.timing import time_in_turns
 from bench.trackers import TRACKERS
-from fingerflow.graphs import ContactGraph
+from fingerflow.graphs import ContactGraph, LightGraph
 from fingerflow.synthetic import Press
 
 PEER = "opencv"
@@ -169,10 +169,11 @@ def _contact(shape: tuple[int, int]) -> Ways:
     finder = ContactFinder(frame, Rig(reference, black, MM_PER_PX, np.array(press.topography_to_contact)))
     images = [torch.from_numpy(image)[None, None] for image in (frame, reference, black)]
     graph = ContactGraph()
-    threshold = graph.threshold(*images)
+    light, empty_black, _ = LightGraph()(images[1], images[2], torch.zeros(1))
+    limit = 1 - graph.threshold(images[0], light, empty_black)
 
     def with_fingerflow() -> Tensor:
         with torch.inference_mode():
-            return graph(*images, threshold).gross_area_px
+            return graph(images[0], light, empty_black, limit).gross_area_px
 
     return {PEER: lambda: finder.find(frame), "fingerflow": with_fingerflow}

@@ -25,9 +25,8 @@ from torch import Tensor
 from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
-from fingerflow.ops.contact_classes import contact_classes
 from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.ellipse import mask_moments
+from fingerflow.graphs import ContactGraph, LightGraph
 from fingerflow.ops.median import median_filter
 from fingerflow.ops.otsu import otsu_threshold
 from fingerflow.synthetic import Camera, Press
@@ -118,10 +117,12 @@ def _otsu(frame: Tensor) -> Operation:
 
 
 def _contact(frame: Tensor, empty: Tensor) -> Operation:
+    graph = ContactGraph(median_px=9)
+    light, black, _ = LightGraph()(empty, None, torch.zeros(1))
+    limit = 1 - graph.threshold(frame, light, black)
+
     def with_fingerflow() -> Tensor:
-        contact = contact_classes(frame, empty, median_px=9).touching
-        mask_moments(contact)
-        return contact[0, 0]
+        return graph(frame, light, black, limit).touching[0, 0]
 
     return Operation("contact path, 8 bit", {"opencv": opencv_contact(frame, empty, 9), OURS: with_fingerflow})
 

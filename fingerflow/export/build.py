@@ -6,30 +6,29 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.export.recipe import GraphName, Recipe
+from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import SkinFieldsGraph
-from fingerflow.stream.background import Background, BackgroundStep
-from fingerflow.stream.contact import ContactStep
+from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.stream.detect import DetectStep
 from fingerflow.stream.frame import FrameResult, FrameStep, SinceOnsetResult, SinceOnsetStep
 from fingerflow.stream.key import KeyStep, Templates
-from fingerflow.stream.measured_contact import MeasuredContact, MeasuredContactStep
 from fingerflow.stream.track import StreamTracks, TrackStep
 
 _TYPES = {"uint8": torch.uint8, "float16": torch.float16, "float32": torch.float32, "float64": torch.float64}
 
 #: Unit of every input and output; px are those of the views, counts those of the camera.
 UNITS = {
-    **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "limit", "template_values"), "counts"),
+    **dict.fromkeys(
+        ("contact_view", "topography_view", "background", "dark", "light", "black", "template_values"), "counts"
+    ),
     **dict.fromkeys(("template_level",), "counts"),
     **dict.fromkeys(("points", "prediction", "reference", "next_reference"), "px"),
     **dict.fromkeys(("template_start", "error", "deviation", "center", "semi_axes"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px", "covariance"), "px^2"),
-    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold"), "1"),
-    **dict.fromkeys(("mask", "touching", "valid", "status", "topography_to_contact"), "1"),
+    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
+    **dict.fromkeys(("mask", "touching", "status", "topography_to_contact"), "1"),
     **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
     "angle": "rad",
-    "gain": "levels/count",
-    "offset": "levels",
     "response": "counts^2/px^2",
     "template_noise": "counts^2",
     "template_products": "px^2/counts^2, counts^2, counts^2/px^3, 1",
@@ -46,6 +45,22 @@ class Graph:
     module: nn.Module
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+
+
+_MEASURED = tuple(name for name in Contact._fields if name != "excess")
+
+
+class _Measured(nn.Module):
+    """Contact with the threshold measured in the frame itself, and that threshold."""
+
+    def __init__(self, graph: ContactGraph) -> None:
+        super().__init__()
+        self.graph = graph
+
+    def forward(self, contact_view: Tensor, light: Tensor, black: Tensor) -> tuple[Tensor, ...]:
+        threshold = self.graph.threshold(contact_view, light, black)
+        contact = self.graph(contact_view, light, black, 1 - threshold)._asdict()
+        return (*(contact[name] for name in _MEASURED), threshold)
 
 
 class _Flat(nn.Module):
@@ -67,15 +82,11 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     """The graphs that a recipe asks for, in the order in which they can run.
 
     Args:
-        precision: in place of the recipe's; a median carried by float32 or float64 follows it.
+        precision: in place of the recipe's.
     """
     kind = precision or _TYPES[recipe.export.precision]
     contact, tracking = recipe.contact, recipe.tracking
-    pixel = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
-    median_type = _TYPES[contact.median_type]
-    scatter = contact.count_by == "scatter"
-    known = ContactStep(contact.median_px, median_type, kind, contact.cell_px)
-    measured = MeasuredContactStep(contact.median_px, median_type, contact.lattice_px, scatter, kind, contact.cell_px)
+    known = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.lattice_px)
     table = (tracking.window_px, tracking.reach_px)
     track = TrackStep(*table, tracking.way_back, tracking.forward_backward_limit_px, kind)
     fields = SinceOnsetStep(SkinFieldsGraph(recipe.fields.gauge_px, kind))
@@ -84,8 +95,8 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     templates = Templates._fields
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
     described = {
-        "background": (BackgroundStep(pixel, kind), ("background", "dark", "threshold"), Background._fields),
-        "contact": (measured, ("contact_view", "gain", "offset", "valid"), MeasuredContact._fields),
+        "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
+        "contact": (_Measured(known), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
         "detect": (detect, ("topography_view", "mask"), ("points", "response")),
         "key": (KeyStep(*table, kind), ("topography_view", "points"), templates),
         "track": (track, ("topography_view", "prediction", *templates), StreamTracks._fields),
@@ -101,7 +112,7 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
             FrameStep(known, track),
             (
                 *("contact_view", "topography_view", "topography_to_contact", "prediction"),
-                *("limit", "valid", *templates),
+                *(*Light._fields, *templates),
             ),
             FrameResult._fields,
         ),

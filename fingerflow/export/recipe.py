@@ -29,12 +29,11 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """[contact]: median, the type that carries it, and how the threshold is measured (`MeasuredContactStep`)."""
+    """[contact]: median, cells and lattice of `ContactGraph`."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
-    median_type: Literal["uint8", "float32", "float16"] = "uint8"
     lattice_px: Annotated[Whole, Field(ge=1, le=16)] = 1
-    count_by: Literal["scatter", "product"] = "scatter"
+    gross_radius_px: Annotated[Whole, Field(ge=1, le=255)] = 8
     cell_px: Literal[4, 8] = 4  # of the gross region
     touching: Switch = True  # whether `frame` gives the mask
 

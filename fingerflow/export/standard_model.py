@@ -14,7 +14,6 @@ from fingerflow.errors import FingerflowError
 
 OPSET = 18  # newer ones make execution providers fall back to the processor without a word
 _PACKAGES = ("onnx", "onnxscript", "onnxruntime")
-_BYTE = 2  # uint8 among the types of ONNX
 _CONTROL_FLOW = {"Loop", "If", "Scan"}
 
 
@@ -43,7 +42,6 @@ def standard_model(
             input_names=list(inputs),
             output_names=list(outputs),
             dynamic_shapes=shapes,
-            custom_translation_table={torch.ops.fingerflow.nearest_byte.default: _nearest_byte},
             optimize=False,
             verbose=False,
         )
@@ -77,14 +75,6 @@ def need_packages() -> None:
         raise FingerflowError(
             f"graphs in ONNX need {', '.join(missing)}, not installed here: pip install 'fingerflow-engine[export]'"
         )
-
-
-def _nearest_byte(values: Any) -> Any:
-    import onnxscript
-
-    operators: Any = onnxscript.opset18
-    zero = operators.Cast(operators.Constant(value_int=0), to=_BYTE)
-    return operators.QuantizeLinear(values, operators.Constant(value_float=1.0), zero)
 
 
 @contextlib.contextmanager

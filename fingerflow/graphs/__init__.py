@@ -3,6 +3,7 @@
 from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse, SkinFields, SkinFieldsGraph
 from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph
 
 __all__ = [
@@ -14,6 +15,8 @@ __all__ = [
     "FieldsGraph",
     "GrossEllipse",
     "KeyGraph",
+    "Light",
+    "LightGraph",
     "SkinFields",
     "SkinFieldsGraph",
     "TrackGraph",

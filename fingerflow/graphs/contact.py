@@ -1,40 +1,41 @@
-"""Frames of the contact view to masks, areas and ellipse."""
+"""Frames of the contact view to what touches, areas and ellipse."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.contact_above import contact_above
-from fingerflow.ops.contact_classes import contact_classes
-from fingerflow.ops.dense_region import dense_region
-from fingerflow.ops.ellipse import Ellipse, fit_ellipse, mask_moments
-from fingerflow.ops.illumination import dequantize
-from fingerflow.ops.otsu import histogram
-from fingerflow.ops.quantile import median_of_counts
+from fingerflow.ops.contact_threshold import contact_threshold
+from fingerflow.ops.dense_region import cell_of, dense_region
+from fingerflow.ops.light_gain import light_gain
+from fingerflow.ops.touching import touching
 
 
 class Contact(NamedTuple):
     """Contact of B frames.
 
     Attributes:
-        real: (B, 1, H, W) bool, the micro-junctions.
-        gross: (B, 1, H, W) bool, the region that they span.
-        real_area_px, gross_area_px: (B,) float64 px.
-        ellipse: of the gross region, px.
-        threshold: (B,) share of light lost that counts as contact.
+        touching: (B, 1, H, W) bool, the micro-junctions.
+        real_area_px, gross_area_px: (B,) px, of them and of the region that they span.
+        center, semi_axes: (B, 2) px, `angle` (B,) rad: of the gross region's ellipse, NaN without contact.
+        excess: (B, 1, h, w) of the gross region on cells, from which `ops.cells.covered` tells what it covers.
+        light_gain: (B,) brightness of the lamp, 1 that of the empty glass; NaN, and 1 taken, where no glass is seen.
     """
 
-    real: Tensor
-    gross: Tensor
+    touching: Tensor
     real_area_px: Tensor
     gross_area_px: Tensor
-    ellipse: Ellipse
-    threshold: Tensor
+    center: Tensor
+    semi_axes: Tensor
+    angle: Tensor
+    excess: Tensor
+    light_gain: Tensor
 
 
 class ContactGraph(nn.Module):
-    """Frames of the contact view to contact masks, areas and ellipse (Willemet et al. 2021, supplement, figure S3 A).
+    """Frames of the contact view to `Contact` (Willemet et al. 2021, supplement, figure S3 A).
+
+    A pixel touches where its count lies below black + a limit * light, `light_gain` a: no quotient is formed.
 
     Args:
         median_px: odd side of the median. It rounds the ends of the ridges: 3 leaves the real contact area of a
@@ -42,42 +43,38 @@ class ContactGraph(nn.Module):
         gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by
             it, which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
             end at its border, and not where they run along it. `dense_region` is what is done instead.
+        cell_px: side of the cells of the gross region; None for what the radius needs.
+        lattice_px: of how many pixels, across and down, one is counted in `threshold`; 1 for all.
     """
 
-    def __init__(self, median_px: int = 3, gross_radius_px: int = 8) -> None:
+    def __init__(
+        self, median_px: int = 3, gross_radius_px: int = 8, cell_px: int | None = None, lattice_px: int = 1
+    ) -> None:
         super().__init__()
         self.median_px = median_px
         self.gross_radius_px = gross_radius_px
+        self.cell_px = cell_px or cell_of(gross_radius_px)
+        self.lattice_px = lattice_px
 
-    def forward(
-        self, frames: Tensor, reference: Tensor, dark: Tensor | None = None, threshold: Tensor | None = None
-    ) -> Contact:
-        """(B, 1, H, W) frames, (1, 1, H, W) reference and dark; ``threshold`` (B,), or None for each frame's own."""
-        if threshold is None:
-            threshold = self.threshold(frames, reference, dark)
-        real = contact_above(frames, reference, dark, threshold=threshold, median_px=self.median_px)
-        gross = dense_region(real, self.gross_radius_px)
-        ellipse = fit_ellipse(gross)
-        return Contact(real, gross, mask_moments(real)[:, 0].double(), ellipse.area_px, ellipse, threshold)
+    def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
+        """(B, 1, H, W) frames and the `Light` (of one view or B) that they are compared with, limit (B,)."""
+        gain = light_gain(frames, light, black, self.gross_radius_px)
+        share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
+        mask = touching(frames, light, black, share, self.median_px)
+        region = dense_region(mask, self.gross_radius_px, self.cell_px, light.dtype)
+        return Contact(
+            mask, region.covered_px, region.area_px, region.center, region.semi_axes, region.angle, region.excess, gain
+        )
 
-    def threshold(self, frames: Tensor, reference: Tensor, dark: Tensor | None = None) -> Tensor:
-        """(B,) share of light lost half-way between touching ridges and the skin beside them; NaN without contact.
-
-        Otsu's threshold of the median-filtered signal splits the pixels into classes, and so finds the gross region.
-        Most of the rest is empty glass, brighter than the skin between ridges, which pulls Otsu's threshold down
-        and the area up by 2 %. Half-way between the medians of the two classes inside the gross region is where the
-        blurred edge of a ridge has its true place.
-        """
-        contact = contact_classes(frames, reference, dark, median_px=self.median_px)
-        low, high = dequantize(contact.classes.means).unbind(1)
-        # Contact takes at least a twentieth of the light; two halves of noise lie closer together. Frames that are
-        # brighter than the background (another exposure or bit depth) have classes, but no contact.
-        noise = contact.classes.deviations[:, 0] * (1.25 / 255)
-        apart = (high > 0.05) & (high - low > (6 * noise).clamp(min=0.05))
-        gross = dense_region(contact.touching, self.gross_radius_px)
-        counts = histogram(contact.smooth, gross & contact.valid)
-        touching = torch.arange(counts.shape[1], device=counts.device) > contact.threshold[:, None]
-        ridges, valleys = median_of_counts(torch.cat([counts * touching, counts * ~touching])).chunk(2)
-        # Contact without gaps has no valleys: the empty glass stands for them.
-        valleys = torch.where(valleys.isfinite(), valleys, contact.classes.means[:, 0])
-        return torch.where(apart & contact.threshold.isfinite(), dequantize((ridges + valleys) / 2), torch.nan)
+    def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
+        """(B,) share of light lost half-way between touching ridges and the skin beside them; NaN without contact."""
+        gain = light_gain(frames, light, black, self.gross_radius_px)
+        return contact_threshold(
+            frames,
+            light,
+            black,
+            gain,
+            median_px=self.median_px,
+            radius=self.gross_radius_px,
+            lattice_px=self.lattice_px,
+        )

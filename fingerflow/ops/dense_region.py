@@ -1,75 +1,203 @@
 """The region that a pattern spans: stripes or dots with what lies between them, up to where the pattern ends."""
 
+import functools
+from typing import NamedTuple
+
 import torch
-import torch.nn.functional as F
 from torch import Tensor
+from torch.nn import functional
 
 from fingerflow import kernels
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.components import fill_holes, largest_component
+from fingerflow.ops.cells import cell_means, enlarge, widest
 
 _LEAST_SHARE = 0.2  # of a region that its pattern covers at least
-_BOXES = 3
+_FIRST_ROUNDS, _ROUNDS = 2, 3
+_BLOCK = 8  # cells, a side of a block in which a component is followed
 
 
-def dense_region(mask: Tensor, radius: int) -> Tensor:
-    """The largest part of a frame, without holes, where the mask is about half as dense as inside of it.
+class Region(NamedTuple):
+    """The regions of B frames.
+
+    Attributes:
+        excess: (B, 1, h, w) density of the pattern above its limit, on cells: positive inside the region and smooth
+            across its border (`ops.cells.covered`).
+        covered_px, area_px: (B,) px, of the pattern (all of it in the frame) and of the region.
+        center: (B, 2) as (x, y) px, with `semi_axes` (B, 2) px, major first, and `angle` (B,) rad (as in
+            `ops.fit_ellipse`) the ellipse of the region's moments; NaN where it is empty.
+    """
+
+    excess: Tensor
+    covered_px: Tensor
+    area_px: Tensor
+    center: Tensor
+    semi_axes: Tensor
+    angle: Tensor
+
+
+def cell_of(radius: int) -> int:
+    """Side (px) of the cells on which a pattern of this radius is followed: 4, less for fine patterns."""
+    return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
+
+
+def dense_region(mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32) -> Region:
+    """The part of a frame around its densest place, without holes, where the mask is about half as dense as inside.
 
     The density is the mean of the mask over about two periods (three box means). At a straight border it has fallen to
     one half of that inside, whatever the direction of the pattern; at a border curved outwards to less. How much less
     is read from the region itself, smoothed in the same way. The region and the density inside depend on each other: a
-    fixed point, near after few rounds. All sums are whole numbers, so that every device finds the same pixels.
+    fixed point, near after few rounds.
+
+    The density is smooth over the boxes, so cells of a fourth of their side lose nothing of it. Where the border
+    crosses a cell, the cell counts by the part that lies inside, from the density's slope. Holes are filled where the
+    region lies on all four sides. Parts of the region are told apart on blocks of 8 cells. A fixed cost, no branch.
 
     Args:
         mask: (B, 1, H, W) bool.
         radius: px, half the period of the pattern or a little more, up to 255. Boxes have the side 2 radius + 1 and
             see nothing beyond the frame.
-
-    Returns:
-        (B, 1, H, W) bool, empty where the mask is.
+        cell: px, by the radius (`cell_of`) where it is None. With cells of 8 px and a radius of 8 the area is 0.6 %
+            off where it is 14 mm² or more, 2 % at 7 mm² (32.5 um a pixel).
+        precision: of the sums on cells.
 
     Raises:
         TypeError: `mask` is not bool.
-        ValueError: `mask` is not (B, 1, H, W), or `radius` lies outside 1 to 255.
+        ValueError: `mask` is not (B, 1, H, W), `radius` lies outside 1 to 255, or a cell is larger than the boxes.
     """
     if mask.dtype != torch.bool:
         raise TypeError(f"the mask is {mask.dtype}: compare it with a threshold to make it bool")
-    if mask.ndim != 4 or mask.shape[1] != 1:
+    if mask.ndim != 4 or mask.shape[1] != 1 or 0 in mask.shape[2:]:
         raise ValueError(f"the mask has shape {tuple(mask.shape)}: give (B, 1, H, W)")
     if not 1 <= radius <= 255:
         raise ValueError(f"a radius of {radius} px: give 1 to 255")
-    if mask.numel() == 0:
-        return mask.clone()
-    if radius <= kernels.LARGEST_DENSITY_RADIUS and kernels.serve(mask):
-        return kernels.dense_region(mask, radius)
-    density = _smooth(mask, radius)
-    full = (2 * radius + 1) ** (2 * _BOXES)  # density where all is covered
-
-    def denser_than(level: Tensor) -> Tensor:
-        return density > (full * level).floor().to(density.dtype)
-
-    region = denser_than(torch.full((len(mask), 1, 1, 1), 0.25, dtype=torch.float64, device=mask.device))
-    for _ in range(2):
-        region = denser_than(_share(mask, region) * 0.5)
-    neighbours = box_sum(F.pad(region.to(torch.uint8), (1,) * 4), 3)
-    border = (neighbours > 0) & (neighbours < 9)
-    at_border = torch.where(border, _smooth(region, radius), 0).sum((2, 3), keepdim=True)
-    level = (at_border.double() / (full * border.sum((2, 3), keepdim=True).clamp(min=1)).double()).clamp(0.25, 0.5)
-    for _ in range(2):
-        region = denser_than(_share(mask, region) * level)
-    return largest_component(fill_holes(region))
+    side = cell or cell_of(radius)
+    if not 1 <= side <= 2 * radius + 1:
+        raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
+    if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
+        excess, numbers = kernels.dense_region(mask, radius, side)
+        return Region(excess, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
+    return _region(cell_means(mask, side, precision), radius, side)
 
 
-def _share(mask: Tensor, region: Tensor) -> Tensor:
-    """Share (B, 1, 1, 1) float64 of the region that the mask covers."""
-    covered = (mask & region).sum((2, 3), keepdim=True).double()
-    return (covered / region.sum((2, 3), keepdim=True).clamp(min=1).double()).clamp(_LEAST_SHARE, 1.0)
+def _region(cells: Tensor, radius: int, side: int) -> Region:
+    """Of the shares (B, 1, h, w) of each cell that the mask covers."""
+    kind = cells.dtype
+    width = (2 * radius + 1) / side
+    density = _smooth(cells, width)
+    steep = _slope(density).clamp_min(1e-6)
+
+    def inside(limit: Tensor | float) -> Tensor:
+        """The part of each cell that lies inside, were the density a plane across it."""
+        return ((density - limit) / steep + 0.5).clamp(0, 1)
+
+    def share(part: Tensor) -> Tensor:
+        # All that a border cell has of the pattern lies in the part of it that is inside.
+        covered = (cells * (part > 0).to(kind)).sum((2, 3), keepdim=True)
+        return (covered / part.sum((2, 3), keepdim=True).clamp_min(1)).clamp(_LEAST_SHARE, 1.0)
+
+    part = inside(0.25)
+    for _ in range(_FIRST_ROUNDS):
+        part = inside(share(part) / 2)
+    # At a border that is curved outwards the density of the region itself is below one half.
+    border = part * (1 - part)
+    own = (_smooth(part, width) * border).sum((2, 3), keepdim=True)
+    level = (own / border.sum((2, 3), keepdim=True).clamp_min(1e-3)).clamp(0.25, 0.5)
+    for _ in range(_ROUNDS):
+        limit = share(part) * level
+        part = inside(limit)
+    whole = (density > limit).to(kind)
+    filled = _enclosed(_main_component(whole, density))
+    # The border cells count in part, also those just outside.
+    near = widest(filled)
+    hole = torch.clamp_min(filled - whole, 0)
+    # By extremes and products, which runtimes do several times as fast as choices: in a hole the density does not
+    # exceed the limit, elsewhere it is not negative.
+    coverage = torch.maximum(part * near, hole)
+    excess = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
+    return Region(excess, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
-def _smooth(mask: Tensor, radius: int) -> Tensor:
-    """Three box sums of side 2 radius + 1: up to (2 radius + 1)^6, exact."""
-    side = 2 * radius + 1
-    density = mask.to(torch.int32 if side ** (2 * _BOXES) < 2**31 else torch.int64)
-    for _ in range(_BOXES):
-        density = box_sum(F.pad(density, (radius,) * 4), side)
-    return density
+def _smooth(cells: Tensor, width: float) -> Tensor:
+    """Three box means of `width` cells; nothing lies beyond the frame."""
+    # What is made while a graph is traced is none to keep.
+    boxes = _boxes if torch.compiler.is_compiling() or torch.compiler.is_exporting() else _kept_boxes
+    down, along = (boxes(side, width).to(cells) for side in cells.shape[-2:])
+    return down @ cells @ along
+
+
+def _boxes(side: int, width: float) -> Tensor:
+    """(side, side) float64: three box means of a line, over `width` places; those at its ends count in part."""
+    place = torch.arange(side, dtype=torch.float64)
+    box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
+    return box @ box @ box
+
+
+_kept_boxes = functools.lru_cache(16)(_boxes)
+
+
+def _slope(density: Tensor) -> Tensor:
+    """Length of the density's gradient, a cell: half the difference of two neighbours, zeros beyond the frame."""
+    along, down = functional.pad(density, (1, 1)), functional.pad(density, (0, 0, 1, 1))
+    x, y = along[..., 2:] - along[..., :-2], down[..., 2:, :] - down[..., :-2, :]
+    return ((x * x + y * y) / 4 + 1e-12).sqrt()
+
+
+def _main_component(inside: Tensor, density: Tensor) -> Tensor:
+    """The cells connected to the densest one, by blocks: dilated step by step, as often as the longer side has blocks.
+
+    (A part that winds through the blocks for longer than that ends there.)
+    """
+    height, width = inside.shape[-2:]
+    fit = (0, -width % _BLOCK, 0, -height % _BLOCK)
+    dense = inside * density
+    if any(fit):
+        inside, dense = functional.pad(inside, fit), functional.pad(dense, fit)
+    blocks, densest = (functional.max_pool2d(cells, _BLOCK) for cells in (inside, dense))
+    reached = (densest >= densest.amax((2, 3), keepdim=True)).to(inside.dtype) * blocks
+    for _ in range(max(blocks.shape[-2:])):
+        reached = torch.minimum(functional.max_pool2d(reached, 3, 1, 1), blocks)
+    return (inside * enlarge(reached, _BLOCK))[..., :height, :width]
+
+
+def _enclosed(inside: Tensor) -> Tensor:
+    """1 where the region lies to the left and right, above and below, or at the place itself."""
+    between = []
+    for axis in (2, 3):
+        side = inside.shape[axis]
+        place = torch.arange(1, side + 1, dtype=inside.dtype, device=inside.device)
+        place = place[:, None] if axis == 2 else place
+        last = (inside * place).amax(axis, keepdim=True)
+        first = (side + 1) - (inside * ((side + 1) - place)).amax(axis, keepdim=True)
+        between.append((place >= first) & (place <= last))
+    return (between[0] & between[1]).to(inside.dtype)
+
+
+def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Area, centre, semi axes and angle of the ellipse with the same moments (`ops.fit_ellipse`), px."""
+    # About the middle of the frame, in cells, where float32 holds their squares.
+    powers = []
+    middles = []
+    for count in coverage.shape[-2:]:
+        place = torch.arange(count, dtype=coverage.dtype, device=coverage.device) - (count - 1) / 2
+        powers.append(torch.stack((torch.ones_like(place), place, place * place)))
+        middles.append((count - 1) / 2)
+    moments = powers[0] @ coverage[:, 0] @ powers[1].T  # (B, 3, 3) by powers of y and x
+    mass = moments[:, 0, :1]
+    some = mass > 0.5
+    moments = moments / torch.where(some, mass, 1.0)[..., None]
+    mean = torch.cat((moments[:, 0, 1:2], moments[:, 1, :1]), dim=1)
+    square = torch.cat((moments[:, 0, 2:], moments[:, 2, :1]), dim=1) - mean * mean
+    mixed = moments[:, 1, 1:2] - mean[:, :1] * mean[:, 1:]
+    # The places within a cell vary themselves, by (cell^2 - 1) / 12 px^2 if they are pixel centres.
+    variance = square * cell**2 + (cell**2 - 1) / 12
+    middle, half = variance.mean(1, keepdim=True), (square[:, :1] - square[:, 1:]) * (cell**2 / 2)
+    mixed = mixed * cell**2
+    spread = (half * half + mixed * mixed).sqrt()
+    axes = 2 * torch.cat((middle + spread, (middle - spread).clamp_min(0)), dim=1).sqrt()
+    angle = torch.atan2(mixed, half) / 2
+    center = (mean + torch.tensor(middles[::-1], dtype=mean.dtype, device=mean.device)) * cell + (cell - 1) / 2
+    return (
+        torch.where(some, mass * cell**2, 0.0).squeeze(1),
+        torch.where(some, center, torch.nan),
+        torch.where(some, axes, torch.nan),
+        torch.where(some, angle, torch.nan).squeeze(1),
+    )

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.ops.quantile import frame_quantile
 
 # The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
 _FULL_LIGHT = 0.99
+_LEAST_LIGHT = 0.05  # of full light, at which a quotient means anything
 
 # The signal of levels 0 and 255. The lower end leaves room for pixels brighter than the empty glass.
 LEVEL_RANGE = (-0.25, 1.0)
@@ -22,40 +22,8 @@ class NormalizedFrames(NamedTuple):
     valid: Tensor
 
 
-class LightLost(NamedTuple):
-    """What one pass over frames (B, 1, H, W) tells of contact.
-
-    `signal` is the `contact_signal`, `levels` the same in one byte (`quantize`), `valid` bool where it is known.
-    """
-
-    signal: Tensor
-    levels: Tensor
-    valid: Tensor
-
-
-def light_lost(
-    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = 0.05
-) -> LightLost:
-    """`normalize_illumination`, `contact_signal` and `quantize` in one go.
-
-    Args, raises: as `normalize_illumination`.
-
-    Returns:
-        `LightLost`, its signal float32 (float64 if any input is).
-    """
-    images = [image for image in (frames, reference, dark) if image is not None]
-    check_images(images, minimum_illumination)
-    if all(image.dtype in kernels.FRAME_KINDS for image in images) and kernels.serve(*images):
-        low, high = LEVEL_RANGE
-        scale = levels_per_unit(low, high)
-        return LightLost(*kernels.light_lost(frames, reference, dark, minimum_illumination, low, scale))
-    normalized = normalize_illumination(frames, reference, dark, minimum_illumination=minimum_illumination)
-    signal = contact_signal(normalized)
-    return LightLost(signal, quantize(signal), normalized.valid)
-
-
 def normalize_illumination(
-    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = 0.05
+    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = _LEAST_LIGHT
 ) -> NormalizedFrames:
     """(frames - dark) / (reference - dark), where the reference, the empty glass, is lit.
 
@@ -86,14 +54,43 @@ def normalize_illumination(
     light = empty - black[0] if black else empty
     passed = counts - black[0] if black else counts
 
-    step = max(1, min(light.shape[-2:]) // 128)  # some 10,000 pixels tell the quantile of smooth light
-    full_light = frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(precision).reshape(-1, 1, 1, 1)
-    lit = torch.isfinite(light) & (light > 0) & (light > minimum_illumination * full_light)
+    lit = _lit(light, minimum_illumination)
     known = lit & torch.isfinite(passed)
     # Both branches of a where are differentiated: the masked one must be finite too.
     quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
     valid = known & torch.isfinite(quotient)
     return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
+
+
+def glass_light(
+    empty: Tensor, dark: Tensor | None = None, precision: torch.dtype = torch.float32
+) -> tuple[Tensor, Tensor]:
+    """What the empty glass gives a pixel, in the counts of its frames.
+
+    Args:
+        empty: (B, 1, H, W) counts of the empty glass, one frame or a mean of several.
+        dark: the same without light; None for zero.
+        precision: of the result.
+
+    Returns:
+        (B, 1, H, W) light = empty - dark, 0 where the glass is not lit (as for `normalize_illumination`), and black =
+        dark, 0 where it is not finite.
+
+    Raises:
+        ValueError: shapes that do not fit.
+    """
+    check_images([empty] if dark is None else [empty, dark], _LEAST_LIGHT)
+    counts = empty.to(precision)
+    black = torch.zeros_like(counts) if dark is None else dark.to(precision).expand(counts.shape)
+    light = counts - black
+    return torch.where(_lit(light, _LEAST_LIGHT), light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
+
+
+def _lit(light: Tensor, minimum: float) -> Tensor:
+    """Where light (B, 1, H, W) exceeds a share of the full light of its frame."""
+    step = max(1, min(light.shape[-2:]) // 128)  # some 10,000 pixels tell the quantile of smooth light
+    full = frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(light.dtype).reshape(-1, 1, 1, 1)
+    return torch.isfinite(light) & (light > 0) & (light > minimum * full)
 
 
 def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:

@@ -1,5 +1,6 @@
-"""The exact median of every window, and the cheaper question whether it lies above a threshold."""
+"""The exact median of every window."""
 
+import functools
 from collections.abc import Sequence
 
 import torch
@@ -7,8 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow import kernels
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.median_network import MedianProgram, Operand, Step, median_program
+from fingerflow.ops.median_network import MedianProgram, Operand, Step, median_program, tile_program
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS_A_PASS = 1 << 19
@@ -53,54 +53,13 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         return median_filter(frames.to(torch.int32), size).to(torch.uint16)
     if frames.dtype not in _DTYPES:
         raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
+    if torch.compiler.is_exporting():
+        return _of_rows(frames, size)
     program = median_program(size)
-    if frames.device.type != "cpu" or torch.compiler.is_exporting():
+    if frames.device.type != "cpu":
         return _run(program, frames)
     at_once = max(1, _PIXELS_A_PASS // frames[0].numel())
     return torch.cat([_run(program, some) for some in frames.split(at_once)])
-
-
-def median_above(frames: Tensor, threshold: Tensor | float, size: int = 9) -> Tensor:
-    """Where the median of the window lies above a threshold: `median_filter(frames, size) > threshold` by one box sum.
-
-    The median of an odd number of values is above t exactly when more than half of the values are, so counting is
-    enough: 2 log2(size) additions a pixel in place of the network.
-
-    Args:
-        frames: (B, 1, H, W) as for `median_filter`.
-        threshold: a number, or a tensor (B,) with one a frame. A NaN threshold is exceeded nowhere.
-        size: window side in pixels, odd.
-
-    Returns:
-        (B, 1, H, W) bool. A NaN pixel counts as not above, so a window with some NaN is still decided by the rest;
-        `median_filter` gives NaN there, which is above nothing.
-
-    Raises:
-        ValueError: `frames` is not (B, 1, H, W), `size` is even or under 1, or `threshold` has another length than B.
-    """
-    _check(frames, size)
-    if isinstance(threshold, Tensor) and threshold.ndim and threshold.shape != frames.shape[:1]:
-        raise ValueError(
-            f"threshold has shape {tuple(threshold.shape)} for {len(frames)} frames: give one number a frame"
-        )
-    if (
-        frames.dtype in kernels.MEDIAN_ABOVE_DTYPES
-        and size <= kernels.LARGEST_MEDIAN_ABOVE
-        and kernels.serve(frames, *([threshold] if isinstance(threshold, Tensor) else []))
-        and not (isinstance(threshold, Tensor) and threshold.ndim == 0)
-    ):
-        return kernels.median_above(frames, _exact_thresholds(frames, threshold), size)
-    if isinstance(threshold, Tensor) and threshold.ndim:
-        threshold = threshold.to(frames.device).reshape(-1, 1, 1, 1)
-    if frames.dtype == torch.uint16:  # torch has no comparison of uint16
-        frames = frames.to(torch.int32)
-    above = frames > threshold
-    if frames.numel() == 0:
-        return above
-    height, width = frames.shape[-2:]
-    narrow = torch.int16 if size * size < 2**15 else torch.int32
-    count = above[:, :, _replicated(height, size, above), :][..., _replicated(width, size, above)].to(narrow)
-    return box_sum(count, size) > size * size // 2
 
 
 def _check(frames: Tensor, size: int) -> None:
@@ -110,19 +69,29 @@ def _check(frames: Tensor, size: int) -> None:
         raise ValueError(f"a median window of {size} x {size} has no centre pixel: use an odd size")
 
 
-def _exact_thresholds(frames: Tensor, threshold: Tensor | float) -> Tensor:
-    """(B,) float64 that compare with the frames as torch compares the threshold."""
-    if isinstance(threshold, Tensor):
-        return threshold.double()
-    if frames.is_floating_point() or isinstance(threshold, float):  # torch compares them in float32
-        return torch.full((len(frames),), threshold, dtype=torch.float64).float().double()
-    return torch.full((len(frames),), threshold, dtype=torch.float64)
+def _of_rows(frames: Tensor, size: int) -> Tensor:
+    """As `_run`, on planes of rows: only whole lines move, which an unfused runtime copies in one piece."""
+    program = _rows_program(size)
+    batch, _, height, width = frames.shape
+    rows, half = program.tile[0], size // 2
+    down, right = program.reach
+    tiles = -(-height // rows)
+    grid_y, grid_x = tiles + down, width + right
+    below = grid_y * rows - height - half
+    padded = functional.pad(frames, (half, right - half, half, below), mode="replicate")[:, 0]
+    phases = [padded[:, phase::rows].reshape(-1) for phase in range(rows)]
+    medians = [
+        plane.reshape(batch, grid_y, grid_x)[:, :tiles, :width]
+        for plane in run_network(program.steps, program.outputs, phases, grid_x, views=False)
+    ]
+    woven = torch.stack(medians, dim=2).reshape(batch, 1, tiles * rows, width)
+    return woven[:, :, :height]
 
 
-def _replicated(length: int, size: int, like: Tensor) -> Tensor:
-    """Indices of a line padded by half a window with its end pixels."""
-    half = size // 2
-    return torch.arange(-half, length + half, device=like.device).clamp(0, length - 1)
+@functools.cache
+def _rows_program(size: int) -> MedianProgram:
+    orders = ["y", "yy"] if size > 4 else ["y"]
+    return min((tile_program(size, order) for order in orders), key=lambda program: program.operations_per_pixel)
 
 
 def _run(program: MedianProgram, frames: Tensor) -> Tensor:

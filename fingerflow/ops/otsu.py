@@ -12,6 +12,16 @@ _BINS = 256
 _MOST_COMPILED_BINS = 1 << 16
 
 
+class Classes(NamedTuple):
+    """Otsu's threshold (B,) in levels, NaN where there is one level only; the means of the levels up to it and above
+    it, and the deviation of the former, of which the threshold says whether they mean anything."""
+
+    threshold: Tensor
+    lower: Tensor
+    upper: Tensor
+    deviation: Tensor
+
+
 class ClassSeparation(NamedTuple):
     """The pixels at or below a threshold (index 0) and above it (index 1), float64.
 
@@ -98,24 +108,28 @@ def otsu_threshold(
     return torch.where((product > 0).any(1), threshold, torch.nan)
 
 
-def otsu_classes(frames: Tensor, mask: Tensor | None = None) -> tuple[Tensor, ClassSeparation]:
-    """`otsu_threshold` of uint8 frames and the `class_separation` at it, from one histogram where kernels serve.
+def otsu_classes(counts: Tensor) -> Classes:
+    """Otsu's two classes (1979, eq. 18) of floating counts (B, 256) of levels 0 to 255, in their precision.
 
-    Args:
-        frames: (B, 1, H, W) uint8.
-        mask: see `histogram`.
-
-    Raises:
-        TypeError: `frames` is not uint8.
-        ValueError: see `histogram`.
+    Of thresholds that are equally good the lowest is taken.
     """
-    if frames.dtype != torch.uint8:
-        raise TypeError(f"frames are {frames.dtype}: the two classes of one histogram are those of uint8")
-    if kernels.serve(frames, mask):
-        threshold, *classes = kernels.otsu_classes(histogram(frames, mask))
-        return threshold, ClassSeparation(*classes)
-    threshold = otsu_threshold(frames, mask)
-    return threshold, class_separation(frames, threshold, mask)
+    centre = (_BINS - 1) / 2  # moments about the middle level, so that float32 holds them
+    level = torch.arange(_BINS, dtype=counts.dtype, device=counts.device) - centre
+    share = counts / counts.sum(1, keepdim=True).clamp_min(1)
+    below, moment = share.cumsum(1), (share * level).cumsum(1)
+    square = (share * level * level).cumsum(1)
+    product = below * (1 - below)
+    two = product > 1e-6
+    offset = moment - moment[:, -1:] * below
+    between = torch.where(two, offset * offset / torch.where(two, product, 1.0), 0.0)
+    best = between.argmax(1, keepdim=True)
+    part = below.gather(1, best).clamp(1e-6, 1 - 1e-6)
+    lower = moment.gather(1, best) / part
+    upper = (moment[:, -1:] - moment.gather(1, best)) / (1 - part)
+    deviation = (square.gather(1, best) / part - lower * lower).clamp_min(0).sqrt()
+    threshold = torch.where(two.gather(1, best), best.to(counts.dtype), torch.nan)
+    results = (threshold, lower + centre, upper + centre, deviation)
+    return Classes(*(result.squeeze(1) for result in results))
 
 
 def class_separation(frames: Tensor, threshold: Tensor, mask: Tensor | None = None) -> ClassSeparation:

@@ -37,17 +37,19 @@ def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
 
 
 def median_of_counts(counts: Tensor) -> Tensor:
-    """Median (B,) float64 of integers from their histogram (B, bins), 0 the value of the first bin; NaN if empty.
+    """Median (B,) of integers from their histogram (B, bins), 0 the value of the first bin; NaN if empty. float64, or
+    the type of floating counts.
 
     Values are taken to be spread evenly over the unit around each integer, as rounding left them: a median between
     two integers, free of their steps.
     """
-    total = counts.sum(1, keepdim=True).double()
-    reached = counts.cumsum(1).double()
-    bin_index = (reached < total / 2).sum(1, keepdim=True).clamp(max=counts.shape[1] - 1)
-    own = counts.gather(1, bin_index).double()
-    before = reached.gather(1, bin_index) - own
-    median = bin_index - 0.5 + (total / 2 - before) / own.clamp(min=1)
+    counts = counts if counts.is_floating_point() else counts.double()
+    total = counts.sum(1, keepdim=True)
+    reached = counts.cumsum(1)
+    place = (reached < total / 2).to(counts.dtype).sum(1, keepdim=True).clamp(max=counts.shape[1] - 1)
+    own = counts.gather(1, place.to(torch.int64))
+    before = reached.gather(1, place.to(torch.int64)) - own
+    median = place - 0.5 + (total / 2 - before) / own.clamp_min(1)
     return torch.where(total > 0, median, torch.nan).squeeze(1)
 
 

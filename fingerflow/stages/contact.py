@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs import Contact, ContactGraph
+from fingerflow.graphs import Contact, ContactGraph, LightGraph
+from fingerflow.ops.cells import mask_of
+from fingerflow.ops.light_gain import light_gain
 from fingerflow.stages.inputs import Inputs
 
 GIVES = frozenset(
@@ -23,6 +25,8 @@ GIVES = frozenset(
 )
 _LEAST_LIGHT = 0.1
 _LOOKS = 32  # frames that are looked at to find the one with most contact, where no forces tell
+_STEP = 4  # px between the pixels that are looked at
+_STEADY = 0.01  # change of the lamp that moves no area
 
 
 @dataclass
@@ -46,11 +50,13 @@ class ContactStage:
         self.recording = inputs.recording
         self._view = inputs.scene.views.contact
         self._graph = inputs.engine(ContactGraph(settings.median_px, settings.gross_radius_px))
-        self._reference = inputs.reference(self._view)
-        self._dark = inputs.dark(self._view)
+        unknown = torch.full((1,), torch.nan, device=inputs.device)
+        self._light, self._black, _ = LightGraph()(inputs.reference(self._view), inputs.dark(self._view), unknown)
         self.reference_frame = self._most_contact(normal_force)
         self._threshold = self._fixed_threshold()
         count = len(inputs.recording)
+        self._gain = np.full(count, np.nan)  # of the lamp
+        self._blind = np.zeros(count, dtype=bool)  # frames with contact and without glass
         self.series = ContactSeries(
             threshold=np.full(count, np.nan),
             real_area=np.full(count, np.nan),
@@ -62,42 +68,59 @@ class ContactStage:
 
     def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic]) -> Contact:
         """Contact of the frames (n, H, W) with these numbers; also written into the series."""
-        contact = self._contact(frames)
+        contact, threshold = self._contact(frames)
         size = self._inputs.mm_per_px
         series = self.series
-        series.threshold[indices] = contact.threshold.cpu()
-        series.real_area[indices] = contact.real_area_px.cpu() * size**2
-        series.gross_area[indices] = contact.gross_area_px.cpu() * size**2
-        series.center[indices] = contact.ellipse.center.cpu() * size
-        series.semi_axes[indices] = contact.ellipse.semi_axes.cpu() * size
-        series.angle[indices] = contact.ellipse.angle.cpu()
+        series.threshold[indices] = threshold.cpu()
+        series.real_area[indices] = contact.real_area_px.double().cpu() * size**2
+        series.gross_area[indices] = contact.gross_area_px.double().cpu() * size**2
+        series.center[indices] = contact.center.double().cpu() * size
+        series.semi_axes[indices] = contact.semi_axes.double().cpu() * size
+        series.angle[indices] = contact.angle.cpu()
+        self._gain[indices] = contact.light_gain.cpu()
+        self._blind[indices] = (contact.light_gain.isnan() & (contact.real_area_px > 0)).cpu()
         return contact
 
-    def largest(self) -> Contact:
-        """Contact of the reference frame, the one with most of it."""
-        return self._contact(self._inputs.recording[[self.reference_frame]].read())
+    def finish(self) -> None:
+        """Warns of frames in which the lamp may have changed, and nothing tells by how much."""
+        known = self._gain[np.isfinite(self._gain)]
+        if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
+            first = int(np.argmax(self._blind)) + self._inputs.scene.recording.first_frame
+            self._inputs.warnings.append(
+                f"the light changes, but {int(self._blind.sum())} frames, the first is {first}, show no empty glass to "
+                f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
+                f"record the empty glass again"
+            )
 
-    def _contact(self, frames: NDArray[np.generic]) -> Contact:
+    def largest(self) -> Tensor:
+        """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
+        contact, _ = self._contact(self._inputs.recording[[self.reference_frame]].read())
+        return mask_of(contact.excess, self._graph.cell_px, *contact.touching.shape[2:])
+
+    def _contact(self, frames: NDArray[np.generic]) -> tuple[Contact, Tensor]:
         view = self._inputs.view(frames, self._view)
-        threshold = None
-        if self._threshold is not None:
-            threshold = torch.full((len(view),), self._threshold, dtype=torch.float64, device=view.device)
-        return self._graph(view, self._reference, self._dark, threshold)
+        if self._threshold is None:
+            threshold = self._graph.threshold(view, self._light, self._black)
+        else:
+            threshold = torch.full((len(view),), self._threshold, dtype=self._light.dtype, device=view.device)
+        return self._graph(view, self._light, self._black, 1 - threshold), threshold
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None and np.isfinite(normal_force).any():
             return int(np.nanargmax(normal_force))
         count = len(self._inputs.recording)
         looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
-        light = [self._light(self._inputs.recording[[int(i)]].read()) for i in looks]
+        light = [self._brightness(self._inputs.recording[[int(i)]].read()) for i in looks]
         return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else 0
 
-    def _light(self, frame: NDArray[np.generic]) -> float:
-        """Mean light of a frame as a share of the background's; NaN where hardly any is left, as in a dark frame: a
-        contact leaves half."""
+    def _brightness(self, frame: NDArray[np.generic]) -> float:
+        """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
+        is left, as in a dark frame: a contact leaves half."""
         view: Tensor = self._inputs.view(frame, self._view)
-        light = float((view / self._reference.clamp_min(1)).clamp(0, 1).mean())
-        return light if light > _LEAST_LIGHT else float("nan")
+        some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, self._light, self._black))
+        light = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
+        gain = float(light_gain(view, self._light, self._black, self._graph.gross_radius_px))
+        return light / (gain if np.isfinite(gain) else 1) if light > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
         """Share of light lost that counts as contact; None where every frame has its own."""
@@ -107,7 +130,7 @@ class ContactStage:
         if not isinstance(setting, str):
             return float(setting)
         frame = self._inputs.view(self._inputs.recording[[self.reference_frame]].read(), self._view)
-        threshold = float(self._graph.threshold(frame, self._reference, self._dark))
+        threshold = float(self._graph.threshold(frame, self._light, self._black))
         if not np.isfinite(threshold):
             raise FingerflowError(
                 f"{self._inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "

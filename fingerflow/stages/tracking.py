@@ -20,7 +20,9 @@ from fingerflow.graphs.track import (
     merged,
     multiplied,
 )
+from fingerflow.ops.cells import covered
 from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.dense_region import cell_of
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import Neighbours, find_neighbours
@@ -89,9 +91,9 @@ class TrackingStage:
         self._at_once = 1  # frames
         self.series: TrackSeries | None = None
 
-    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], gross: Tensor) -> NDArray[np.bool_]:
-        """Tracks through these frames, in the order given; says which points the gross contact (n, 1, h, w) covers,
-        (n, N)."""
+    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], excess: Tensor) -> NDArray[np.bool_]:
+        """Tracks through these frames, in the order given; says which points the gross contact (`Contact.excess`)
+        covers, (n, N)."""
         images = self._inputs.view(frames, self._view)
         steps, done = [], 0
         if self._key is None:
@@ -108,7 +110,7 @@ class TrackingStage:
         self.series.deviation[indices] = variances.mean(-1).sqrt().cpu()
         self.series.error[indices] = error.cpu()
         self.series.status[indices] = status.cpu()
-        return self._inside(gross[:, 0], place).cpu().numpy()
+        return self._inside(excess, place).cpu().numpy()
 
     def _step(self, images: Tensor) -> Found:
         """Finds the points in the next images (n, 1, h, w); estimates are where points are or were last."""
@@ -225,16 +227,10 @@ class TrackingStage:
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
         return self._keys(key, points, self._noise, warp)
 
-    def _inside(self, masks: Tensor, points: Tensor) -> Tensor:
-        """Values (n, P) of masks (n, h, w) of the contact view at points (n, P, 2) of the topographic view.
-
-        False beyond the mask or for NaN.
-        """
-        place = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).round()
-        size = place.new_tensor(masks.shape[:0:-1])
-        within = ((place >= 0) & (place < size)).all(-1)
-        column, row = torch.where(within[..., None], place, 0.0).long().unbind(-1)
-        return masks.flatten(1).gather(1, row * masks.shape[2] + column) & within
+    def _inside(self, excess: Tensor, points: Tensor) -> Tensor:
+        """Whether the gross contact (`Contact.excess`) covers points (n, P, 2) of the topographic view, (n, P)."""
+        x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
+        return covered(excess, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
 
 
 def _may_disagree(found: Found, expected: Tensor) -> bool:

@@ -39,11 +39,6 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         expect(fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads) == 0, "median");
         expect(fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads) == 0, "median");
     }
-    const std::vector<double> thresholds(static_cast<std::size_t>(batch), 127.5);
-    for (int size : {1, 3, 15}) {
-        expect(fingerflow_median_above(eight.data(), bytes.data(), batch, height, width, frame, width, 0, thresholds.data(), size, threads) == 0, "above");
-        expect(fingerflow_median_above(real.data(), bytes.data(), batch, height, width, frame, width, 3, thresholds.data(), size, threads) == 0, "above");
-    }
     for (std::int64_t radius : {0, 1, 8}) {
         std::vector<std::int32_t> rows;
         for (std::int64_t y = -radius; y <= radius; ++y) rows.push_back(static_cast<std::int32_t>(radius - std::llabs(y)));
@@ -52,8 +47,15 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     }
     expect(fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads) == 0, "holes");
     expect(fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads) == 0, "largest");
-    for (int radius : {1, 8, 17})
-        expect(fingerflow_dense_region(mask.data(), bytes.data(), batch, height, width, frame, width, radius, threads) == 0, "dense region");
+    std::vector<float> numbers(static_cast<std::size_t>(7 * batch));
+    for (std::int64_t side : {1, 2, 4, 8})
+        for (std::int64_t radius : {4, 8, 60}) {
+            std::vector<std::uint8_t> holds(mask.size());
+            for (std::size_t k = 0; k < mask.size(); ++k) holds[k] = mask[k] > 90;
+            std::vector<float> excess(static_cast<std::size_t>(batch * ((height + side - 1) / side) * ((width + side - 1) / side)));
+            const fingerflow_dense_regions regions{holds.data(), excess.data(), numbers.data(), batch, height, width, radius, side};
+            expect(fingerflow_dense_region(&regions, threads) == 0, "dense region");
+        }
     std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
     std::vector<double> ellipses(moments.size());
     expect(fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads) == 0, "moments");
@@ -74,19 +76,13 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         expect(fingerflow_corners(eight.data(), batch, height, width, frame, width, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads) == 0, "corners");
     }
 
-    std::vector<float> signal(real.size());
-    std::vector<double> classes(static_cast<std::size_t>(8 * batch));
-    const fingerflow_images images{{eight.data(), batch, frame, width, 0},
-                                   {real.data(), 1, frame, width, 3},
-                                   {sixteen.data(), batch, frame, width, 1},
-                                   batch, height, width};
-    std::vector<std::uint8_t> touching(eight.size());
-    expect(fingerflow_light_lost(&images, 0.05f, -0.25f, 204.0f, signal.data(), bytes.data(), other.data(), threads) == 0, "light lost");
-    for (int size : {1, 9}) {
-        const int failed = fingerflow_contact_classes(&images, 0.05f, -0.25f, 204.0f, size, nullptr, bytes.data(),
-                                                      other.data(), touching.data(), classes.data(), threads);
-        expect(failed == 0, "contact classes");
-        expect(fingerflow_contact_above(&images, 0.05f, thresholds.data(), size, touching.data(), threads) == 0, "contact above");
+    const std::vector<float> limits(static_cast<std::size_t>(batch), 0.6f);
+    const auto black = noise<float>(height * width, 11);
+    std::vector<float> gains(limits.size());
+    for (const fingerflow_image& image : {fingerflow_image{eight.data(), batch, frame, width, 0}, fingerflow_image{real.data(), batch, frame, width, 3}}) {
+        const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1, batch, height, width};
+        for (int size : {1, 3, 15}) expect(fingerflow_touching(&lit, limits.data(), size, bytes.data(), threads) == 0, "touching");
+        for (std::int64_t side : {8, 16, 40}) expect(fingerflow_light_gain(&lit, side, gains.data(), threads) == 0, "gain");
     }
     if (height >= 4 && width >= 4) {
         const fingerflow_image first{eight.data(), batch, frame, width, 0}, second{real.data(), batch, frame, width, 3};

@@ -1,4 +1,4 @@
-"""Compiled regions, components and moments of masks: the portable ops bit for bit."""
+"""Compiled regions to rounding, components and moments of masks bit for bit as the portable ops."""
 
 from collections.abc import Callable
 
@@ -8,13 +8,12 @@ from kernel_images import SHAPES, images
 
 from fingerflow import kernels
 from fingerflow.ops.components import fill_holes, largest_component
-from fingerflow.ops.dense_region import dense_region
+from fingerflow.ops.dense_region import Region, dense_region
 from fingerflow.ops.ellipse import fit_ellipse, mask_moments
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 Portable = Callable[[Callable[[], object]], torch.Tensor]
-LARGEST = kernels.LARGEST_DENSITY_RADIUS
 
 
 def blobs(shape: tuple[int, int, int], share: float) -> torch.Tensor:
@@ -24,18 +23,32 @@ def blobs(shape: tuple[int, int, int], share: float) -> torch.Tensor:
     return coarse.repeat_interleave(4, 2).repeat_interleave(4, 3)[..., 1 : 1 + height, 2 : 2 + width]
 
 
+def same(found: Region, expected: Region) -> None:
+    for name, ours, theirs in zip(Region._fields, found, expected, strict=True):
+        assert ours.shape == theirs.shape, name
+        tolerance = {"excess": 2e-5, "angle": 1e-2}.get(name, 2e-3)
+        torch.testing.assert_close(
+            ours, theirs, rtol=2e-5, atol=tolerance, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+        )
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.7, 1.0])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_regions(portable: Portable, instruction_set: int, shape: tuple[int, int, int], share: float) -> None:
     mask = blobs(shape, share)
-    for radius in (1, 2, 8, LARGEST):
-        assert torch.equal(dense_region(mask, radius), portable(lambda r=radius: dense_region(mask, r)))
+    for radius, cell in ((1, None), (2, None), (8, None), (8, 8), (30, 4), (255, 4)):
+        same(dense_region(mask, radius, cell), portable(lambda r=radius, c=cell: dense_region(mask, r, c)))
 
 
-def test_a_full_frame_reaches_the_largest_sums(portable: Portable, instruction_set: int) -> None:
-    mask = torch.ones(1, 1, 220, 230, dtype=torch.bool)
-    mask[..., 150:, 170:] = False
-    assert torch.equal(dense_region(mask, LARGEST), portable(lambda: dense_region(mask, LARGEST)))
+def test_contacts(portable: Portable, instruction_set: int) -> None:
+    """Ridges within an ellipse, with a hole and dirt, on frames of sizes that are no whole cells."""
+    y, x = torch.meshgrid(torch.arange(301.0), torch.arange(403.0), indexing="ij")
+    inside = torch.hypot((x - 200) / 150, (y - 140) / 110) < 1
+    mask = (inside & (torch.sin(0.45 * (x + 0.3 * y)) > 0))[None, None].repeat(3, 1, 1, 1)
+    mask[1, :, 120:170, 190:240] = False
+    mask[2, :, 5:30, 360:400] = True
+    for radius, cell in ((8, None), (8, 8), (5, None)):
+        same(dense_region(mask, radius, cell), portable(lambda r=radius, c=cell: dense_region(mask, r, c)))
 
 
 @pytest.mark.parametrize("op", [fill_holes, largest_component, mask_moments])
@@ -69,7 +82,8 @@ def test_views_and_threads(portable: Portable) -> None:
         for threads in (1, 2, 3, 7):
             torch.set_num_threads(threads)
             for view in (masks, masks[1:2, ..., 3:], masks[::3, :, 7:290, 5:201], masks[..., ::2]):
-                for op in (fill_holes, largest_component, mask_moments, lambda mask: dense_region(mask, 6)):
+                same(dense_region(view, 6), portable(lambda view=view: dense_region(view, 6)))
+                for op in (fill_holes, largest_component, mask_moments):
                     assert torch.equal(op(view), portable(lambda op=op, view=view: op(view)))
     finally:
         torch.set_num_threads(before)
@@ -77,9 +91,10 @@ def test_views_and_threads(portable: Portable) -> None:
 
 def test_refuses_what_does_not_fit() -> None:
     mask = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
-    for radius in (0, LARGEST + 1):
-        with pytest.raises(ValueError, match=f"{radius} was asked for"):
-            kernels.dense_region(mask, radius)
+    with pytest.raises(ValueError, match="cells of 3 px"):
+        kernels.dense_region(mask, 8, 3)
+    with pytest.raises(TypeError, match="uint8"):
+        kernels.dense_region(mask.byte(), 8, 4)
     with pytest.raises(TypeError, match="uint8"):
         kernels.fill_holes(mask.byte())
     with pytest.raises(ValueError, match="65536 px wide"):

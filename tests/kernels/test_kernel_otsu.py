@@ -9,7 +9,7 @@ import torch
 from kernel_images import CONTENTS, SHAPES, images
 
 from fingerflow import kernels
-from fingerflow.ops.otsu import histogram, otsu_classes, otsu_threshold
+from fingerflow.ops.otsu import histogram, otsu_threshold
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -51,16 +51,14 @@ def test_views_and_masks_of_any_stride(portable: Portable) -> None:
 
 @pytest.mark.parametrize("content", CONTENTS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_same_threshold_and_classes(portable: Portable, shape: tuple[int, int, int], content: str) -> None:
+def test_same_threshold(portable: Portable, shape: tuple[int, int, int], content: str) -> None:
     frames = images(shape, torch.uint8, content)
     mask = images(shape, torch.uint8, "random", seed=1) > 60
     for some in (None, mask, torch.zeros_like(mask)):
-        threshold, classes = otsu_classes(frames, some)
-        expected = portable(lambda s=some: otsu_classes(frames, s))
-        for ours, theirs in zip((threshold, *classes), (expected[0], *expected[1]), strict=True):
-            assert ours.dtype == theirs.dtype
-            assert torch.equal(ours.nan_to_num(-1), theirs.nan_to_num(-1))
-        assert torch.equal(otsu_threshold(frames, some).nan_to_num(-1), threshold.nan_to_num(-1))
+        threshold = otsu_threshold(frames, some)
+        expected = portable(lambda s=some: otsu_threshold(frames, s))
+        assert threshold.dtype == expected.dtype
+        assert torch.equal(threshold.nan_to_num(-1), expected.nan_to_num(-1))
 
 
 @pytest.mark.parametrize(("dtype", "value_range"), [(torch.uint16, (-1.0, 4095.0)), (torch.uint8, (20.0, 190.5))])
@@ -90,7 +88,5 @@ def test_refuses_what_does_not_fit() -> None:
         kernels.histogram(frames, torch.ones(3, 1, 8, 8, dtype=torch.bool), None, 256)
     with pytest.raises(ValueError, match="goes up to 17"):
         kernels.histogram(frames, None, torch.arange(256).div(15, rounding_mode="floor").to(torch.uint16), 16)
-    with pytest.raises(TypeError, match="uint8"):
-        otsu_classes(frames.float())
     with pytest.raises(ValueError, match="counts is"):
-        kernels.otsu_classes(torch.zeros(1, 255, dtype=torch.int64))
+        kernels.otsu_threshold(torch.zeros(1, 255, dtype=torch.int64), -1.0, 255.0)

@@ -6,7 +6,7 @@ import pytest
 import scipy.ndimage
 import torch
 
-from fingerflow.ops.median import median_above, median_filter
+from fingerflow.ops.median import median_filter
 
 
 def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:
@@ -80,22 +80,3 @@ def test_exports_at_a_fixed_frame_size_and_runs_the_same() -> None:
     frames = torch.randint(0, 256, (2, 1, 24, 17), dtype=torch.uint8, generator=torch.Generator().manual_seed(7))
     exported = torch.export.export(Filter(), (frames,)).module()
     assert torch.equal(exported(frames.flip(-1)), median_filter(frames.flip(-1), 5))
-
-
-@pytest.mark.parametrize("size", [1, 3, 5, 9, 15])
-def test_median_above_is_the_median_above(size: int) -> None:
-    frames = torch.randint(0, 256, (3, 1, 40, 23), dtype=torch.uint8, generator=torch.Generator().manual_seed(8))
-    thresholds = torch.tensor([120.0, 128.0, 133.5])
-    expected = median_filter(frames, size) > thresholds[:, None, None, None]
-    assert torch.equal(median_above(frames, thresholds, size), expected)
-    assert expected.any()
-    assert not expected.all()
-
-
-def test_median_above_takes_a_number_and_wide_windows() -> None:
-    generator = torch.Generator().manual_seed(9)
-    frames = torch.randint(0, 65536, (1, 1, 30, 30), generator=generator).to(torch.uint16)
-    expected = median_filter(frames, 9).to(torch.int32) > 33000
-    assert torch.equal(median_above(frames, 33000, 9), expected)
-    # 185 * 185 passes 2^15: the count needs more than 16 bits.
-    assert median_above(torch.ones(1, 1, 4, 4), 0.5, 185).all()

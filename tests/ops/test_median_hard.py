@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.median import median_above, median_filter
+from fingerflow.ops.median import median_filter
 
 
 @pytest.mark.parametrize("value", [0, 7, 255])
@@ -21,13 +21,11 @@ def test_frame_smaller_than_the_window(shape: tuple[int, int], size: int) -> Non
     windows = frames[:, 0][:, y][:, :, x].unfold(1, size, 1).unfold(2, size, 1).flatten(3)
     truth = windows.long().median(-1).values
     assert torch.equal(median_filter(frames, size)[:, 0].long(), truth)
-    assert torch.equal(median_above(frames, 100, size)[:, 0], truth > 100)
 
 
 def test_empty_batch_and_empty_frame() -> None:
     assert median_filter(torch.zeros(0, 1, 8, 8, dtype=torch.uint8)).shape == (0, 1, 8, 8)
     assert median_filter(torch.zeros(2, 1, 0, 8)).shape == (2, 1, 0, 8)
-    assert median_above(torch.zeros(0, 1, 8, 8), torch.zeros(0)).shape == (0, 1, 8, 8)
 
 
 def test_window_of_one_copies() -> None:
@@ -58,13 +56,6 @@ def test_infinities_are_ordered_as_numbers() -> None:
     assert median_filter(frames, 3)[0, 0, 2, 2] == 4
 
 
-def test_nan_counts_as_not_above() -> None:
-    frames = torch.ones(1, 1, 3, 3)
-    frames[0, 0, 0, :2] = torch.nan
-    assert median_above(frames, 0.5, 3)[0, 0, 1, 1]
-    assert not median_above(frames, torch.nan, 3).any()
-
-
 @pytest.mark.parametrize("dtype", [torch.bool, torch.complex64])
 def test_refuses_what_has_no_order(dtype: torch.dtype) -> None:
     with pytest.raises(TypeError, match=str(dtype)):
@@ -75,8 +66,6 @@ def test_refuses_shapes_and_sizes_by_name() -> None:
     with pytest.raises(ValueError, match=r"\(9, 9\).*\(B, 1, H, W\)"):
         median_filter(torch.zeros(9, 9))
     with pytest.raises(ValueError, match=r"\(1, 3, 9, 9\)"):
-        median_above(torch.zeros(1, 3, 9, 9), 0)
+        median_filter(torch.zeros(1, 3, 9, 9))
     with pytest.raises(ValueError, match=r"4 x 4.*odd"):
         median_filter(torch.zeros(1, 1, 9, 9), 4)
-    with pytest.raises(ValueError, match=r"threshold has shape \(3,\) for 2 frames"):
-        median_above(torch.zeros(2, 1, 9, 9), torch.zeros(3))

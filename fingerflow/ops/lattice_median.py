@@ -3,16 +3,15 @@
 import torch
 from torch import Tensor
 
-from fingerflow.ops.median import run_network
+from fingerflow.ops.median import median_filter, run_network
 from fingerflow.ops.median_network import join_program
-from fingerflow.stream.median_planes import median_of_rows
 
 # A window of its own takes up to 7 times the operations of one that shares them with all its neighbours.
 _OWN_WINDOWS = 3
 
 
-def median_on_lattice(frames: Tensor, size: int, step: int) -> Tensor:
-    """Every `step`-th median of every `step`-th line: `median_of_rows(frames, size)[..., ::step, ::step]`.
+def median_at(frames: Tensor, size: int, step: int) -> Tensor:
+    """Every `step`-th median of every `step`-th line: `median_filter(frames, size)[..., ::step, ::step]`.
 
     The columns of all windows are sorted at once, then one half of each window's columns is merged with the other
     half, those of all windows at once again, until one is left.
@@ -25,7 +24,7 @@ def median_on_lattice(frames: Tensor, size: int, step: int) -> Tensor:
     """
     height, width = frames.shape[-2:]
     if size == 1 or step < _OWN_WINDOWS:
-        return median_of_rows(frames, size)[..., ::step, ::step]
+        return median_filter(frames, size)[..., ::step, ::step]
     rows, columns = (_window_places(side, size, step, frames.device) for side in (height, width))
     # Columns become lines: whole lines are gathered in one piece each.
     lines = frames[:, 0].index_select(1, rows.flatten()).unflatten(1, rows.shape).transpose(2, 3)

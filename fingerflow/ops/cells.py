@@ -1,0 +1,91 @@
+"""Pictures on cells of some pixels: means over them, and values read between them.
+
+Of cells of c px, (row i, column j) stands for the place (c j + (c - 1) / 2, c i + (c - 1) / 2) px, its middle.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+
+def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
+    """Means (B, 1, h, w) of cells of `cell` x `cell` px of an image (B, 1, H, W), zeros beyond it."""
+    height, width = image.shape[-2:]
+    exporting = torch.compiler.is_exporting()
+    # Of a mask four lines are added as bytes: a sum of floats takes five times as long.
+    values = image.view(torch.uint8) if image.dtype == torch.bool and not exporting else image.to(precision)
+    if height % cell or width % cell:
+        values = functional.pad(values, (0, -width % cell, 0, -height % cell))
+    lines = values.unflatten(2, (-1, cell))
+    # Down first, in whole lines. The runtimes of ONNX reduce; torch adds slices faster than it reduces short axes.
+    down = lines.sum(3) if exporting else sum_of(lines.unbind(3))
+    columns = down.to(precision).unflatten(3, (-1, cell))
+    return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
+
+
+def sum_of(parts: Sequence[Tensor]) -> Tensor:
+    """Sum of tensors of one shape and type, in pairs."""
+    while len(parts) > 1:
+        parts = [first + second for first, second in zip(parts[::2], parts[1::2], strict=False)] + list(
+            parts[len(parts) // 2 * 2 :]
+        )
+    return parts[0]
+
+
+def widest(cells: Tensor) -> Tensor:
+    """The largest of the 3 x 3 cells around each of non-negative cells (B, 1, h, w), zeros beyond."""
+    down = functional.pad(cells, (0, 0, 1, 1))
+    down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
+    along = functional.pad(down, (1, 1))
+    return torch.maximum(torch.maximum(along[..., :-2], along[..., 2:]), down)
+
+
+def enlarge(cells: Tensor, times: int) -> Tensor:
+    """Every cell of (B, 1, h, w) as a square of `times` x `times`."""
+    return functional.interpolate(cells, scale_factor=times, mode="nearest")
+
+
+def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Bilinear values (B, N) of cells (B, 1, h, w) at places x, y (B, N), finite, in cells.
+
+    The nearest cell's value beyond the middle of the outermost.
+    """
+    height, width = cells.shape[-2:]
+    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
+    left, top = x.floor().clamp(0, max(width - 2, 0)), y.floor().clamp(0, max(height - 2, 0))
+    first = (top * width + left)[:, None].to(torch.int64)
+    right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
+    corners = torch.tensor([[0], [right], [down], [down + right]], device=cells.device)
+    values = cells.flatten(1).gather(1, (first + corners).flatten(1)).unflatten(1, (4, -1))
+    across, along = (x - left)[:, None], (y - top)[:, None]
+    rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
+    return rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+
+
+def covered(excess: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
+    """Whether the regions of `ops.dense_region` cover places, to a fraction of a pixel.
+
+    Args:
+        excess: (B, 1, h, w) of `Region`, cells of `cell` px.
+        x, y: (B, N) px.
+
+    Returns:
+        (B, N) bool; False beyond the cells and where x or y is not finite.
+    """
+    height, width = excess.shape[-2:]
+    # Beyond the frame lies nothing: what is not finite is taken there.
+    known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
+    column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
+    inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
+    return (at_places(excess, column, row) > 0) & inside
+
+
+def mask_of(excess: Tensor, cell: int, height: int, width: int) -> Tensor:
+    """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of."""
+    kind, device = excess.dtype, excess.device
+    y, x = (torch.arange(side, dtype=kind, device=device) for side in (height, width))
+    places = (x.expand(height, -1).flatten(), y[:, None].expand(-1, width).flatten())
+    batch = len(excess)
+    return covered(excess, *(place.expand(batch, -1) for place in places), cell).unflatten(1, (1, height, width))

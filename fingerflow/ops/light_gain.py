@@ -1,0 +1,82 @@
+"""How bright the lamp is in a frame, from the empty glass that is still seen in it."""
+
+import torch
+from torch import Tensor
+
+from fingerflow import kernels
+
+
+_STEP = 4  # px between the lines that are read
+_LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
+_MOST, _LEAST = 1.4, 0.7  # gains beyond which nothing tells light that has changed from glass that is covered
+_LIT = 0.25  # least light of a block, of that of the brightest
+_ROUGH = 0.15  # deviation of quotients within a block: of noise it is less, of ridges more
+_TOP = 0.03  # share of the blocks that are glass at least
+_WIDTHS = (0.04, 0.02, 0.01, 0.01)  # to both sides of the gain, of windows whose means lead to it
+_NARROW, _BESIDE = 0.02, 0.06  # glass is all within the first; skin has as much between the two below
+
+
+def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) -> Tensor:
+    """Light of the frame over light of the empty glass where no skin touches; NaN where no glass is seen.
+
+    Blocks are so wide that skin is darker than glass in each of them, and rough: ridges beside what lies between them.
+    The brightest of the smooth blocks lead to the uppermost mode of their quotients. It is glass if it is narrow. One gain a frame: of a lamp, a shutter or a gain of the camera, not of a shadow.
+
+    Every fourth line is read: 0.13 % of noise for a block of 16 px where a pixel has 1 %, and some hundred blocks.
+
+    Args:
+        frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts; what is not finite does not count.
+        light, black: (1 or B, 1, H, W) of `ops.glass_light`.
+        radius: px, half the distance of ridges, or a little more.
+
+    Returns:
+        (B,) of the type of `light`, within 0.7 to 1.4, else NaN: light that has changed by more cannot be told from a
+        frame full of contact.
+    """
+    kind = light.dtype
+    block = max(_LEAST_BLOCK, (2 * radius + 1) // 8 * 8)
+    if (
+        frames.dtype in kernels.FRAME_KINDS
+        and light.dtype == black.dtype == torch.float32
+        and kernels.serve(frames, light, black)
+    ):
+        return kernels.light_gain(frames, light, black, block)
+    if min(frames.shape[2:]) < block:
+        return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
+    some = frames[..., _STEP // 2 :: _STEP, :].to(kind)
+    given, dark = light[..., _STEP // 2 :: _STEP, :], black[..., _STEP // 2 :: _STEP, :]
+    counts = (given > 0).to(kind)
+    passed = (some - dark) * counts
+    if frames.is_floating_point():
+        finite = passed.abs() < torch.inf
+        passed, given = torch.where(finite, passed, 0.0), torch.where(finite, given, 0.0)
+    given = given.expand(passed.shape)
+    return _uppermost_mode(*(_blocks(lines, block) for lines in (passed, given, passed * passed, given * given)))
+
+
+def _blocks(lines: Tensor, block: int) -> Tensor:
+    """(B, N) means over blocks, of every fourth line."""
+    height, width = lines.shape[-2:]
+    rows = block // _STEP
+    cut = lines[..., : height // rows * rows, : width // block * block]
+    down = cut.unflatten(2, (-1, rows)).sum(3)
+    return down.unflatten(3, (-1, block)).sum(4).flatten(1) / (rows * block)
+
+
+def _uppermost_mode(passed: Tensor, light: Tensor, passed_squared: Tensor, light_squared: Tensor) -> Tensor:
+    lit = light > _LIT * light.amax(1, keepdim=True)
+    quotient = torch.where(lit, passed / torch.where(lit, light, 1.0), 0.0)
+    variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient
+    quotient = torch.where(variance < _ROUGH**2, quotient, 0.0)
+    number = lit.sum(1, keepdim=True).to(quotient.dtype)
+    # The third part of the hundred blocks that are brightest: reflections stand above it.
+    kept = max(1, round(_TOP * quotient.shape[1]))
+    gain = quotient.topk(kept, dim=1).values[:, -1:]
+    for width in _WIDTHS:
+        near = ((quotient - gain).abs() <= width * gain).to(quotient.dtype)
+        gain = (quotient * near).sum(1, keepdim=True) / near.sum(1, keepdim=True).clamp_min(1)
+    distance = quotient / gain.clamp_min(1e-6) - 1
+    glass = ((distance.abs() <= _NARROW) & lit).to(quotient.dtype).sum(1, keepdim=True)
+    beside = ((distance < -_NARROW) & (distance >= -_BESIDE)).to(quotient.dtype).sum(1, keepdim=True)
+    seen = (gain > _LEAST) & (gain < _MOST) & (glass >= _TOP * number) & (glass >= 2 * beside)
+    return torch.where(seen, gain, torch.nan).squeeze(1)

@@ -1,0 +1,31 @@
+// What touches: some rows of all frames at a time, so that the light of the empty glass is read once for all of them.
+#include "interface.h"
+
+#include <algorithm>
+#include <exception>
+
+#include "parallel.h"
+#include "touching_rows.h"
+#include "workspace.h"
+
+int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits, int size, unsigned char* touching,
+                        int threads) try {
+    using namespace fingerflow;
+    const std::int64_t batch = given->batch, height = given->height, width = given->width;
+    if (batch * height * width == 0) return 0;
+    const fingerflow_image& image = given->frames;
+    const Frames frames{image.data, batch, height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
+    const Lit lit{given->light, given->black, given->lights, given->blacks};
+    const std::int64_t shared = (height + threads - 1) / threads, rows = std::min<std::int64_t>(std::max(64, 4 * size), shared);
+    const std::int64_t pieces = (height + rows - 1) / rows;
+    const auto find = FINGERFLOW_PICK(touching_rows);
+    parallel_for(pieces, threads, [&](std::int64_t piece) {
+        const std::int64_t top = piece * rows, bottom = std::min(height, top + rows);
+        auto* const lines = static_cast<unsigned char*>(workspace(static_cast<std::size_t>((2 * size + 2) * (width + size + 64))));
+        for (std::int64_t frame = 0; frame < batch; ++frame)
+            find(frames, lit, frame, top, bottom, size, limits[frame], lines, touching);
+    });
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}

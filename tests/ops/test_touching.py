@@ -1,0 +1,125 @@
+"""What lies below a share of the light, against SciPy's median of the light lost; hard frames."""
+
+import numpy as np
+import pytest
+import scipy.ndimage
+import torch
+from torch import Tensor
+
+from fingerflow.ops.illumination import glass_light
+from fingerflow.ops.touching import majority, touching
+
+pytestmark = pytest.mark.usefixtures("each_form")
+
+
+def scene(shape: tuple[int, int, int], dtype: torch.dtype, bits: int = 8) -> tuple[Tensor, Tensor, Tensor]:
+    """Frames that keep 20 to 110 % of the light of an uneven empty glass, which is a mean of several frames."""
+    generator = torch.Generator().manual_seed(shape[2])
+    batch, height, width = shape
+    scale = 2.0 ** (bits - 8)
+    black = scale * (5 + torch.rand(1, 1, height, width, generator=generator))
+    light = scale * (150 * torch.rand(1, 1, height, width, generator=generator).sqrt() + 20)
+    light[..., : height // 8, :] = 0
+    share = 0.2 + 0.9 * torch.rand(batch, 1, height, width, generator=generator)
+    frames = (black + light * share).clamp(max=2**bits - 1)
+    return frames if dtype.is_floating_point else frames.round().to(torch.int32).to(dtype), light, black
+
+
+@pytest.mark.parametrize("size", [1, 3, 5, 9, 15, 17])
+@pytest.mark.parametrize(
+    ("dtype", "bits"),
+    [(torch.uint8, 8), (torch.uint16, 16), (torch.int32, 12), (torch.float32, 8), (torch.float64, 10)],
+)
+@pytest.mark.parametrize("shape", [(2, 61, 47), (1, 40, 131), (3, 9, 70)])
+def test_is_the_median_of_the_light_lost(size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]) -> None:
+    frames, light, black = scene(shape, dtype, bits)
+    limit = torch.linspace(0.65, 0.68, len(frames))  # about the median
+    found = touching(frames, light, black, limit, size)
+    lit = (light > 0).numpy()[0, 0]
+    for k, frame in enumerate(frames.to(torch.float32 if dtype != torch.float64 else dtype).numpy()[:, 0]):
+        # Of what is not lit no light is lost.
+        lost = np.where(lit, (limit[k] * light + black).numpy()[0, 0] - frame, -1.0)
+        median = scipy.ndimage.median_filter(lost, size, mode="nearest")
+        assert np.array_equal(found[k, 0].numpy(), (median > 0) & lit)
+    assert found.any()
+    assert not found[..., shape[1] // 8 :, :].all()
+
+
+def test_a_limit_between_whole_numbers_and_on_one() -> None:
+    light, black = torch.full((1, 1, 1, 4), 100.0), torch.full((1, 1, 1, 4), 10.0)
+    frames = torch.tensor([59, 60, 61, 62], dtype=torch.uint8)[None, None, None]
+    for limit, expected in ((0.5, 1), (0.505, 2), (0.51, 2), (0.52, 3)):
+        for some in (frames, frames.float(), frames.to(torch.uint16)):
+            assert int(touching(some, light, black, torch.tensor([limit]), 1).sum()) == expected
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
+@pytest.mark.parametrize("limit", [torch.nan, -0.1, 0.0])
+def test_below_nothing_lies_nothing(limit: float, dtype: torch.dtype) -> None:
+    light = torch.full((1, 1, 20, 30), 90.0)
+    frames = torch.zeros(2, 1, 20, 30).to(dtype)
+    assert not touching(frames, light, 0 * light, torch.full((2,), limit), 3).any()
+
+
+def test_saturated_is_not_touching_and_black_is() -> None:
+    light = torch.full((1, 1, 20, 30), 250.0)
+    frames = torch.stack([torch.full((1, 20, 30), level, dtype=torch.uint8) for level in (255, 0)])
+    assert touching(frames, light, 0 * light, torch.tensor([1.3, 1.3]), 3).flatten(1).float().mean(1).tolist() == [0, 1]
+
+
+def test_nan_and_infinite_pixels_are_above() -> None:
+    light = torch.full((1, 1, 12, 14), 100.0)
+    frames = torch.full((1, 1, 12, 14), 20.0)
+    frames[..., 3, 4], frames[..., 8, 8] = torch.nan, torch.inf
+    assert touching(frames, light, 0 * light, torch.tensor([0.7]), 3).all()
+    assert (~touching(frames, light, 0 * light, torch.tensor([0.7]), 1)).sum() == 2
+
+
+@pytest.mark.parametrize("shape", [(0, 1, 8, 9), (1, 1, 1, 1), (2, 1, 1, 70), (2, 1, 70, 1)])
+def test_small_and_empty(shape: tuple[int, ...]) -> None:
+    light = torch.full((1, *shape[1:]), 100.0)
+    dark = torch.zeros(shape, dtype=torch.uint8)
+    assert touching(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).shape == shape
+    assert touching(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).all()
+
+
+def test_views_of_a_camera_frame() -> None:
+    frames, light, black = scene((6, 90, 200), torch.uint8)
+    views = frames[::2, :, 11:80, 33:170]
+    part = (light[..., 11:80, 33:170], black[..., 11:80, 33:170])
+    limit = torch.full((3,), 0.6)
+    alone = touching(views.contiguous(), *(image.contiguous() for image in part), limit, 5)
+    assert torch.equal(touching(views, *part, limit, 5), alone)
+
+
+@pytest.mark.parametrize("size", [3, 15, 21])
+def test_majority_is_the_median_of_zeros_and_ones(size: int) -> None:
+    holds = torch.rand(2, 1, 53, 31, generator=torch.Generator().manual_seed(size)) < 0.5
+    for k in range(2):
+        expected = scipy.ndimage.median_filter(holds[k, 0].numpy().astype(np.uint8), size, mode="nearest")
+        assert np.array_equal(majority(holds, size)[k, 0].numpy(), expected > 0)
+
+
+def test_the_light_of_the_empty_glass() -> None:
+    empty = torch.full((1, 1, 64, 80), 210.0)
+    empty[..., :8], empty[..., 20, 20] = 12.0, torch.nan
+    dark = torch.full((1, 1, 64, 80), 10.0)
+    light, black = glass_light(empty, dark)
+    assert (light[..., :8] == 0).all()
+    assert light[..., 20, 20] == 0
+    assert (light[..., 8:] == 200).sum() == 64 * 72 - 1
+    assert torch.equal(black, dark)
+    assert torch.equal(glass_light(empty.to(torch.uint8))[1], 0 * dark)
+    assert (glass_light(0 * dark)[0] == 0).all()
+
+
+def test_refuses_what_does_not_fit() -> None:
+    frames, image = torch.zeros(2, 1, 8, 8), torch.ones(1, 1, 8, 8)
+    with pytest.raises(ValueError, match="frames have shape"):
+        touching(frames[0], image, image, torch.zeros(2))
+    with pytest.raises(ValueError, match="black has shape"):
+        touching(frames, image, image[..., 1:], torch.zeros(2))
+    with pytest.raises(ValueError, match="4 x 4"):
+        touching(frames, image, image, torch.zeros(2), 4)
+    with pytest.raises(ValueError, match="one number a frame"):
+        touching(frames, image, image, torch.zeros(3))
