@@ -102,7 +102,7 @@ def touching(frames: Tensor, light: Tensor, black: Tensor, limits: Tensor, size:
     (B,) float32.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, or a size that is even or outside 1 to 15.
+        TypeError, ValueError: another dtype, shapes that do not fit, a size that is even or outside 1 to 15.
     """
     if not 1 <= size <= LARGEST_MAJORITY or size % 2 == 0:
         raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")

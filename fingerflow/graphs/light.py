@@ -23,7 +23,7 @@ class Light(NamedTuple):
 
 
 class LightGraph(nn.Module):
-    """Empty glass, dark frame and threshold to `Light`: a pixel touches where its count lies below black + limit * light.
+    """Empty glass, dark frame and threshold to `Light`: a pixel touches where it counts less than black + limit light.
 
     Args:
         precision: of the result.
@@ -34,6 +34,6 @@ class LightGraph(nn.Module):
         self.precision = precision
 
     def forward(self, empty: Tensor, dark: Tensor | None, threshold: Tensor) -> Light:
-        """(B, 1, H, W) counts, a frame or a mean of several, `dark` None or zeros where unknown; threshold (B,) share of
-        light lost, NaN while unknown: nothing touches."""
+        """(B, 1, H, W) counts, a frame or a mean of several, `dark` None or zeros where unknown; threshold (B,) share
+        of light lost, NaN while unknown: nothing touches."""
         return Light(*glass_light(empty, dark, self.precision), 1 - threshold.to(self.precision))

@@ -86,6 +86,5 @@ def mask_of(excess: Tensor, cell: int, height: int, width: int) -> Tensor:
     """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of."""
     kind, device = excess.dtype, excess.device
     y, x = (torch.arange(side, dtype=kind, device=device) for side in (height, width))
-    places = (x.expand(height, -1).flatten(), y[:, None].expand(-1, width).flatten())
-    batch = len(excess)
-    return covered(excess, *(place.expand(batch, -1) for place in places), cell).unflatten(1, (1, height, width))
+    x, y = (place.flatten().expand(len(excess), -1) for place in (x.expand(height, -1), y[:, None].expand(-1, width)))
+    return covered(excess, x, y, cell).unflatten(1, (1, height, width))

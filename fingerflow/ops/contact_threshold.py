@@ -56,9 +56,7 @@ def contact_threshold(
         levels = levels.to(torch.uint8)
     smooth = median_at(levels, median_px, lattice_px)
     counted = lit[..., ::lattice_px, ::lattice_px].expand(smooth.shape)
-    brightness = (
-        torch.ones_like(frames[:, 0, 0, 0], dtype=kind) if gain is None else torch.where(gain.abs() < 9, gain, 1.0)
-    )
+    brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
         """Light lost of a level, had the lamp its brightness of the empty glass."""

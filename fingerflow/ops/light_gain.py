@@ -5,7 +5,6 @@ from torch import Tensor
 
 from fingerflow import kernels
 
-
 _STEP = 4  # px between the lines that are read
 _LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 _MOST, _LEAST = 1.4, 0.7  # gains beyond which nothing tells light that has changed from glass that is covered
@@ -20,7 +19,8 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
     """Light of the frame over light of the empty glass where no skin touches; NaN where no glass is seen.
 
     Blocks are so wide that skin is darker than glass in each of them, and rough: ridges beside what lies between them.
-    The brightest of the smooth blocks lead to the uppermost mode of their quotients. It is glass if it is narrow. One gain a frame: of a lamp, a shutter or a gain of the camera, not of a shadow.
+    The brightest of the smooth blocks lead to the uppermost mode of their quotients. It is glass if it is narrow. One
+    gain a frame: of a lamp, a shutter or a gain of the camera, not of a shadow.
 
     Every fourth line is read: 0.13 % of noise for a block of 16 px where a pixel has 1 %, and some hundred blocks.
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-
 from exact_region import exact_region
+from torch import Tensor
 
 from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.cells import mask_of
