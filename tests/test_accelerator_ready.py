@@ -22,7 +22,7 @@ import fingerflow.stream
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe
-from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.templates import Found
@@ -86,8 +86,8 @@ def steps() -> dict[str, Step]:
 
     glass = images(torch.float32)
     found = {
-        "contact": step(ContactGraph(), images(), glass, glass, alone(torch.float64)),
-        "contact with its own threshold": step(ContactGraph(), images(), glass, glass),
+        "light": step(LightGraph(), glass, glass, alone()),
+        "contact": step(ContactGraph(), images(), glass, glass, alone()),
         "key": step(KeyGraph(11), images(), points(2)),
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
@@ -137,18 +137,14 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
 
 STEPS = steps()
 
-_COMPONENTS = "components are followed as far as they go"
 _BROUGHT = "a constant is made in every call"
 #: What the modules do not meet yet, by step: the tests say when they do.
 WAITS = {
-    "contact": _COMPONENTS,
-    "contact with its own threshold": _COMPONENTS,
     "key with warps": "views are warped one after the other",
     "fields and medians": _BROUGHT,
-    **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("contact", "track", "frame", "fields")},
+    **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("track", "frame", "fields")},
 }
-BROKEN = {name: reason for name, reason in WAITS.items() if reason == _COMPONENTS}
-NOT_COMPILED = BROKEN | {
+NOT_COMPILED = {
     "exact contact": "the network of a median is planned while it is traced",
     "track": "the compiler's own recursion goes too deep",
 }
@@ -195,9 +191,7 @@ def test_the_host_never_waits_and_more_recordings_cost_no_launch(name: str) -> N
     assert 0 < one == eight
 
 
-@pytest.mark.parametrize(
-    "name", marked(BROKEN, (RuntimeError,), [name for name in STEPS if name.split()[0] not in RECIPES])
-)
+@pytest.mark.parametrize("name", [name for name in STEPS if name.split()[0] not in RECIPES])
 def test_traced_whole(name: str) -> None:
     """All of a step in one graph of fixed shapes; those of recipes are exported in tests/export."""
     step = STEPS[name]

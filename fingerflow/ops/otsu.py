@@ -67,9 +67,9 @@ def histogram(
         index = torch.where(mask.expand(frames.shape).flatten(1), index, bins)
     if torch.compiler.is_exporting():
         return _count_by_product(index, bins)
-    batch = len(frames)
-    place = torch.arange(batch, device=frames.device, dtype=torch.int32)[:, None] * (bins + 1) + index
-    return torch.bincount(place.flatten(), minlength=batch * (bins + 1)).reshape(batch, bins + 1)[:, :bins]
+    # Not by `bincount`, for which a host waits to know the largest.
+    counts = torch.zeros(len(frames), bins + 1, dtype=torch.int64, device=frames.device)
+    return counts.scatter_add_(1, index.long(), torch.ones_like(index, dtype=torch.int64))[:, :bins]
 
 
 def otsu_threshold(

@@ -121,4 +121,3 @@ class SinceOnsetStep(nn.Module):
         onset = torch.where(arriving[..., None] > 0, now, then)
         fields = self.fields(now, onset, topography_to_contact, center, semi_axes, angle)
         return SinceOnsetResult(onset, torch.maximum(reached, covered), *fields)
-
