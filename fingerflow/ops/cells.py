@@ -57,8 +57,8 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
     left, top = x.floor().clamp(0, max(width - 2, 0)), y.floor().clamp(0, max(height - 2, 0))
     first = (top * width + left)[:, None].to(torch.int64)
     right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
-    corners = torch.tensor([[0], [right], [down], [down + right]], device=cells.device)
-    values = cells.flatten(1).gather(1, (first + corners).flatten(1)).unflatten(1, (4, -1))
+    corners = torch.cat((first, first + right, first + down, first + (down + right)), dim=1)
+    values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
     across, along = (x - left)[:, None], (y - top)[:, None]
     rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
     return rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]

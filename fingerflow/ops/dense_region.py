@@ -118,15 +118,16 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
 
 def _smooth(cells: Tensor, width: float) -> Tensor:
     """Three box means of `width` cells; nothing lies beyond the frame."""
-    # What is made while a graph is traced is none to keep.
-    boxes = _boxes if torch.compiler.is_compiling() or torch.compiler.is_exporting() else _kept_boxes
-    down, along = (boxes(side, width).to(cells) for side in cells.shape[-2:])
+    # What is made while a graph is traced is none to keep, and to a device nothing is brought.
+    traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
+    boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
+    down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
     return down @ cells @ along
 
 
-def _boxes(side: int, width: float) -> Tensor:
+def _boxes(side: int, width: float, device: torch.device) -> Tensor:
     """(side, side) float64: three box means of a line, over `width` places; those at its ends count in part."""
-    place = torch.arange(side, dtype=torch.float64)
+    place = torch.arange(side, dtype=torch.float64, device=device)
     box = ((width + 1) / 2 - (place[:, None] - place).abs()).clamp(0, 1) / width
     return box @ box @ box
 
@@ -194,7 +195,7 @@ def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tenso
     spread = (half * half + mixed * mixed).sqrt()
     axes = 2 * torch.cat((middle + spread, (middle - spread).clamp_min(0)), dim=1).sqrt()
     angle = torch.atan2(mixed, half) / 2
-    center = (mean + torch.tensor(middles[::-1], dtype=mean.dtype, device=mean.device)) * cell + (cell - 1) / 2
+    center = torch.cat((mean[:, :1] + middles[1], mean[:, 1:] + middles[0]), dim=1) * cell + (cell - 1) / 2
     return (
         torch.where(some, mass * cell**2, 0.0).squeeze(1),
         torch.where(some, center, torch.nan),
