@@ -80,7 +80,7 @@ def process(
                 if "fields" in stages and outcome.displacement is not None:
                     outcome.fields = deformation.fields(inputs, outcome.displacement, outcome.contact)
                 if "strain" in stages and outcome.displacement is not None:
-                    outcome.strain = deformation.strains(inputs, outcome.displacement)
+                    outcome.strain = deformation.strains(inputs, outcome.displacement, outcome.contact)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     return label(outcome)

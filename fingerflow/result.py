@@ -186,9 +186,15 @@ def _strain(outcome: Outcome) -> None:
     outcome.add(
         "strain", (*triangle, "strain_component"), strain.strain, "1", "strain of a triangle", measure=settings.strain
     )
+    outcome.add(
+        "strain_std", (*triangle, "strain_component"), strain.strain_std, "1", "standard deviation of the strain"
+    )
     outcome.add("strain_energy_density", triangle, strain.density, "mJ/mm3", "strain energy density, plane strain")
     depth = {"depth_mm": settings.depth_mm}
-    outcome.add("strain_energy", ("frame",), strain.energy, "mJ", "strain energy of the skin in contact", **depth)
+    name = "strain energy of the skin in contact, without that of noise"
+    outcome.add("strain_energy", ("frame",), strain.energy, "mJ", name, **depth)
+    name = "standard deviation of strain_energy"
+    outcome.add("strain_energy_std", ("frame",), strain.energy_std, "mJ", name, **depth)
     rates = rate(strain.energy, outcome.inputs.times, settings.rate_window_s)
     outcome.add("strain_energy_rate", ("frame",), rates, "mJ/s", "rate of strain_energy")
 

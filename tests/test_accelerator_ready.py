@@ -22,7 +22,9 @@ from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
 from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
-from fingerflow.graphs.track import DeformationGraph
+from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.ops.outliers import Neighbours, find_neighbours
+from fingerflow.ops.templates import Found
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -62,6 +64,15 @@ def templates(key: nn.Module) -> Callable[[int], Any]:
     return of
 
 
+def neighbours(_: int) -> Neighbours:
+    return find_neighbours(torch.rand(1, POINTS, 2, generator=torch.Generator().manual_seed(0)), 1.0)
+
+
+def found_points(batch: int) -> Found:
+    status = torch.zeros(batch, POINTS, dtype=torch.uint8)
+    return Found(points(2)(batch), points()(batch), points(2, 2)(batch), status, points(2)(batch))
+
+
 def ellipse(batch: int) -> GrossEllipse:
     return GrossEllipse(torch.zeros(batch, 2), torch.ones(batch, 2), torch.zeros(batch))
 
@@ -79,6 +90,7 @@ def steps() -> dict[str, Step]:
         "key": step(KeyGraph(11), images(), points(2)),
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
+        "agreement": step(AgreementGraph(), neighbours, alone_points(2), found_points),
         "deformation": step(DeformationGraph(11), alone_points(2), points(2), alone_points(2, 4), alone_points(2, 2)),
         "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
         "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
@@ -135,12 +147,9 @@ WAITS = {
     **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
     **{f"{recipe} {name}": _ONE_BY_ONE for recipe in RECIPES for name in ("key", "renew")},
 }
-BROKEN: dict[str, str] = {}
-NOT_COMPILED = BROKEN | {
+NOT_COMPILED = {
     "exact contact": "the network of a median is planned while it is traced",
-    "track": "the compiler's own recursion goes too deep",
-    "exact track": "the compiler's own recursion goes too deep",
-    "exact frame": "the compiler's own recursion goes too deep",
+    **dict.fromkeys(("track", "exact track", "exact frame"), "the compiler's own recursion goes too deep"),
 }
 
 
@@ -185,9 +194,7 @@ def test_the_host_never_waits_and_more_recordings_cost_no_launch(name: str) -> N
     assert 0 < one == eight
 
 
-@pytest.mark.parametrize(
-    "name", marked(BROKEN, (RuntimeError,), [name for name in STEPS if name.split()[0] not in RECIPES])
-)
+@pytest.mark.parametrize("name", [name for name in STEPS if name.split()[0] not in RECIPES])
 def test_traced_whole(name: str) -> None:
     """All of a step in one graph of fixed shapes; those of recipes are exported in tests/export."""
     step = STEPS[name]

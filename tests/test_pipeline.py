@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
@@ -314,13 +315,14 @@ def test_a_point_that_was_lost_at_its_onset_has_none(scene: Scene) -> None:
     assert np.isfinite(moved.displacement[1:, 0]).all()
 
 
-def test_energy_of_lost_triangles_is_not_zero() -> None:
-    from fingerflow.stages.deformation import _total
+def test_triangles_that_are_lost_count_like_the_others() -> None:
+    from fingerflow.stages.deformation import _shares
 
-    areas = np.array([1.0, 1.0, 2.0], np.float32)
-    density = np.array([[1, 1, 1], [1, 1, np.nan], [1, np.nan, np.nan], [np.nan] * 3, [np.nan] * 3], np.float32)
-    inside = np.array([[1, 1, 1], [1, 1, 1], [1, 1, 1], [1, 1, 1], [0, 0, 0]], bool)
-    np.testing.assert_allclose(_total(density, inside, areas), [4, 4, np.nan, np.nan, 0])
+    areas = torch.tensor([[1.0, 1.0, 2.0]])
+    known = torch.tensor([[1, 1, 1], [1, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]]).bool()
+    inside = torch.tensor([[1, 1, 1], [1, 1, 1], [1, 1, 1], [1, 1, 1], [0, 0, 0]]).bool()
+    total = _shares(inside, known, areas).sum(1)
+    torch.testing.assert_close(total, torch.tensor([4.0, 4.0, torch.nan, torch.nan, torch.nan]), equal_nan=True)
 
 
 def test_float64_frames(scene: Scene, tmp_path: Path) -> None:

@@ -63,8 +63,8 @@ class AgreementGraph(nn.Module):
             (TrackStatus.OFF_NEIGHBOURS, outliers.off_neighbours),
             (TrackStatus.UNCERTAIN, outliers.uncertain),
         ):
-            status = torch.where(applies & (found.status == TrackStatus.TRACKED), int(reason), status)
-        tracked = (status == TrackStatus.TRACKED)[..., None]
+            status = torch.where(applies & (found.status == int(TrackStatus.TRACKED)), int(reason), status)
+        tracked = (status == int(TrackStatus.TRACKED))[..., None]
         return Found(
             torch.where(tracked, found.points, torch.nan),
             found.error,

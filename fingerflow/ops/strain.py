@@ -100,10 +100,33 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
             "for a nearly incompressible skin take a value such as 0.49"
         )
     exx, eyy, exy = _components(strain)
+    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
+    return direct * (exx * exx + eyy * eyy) + mixed * exx * eyy + shear * exy * exy
+
+
+def stress(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
+    """Stress (..., 3) as (sxx, syy, sxy) in MPa of the solid of `strain_energy_density`, for strain (..., 3)."""
+    exx, eyy, exy = _components(strain)
+    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
+    return torch.stack((2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy), dim=-1)
+
+
+def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
+    """What errors of the strain add to `strain_energy_density` on average (...), mJ/mm^3.
+
+    The density is a quadratic form of the strain: the same form of its covariance (..., 4), exx, eyy, exy and exx with
+    eyy, as `strain_covariance` has it.
+    """
+    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
+    exx, eyy, exy, between = covariance.unbind(-1)
+    return direct * (exx + eyy) + mixed * between + shear * exy
+
+
+def _stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
+    """Factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))
-    mixed = scale * poisson_ratio / (1 - 2 * poisson_ratio)
-    return direct * (exx * exx + eyy * eyy) + mixed * exx * eyy + scale * exy * exy
+    return direct, scale * poisson_ratio / (1 - 2 * poisson_ratio), scale
 
 
 def _parts(gradient: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -54,6 +54,23 @@ def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tens
     return torch.cat((plain, strain_sensitivity(gradient, measure)), dim=-3)
 
 
+def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:
+    """What each corner of a triangle adds to the covariance of its strain: (..., 3, 4), exx, eyy, exy and exx with eyy.
+
+    Args:
+        slopes: (..., 3, 2) of `triangle_slopes`.
+        covariance: (..., 3, 2, 2) of the displacement of each corner, independent of the others; the sum over corners
+            is that of the strain.
+
+    The displacement (u, v) of a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Where
+    skin is already stretched by some per cent, strains of all measures are off by as much more or less.
+    """
+    x, y = slopes.unbind(-1)
+    uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    xx, xy, yy = x * x, x * y, y * y
+    return torch.stack((xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv), dim=-1)
+
+
 def _deviation(sensitivity: Tensor, covariance: Tensor) -> Tensor:
     """sqrt of s' C s for s (..., 2, 2)."""
     products = sensitivity[..., :, :, None, None] * covariance * sensitivity[..., None, None, :, :]

@@ -48,6 +48,20 @@ def triangle_gradients(points: Tensor, triangles: Tensor, values: Tensor, *, min
     return gradient.to(result_dtype(points, values))
 
 
+def triangle_slopes(points: Tensor, triangles: Tensor) -> Tensor:
+    """Gradients (B, M, 3, 2) of the linear functions that are 1 on one corner of a triangle and 0 on the others.
+
+    Per length unit of points (B, N, 2): with values u_k at the corners, `triangle_gradients` is the sum of u_k s_k'.
+    Infinite or NaN for a collinear triangle, NaN where a vertex is missing.
+    """
+    check_scattered(points, points)
+    first, second = _edges(points, triangles)
+    determinant = _cross(first, second)[..., None]
+    of_second = torch.stack((second[..., 1], -second[..., 0]), dim=-1) / determinant
+    of_third = torch.stack((-first[..., 1], first[..., 0]), dim=-1) / determinant
+    return torch.stack((-of_second - of_third, of_second, of_third), dim=-2)
+
+
 def triangle_areas(points: Tensor, triangles: Tensor) -> Tensor:
     """Area (B, M) in L^2 of triangles (M, 3) on points (B, N, 2) in L; never negative, NaN if a vertex is missing."""
     check_scattered(points, points)

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.strain import green_lagrange, strain_energy_density
-from fingerflow.ops.triangles import triangle_areas, triangle_gradients
+from fingerflow.ops.strain import energy_of_noise, green_lagrange, strain_energy_density, stress
+from fingerflow.ops.strain_uncertainty import strain_covariance
+from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_slopes
 from fingerflow.stages.contact import ContactSeries
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.tracking import TrackSeries
@@ -43,11 +44,21 @@ FIELDS_GIVE = frozenset(
         "median_strain_rate",
     }
 )
-STRAIN_GIVES = frozenset({"triangles", "strain", "strain_energy_density", "strain_energy", "strain_energy_rate"})
+STRAIN_GIVES = frozenset(
+    {
+        "triangles",
+        "strain",
+        "strain_std",
+        "strain_energy_density",
+        "strain_energy",
+        "strain_energy_std",
+        "strain_energy_rate",
+    }
+)
 _FRAMES = 16  # a batch
 # Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
 # Measured on the shipped press, where the border is known.
-_BORDER_MM = 0.1
+_BORDER_MM = 0.06
 _LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
 
 
@@ -61,6 +72,8 @@ class Displacement:
         displacement: (F, N, 2) mm.
         variance: (F, N) mm^2, of a component, by the noise of the pictures.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames.
+        late: (N, 2) mm, how far skin moves in half a frame at onset: the first frame with contact comes so much after
+            the contact, on average. Of neighbours it is the same, and no part of the errors of a gradient.
         vector: (F, 2) mm, median component by component (the lab's script takes the x median twice).
     """
 
@@ -69,6 +82,7 @@ class Displacement:
     displacement: NDArray[np.float64]
     variance: NDArray[np.float32]
     of_onset: NDArray[np.float64]
+    late: NDArray[np.float64]
     vector: NDArray[np.float64]
 
     def covariance(self, frames: slice) -> NDArray[np.float64]:
@@ -77,8 +91,8 @@ class Displacement:
         return result
 
     def deviation(self) -> NDArray[np.float32]:
-        """(F, N) mm, standard deviation of a component."""
-        of_onset = np.trace(self.of_onset, axis1=1, axis2=2).astype(np.float32) / 2
+        """(F, N) mm, root mean square error of a component."""
+        of_onset = (np.trace(self.of_onset, axis1=1, axis2=2) + (self.late**2).sum(1)).astype(np.float32) / 2
         result: NDArray[np.float32] = np.sqrt(self.variance + of_onset)
         return result
 
@@ -97,12 +111,18 @@ class FieldSeries:
 
 @dataclass
 class StrainSeries:
-    """Strain of triangles (F, M, 3), energy density (F, M) mJ/mm^3 and total (F,) mJ; triangles (M, 3)."""
+    """Strain of triangles (F, M, 3), energy density (F, M) mJ/mm^3 and total (F,) mJ; triangles (M, 3).
+
+    ``strain_std`` and ``energy_std`` are standard deviations. The total is that of the skin: what the errors of the
+    points add to it on average is taken off.
+    """
 
     triangles: NDArray[np.int32]
     strain: NDArray[np.float32]
+    strain_std: NDArray[np.float32]
     density: NDArray[np.float32]
     energy: NDArray[np.float64]
+    energy_std: NDArray[np.float64]
 
 
 def glass_positions(inputs: Inputs, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -127,8 +147,8 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
     variance = np.float32(scale**2) * _noise_since(tracks.deviation, onset, inputs.scene.tracking.template)
     variance[np.isnan(displacement).any(-1)] = np.nan
-    of_onset = _covariance_of_onset(inputs, position, onset, reference)
-    return Displacement(onset, reference, displacement, variance, of_onset, median_of_known(displacement))
+    of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, reference)
+    return Displacement(onset, reference, displacement, variance, of_onset, late, median_of_known(displacement))
 
 
 def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], template: str) -> NDArray[np.float32]:
@@ -148,10 +168,14 @@ def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], templ
     return result.astype(np.float32)
 
 
-def _covariance_of_onset(
-    inputs: Inputs, position: NDArray[np.float64], onset: NDArray[np.int32], reference: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Covariance (N, 2, 2) mm^2 of the place of onset: the skin's speed then, times the error of the time.
+def _errors_of_onset(
+    inputs: Inputs,
+    position: NDArray[np.float64],
+    deviation: NDArray[np.float64],
+    onset: NDArray[np.int32],
+    reference: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time; and its mean.
 
     The time is known to a frame, uniformly within it: 1/12 frame^2; and the place of the border to `_BORDER_MM`, which
     takes it as many frames as neighbouring points are apart in time. Both change from one neighbour to the next, as the
@@ -173,8 +197,12 @@ def _covariance_of_onset(
     before, after = (np.where(np.isfinite(position[k, numbers]).all(-1), k, onset) for k in (before, after))
     step = position[after, numbers] - position[before, numbers]
     speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
-    result: NDArray[np.float64] = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
-    return result
+    # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
+    noise = (deviation[after, numbers] ** 2 + deviation[before, numbers] ** 2) / 2 / np.maximum(after - before, 1) ** 2
+    square = (speed**2).sum(1)
+    share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
+    speed = speed * np.sqrt(share)[:, None]
+    return variance[:, None, None] * speed[:, :, None] * speed[:, None, :], speed / 2
 
 
 def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> FieldSeries:
@@ -205,44 +233,78 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
     return series
 
 
-def strains(inputs: Inputs, moved: Displacement) -> StrainSeries:
+def strains(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> StrainSeries:
     """Strain on the Delaunay triangles of the reference positions, and its energy."""
     settings = inputs.scene.fields
+    solid = settings.young_modulus_mpa, settings.poisson_ratio
     triangles = _triangulate(moved.reference)
     count = len(moved.displacement)
+    shape = (count, len(triangles))
     series = StrainSeries(
         triangles,
-        np.full((count, len(triangles), 3), np.nan, dtype=np.float32),
-        np.full((count, len(triangles)), np.nan, dtype=np.float32),
-        np.zeros(count),
+        np.full((*shape, 3), np.nan, dtype=np.float32),
+        np.full((*shape, 3), np.nan, dtype=np.float32),
+        np.full(shape, np.nan, dtype=np.float32),
+        np.full(count, np.nan),
+        np.full(count, np.nan),
     )
     reference = _tensor(inputs, moved.reference)[None]
-    touching = (moved.onset >= 0) & (np.arange(count)[:, None] >= moved.onset)
+    onset = torch.from_numpy(np.where(moved.onset < 0, count, moved.onset)).to(inputs.device)
     corners = torch.from_numpy(triangles.astype(np.int64)).to(inputs.device)
-    areas = triangle_areas(reference, corners)
+    areas, slopes = triangle_areas(reference, corners), triangle_slopes(reference, corners)
+    begins = onset[corners].amax(1) if len(corners) else onset[:0]  # the frame in which a triangle touches as a whole
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
+        covariance = _tensor(inputs, moved.covariance(part))
         gradient = triangle_gradients(reference, corners, _tensor(inputs, moved.displacement[part]))
         strain = green_lagrange(gradient, settings.strain)
-        density = strain_energy_density(strain, settings.young_modulus_mpa, settings.poisson_ratio)
+        density = strain_energy_density(strain, *solid)
+        errors = strain_covariance(slopes, covariance[:, corners])  # (n, M, 3, 4) by corners
+        inside = torch.arange(part.start, part.stop, device=inputs.device)[:, None] >= begins
+        shares = _shares(inside, density.isfinite(), areas)
+        added = shares[..., None] * energy_of_noise(errors, *solid).nan_to_num(0.0)
+        of_noise = added.sum((1, 2), dtype=torch.float64)
+        energy = (shares * density.nan_to_num(0.0)).sum(1, dtype=torch.float64) - of_noise
+        # To first order by the forces at the points; of the noise's own energy, by what each point adds to it: its
+        # displacement has two components, and a sixth more comes from being stiffly joined to its neighbours. The
+        # forces that are measured have noise too, which adds twice that variance on average.
+        pulled = shares[..., None] * stress(strain, *solid).nan_to_num(0.0)
+        forces = torch.stack(
+            (
+                pulled[..., None, 0] * slopes[..., 0] + pulled[..., None, 2] * slopes[..., 1],
+                pulled[..., None, 1] * slopes[..., 1] + pulled[..., None, 2] * slopes[..., 0],
+                added,
+            ),
+            dim=-1,
+        )
+        at_points = torch.zeros(len(strain), reference.shape[1], 3, device=inputs.device)
+        at_points.index_add_(1, corners.flatten(), forces.nan_to_num(0.0).flatten(1, 2))
+        x, y, own = at_points.unbind(-1)
+        linear = x * x * covariance[..., 0, 0] + 2 * x * y * covariance[..., 0, 1] + y * y * covariance[..., 1, 1]
+        of_itself = 7 / 6 * (own * own).sum(1, dtype=torch.float64)
+        variance = torch.maximum(linear.nan_to_num(0.0).sum(1, dtype=torch.float64) - of_itself, of_itself)
         series.strain[part] = strain.cpu()
+        series.strain_std[part] = (errors.sum(2)[..., :3].clamp_min(0).sqrt() + 0 * strain).cpu()
         series.density[part] = density.cpu()
-        inside = np.asarray(touching[part][:, triangles].all(-1))
-        energy = _total(series.density[part], inside, areas[0].cpu().numpy())
-        series.energy[part] = energy * settings.depth_mm
+        series.energy[part] = energy.cpu() * settings.depth_mm
+        series.energy_std[part] = variance.sqrt().cpu() * settings.depth_mm
+    series.energy_std += 0 * series.energy
+    # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
+    nothing = contact.gross_area == 0
+    series.energy[nothing] = series.energy_std[nothing] = 0.0
     return series
 
 
-def _total(density: NDArray[np.float32], inside: NDArray[np.bool_], areas: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Integral (n,) of a density (n, M) over the triangles that touch; 0 where none does.
+def _shares(inside: Tensor, known: Tensor, areas: Tensor) -> Tensor:
+    """Area (n, M) by which each triangle counts in an integral over those that touch, ``inside`` (n, M).
 
-    Triangles whose points are lost are taken at the mean of the others; NaN where these are less than half of the area.
+    Triangles that are not ``known`` are taken at the mean of the others; NaN where these are less than half of the
+    area, or where no triangle touches.
     """
-    known = inside & np.isfinite(density)
-    touching, seen = (inside * areas).sum(-1), (known * areas).sum(-1)
-    total = np.where(known, density * areas, 0.0).sum(-1, dtype=np.float64)
-    scaled = total * touching / np.maximum(seen, 1e-12)
-    return np.where(touching == 0, 0.0, np.where(seen >= touching / 2, scaled, np.nan))
+    areas = areas.nan_to_num(0.0)
+    counted = (inside & known) * areas
+    touching, seen = (inside * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
+    return torch.where((seen > 0) & (seen >= touching / 2), counted * (touching / seen), torch.nan)
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:

@@ -89,6 +89,7 @@ class TrackingStage:
         self._warp = self._inverse_warp = torch.empty(0)  # as the templates have it, (1, N, 2, 2)
         self._neighbours: Neighbours | None = None
         self._at_once = 1  # frames
+        self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
         self.series: TrackSeries | None = None
 
     def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], excess: Tensor) -> NDArray[np.bool_]:
@@ -107,10 +108,18 @@ class TrackingStage:
         points, error, covariance, status, place = (torch.cat(one) for one in zip(*steps, strict=True))
         self.series.position[indices] = points.cpu()
         variances = covariance.diagonal(dim1=-2, dim2=-1)
-        self.series.deviation[indices] = variances.mean(-1).sqrt().cpu()
+        self.series.deviation[indices] = self._since_start(variances.mean(-1)).sqrt().cpu()
         self.series.error[indices] = error.cpu()
         self.series.status[indices] = status.cpu()
         return self._inside(excess, place).cpu().numpy()
+
+    def _since_start(self, variance: Tensor) -> Tensor:
+        """Variance (n, N) of positions relative to the skin that was chosen; from frame to frame those of all steps."""
+        if self._settings.template == "keyframe":
+            return variance
+        walked = self._walked + variance.nan_to_num(0.0).cumsum(0)
+        self._walked = walked[-1:]
+        return walked + 0 * variance
 
     def _step(self, images: Tensor) -> Found:
         """Finds the points in the next images (n, 1, h, w); estimates are where points are or were last."""
