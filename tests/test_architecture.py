@@ -30,7 +30,7 @@ ARROWS: dict[str, set[str]] = {
     "synthetic": {"errors", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
-    "export": {"errors", "graphs", "strict", "synthetic"},
+    "export": {"errors", "graphs", "ops", "strict", "synthetic"},
     "player": set(),
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below

@@ -14,6 +14,7 @@ from fingerflow.export.build import UNITS, build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import Recipe
 from fingerflow.export.trial import cases, feed
+from fingerflow.ops.tracking_limits import Number
 
 
 class Difference(NamedTuple):
@@ -133,6 +134,10 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
     if output == "status":
         # Whether a point is tracked. Why it is not may turn on the last digit: far from any root, steps are chaotic.
         ours, near, far = (values != 0 for values in (ours, near, far))
+    if output == "template_numbers":
+        # Without texture they are quotients of rounding errors, and nothing is found with them.
+        textured = near[..., Number.TEXTURED] > 0
+        ours, near, far = (values[textured] for values in (ours, near, far))
     if graph == "detect" and output == "points":
         # Corners of nearly equal strength change places, and the last of them their turn.
         return Difference(graph, output, unit, _absent(near, ours), _absent(far, ours), 0, 0.0)
