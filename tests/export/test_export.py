@@ -32,7 +32,7 @@ window_px = 11
 [contact]
 {contact}
 [fields]
-gauge_length_mm = 2.2
+gauge_length_mm = 3.5
 [export]
 graphs = [{graphs}]
 """
@@ -255,7 +255,7 @@ def test_a_graph_that_differs_is_refused(bundle: tuple[Path, list[Difference]], 
     for name in GRAPHS:
         (tmp_path / f"{name}.onnx").write_bytes((folder / f"{name}.onnx").read_bytes())
     recipe = load_recipe(folder.parent / "recipe.toml")
-    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_length_mm": 2.0})})
+    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_length_mm": 3.0})})
     with pytest.raises(FingerflowError, match="divergence"):
         verify(other, tmp_path)
 
@@ -281,5 +281,6 @@ def test_float64_reference_is_another_precision() -> None:
     recipe = load_recipe(Path(__file__).parents[2] / "export" / "fast.toml")
     fields = build(recipe, torch.float64)["fields"]
     case = cases(recipe, 1)[0].inputs
-    results = fields.module(*feed("fields", fields, case))
+    given = (one.double() if one.is_floating_point() else one for one in feed("fields", fields, case))
+    results = fields.module(*given)
     assert {one.dtype for one in results if one.is_floating_point()} == {torch.float64}
