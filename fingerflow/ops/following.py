@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
-from fingerflow.ops.templates import Found, Templates, further_rounds
+from fingerflow.ops.templates import Found, Templates, compiled, further_rounds
 from fingerflow.ops.tracking_limits import TrackStatus
 
 
@@ -44,12 +44,12 @@ def follow_templates(
 
     Args:
         find: `find_templates` with these limits, or what does the same, of templates, image and predictions; it is not
-            called for templates that the compiled twin has prepared, which does all in one call.
+            called for templates that the compiled twin has prepared, where that twin does all in one call.
         frames: (K, 1, H, W).
         place, speed: (1, N, 2) px, px a frame, in the frame before the first.
         rounds, forward_backward_limit, mismatch_limit: as for `find_templates`.
     """
-    if templates.pixels is None:
+    if templates.pixels is None and compiled(templates, frames, place, speed):
         rounding = 0.0 if frames.is_floating_point() else 1 / 12
         settings = (rounds, rounding, forward_backward_limit, mismatch_limit)
         followed = kernels.find_templates(templates[:4], frames, place, speed, None, *settings)

@@ -190,18 +190,26 @@ def find_templates(
     guess = prediction.to(dtype)
     rounding = 0.0 if current.is_floating_point() else 1 / 12
     settings = (rounding, forward_backward_limit, mismatch_limit)
-    if templates.pixels is None or (
-        kernels.serve(current, guess, variance, *templates[:4])
-        and current.dtype in kernels.FRAME_KINDS
-        and dtype == torch.float32
-    ):
+    if compiled(templates, current, guess, variance):
         followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
+    if templates.pixels is None:  # prepared by the compiled twin, found elsewhere
+        square = templates.samples.unflatten(3, (templates.window, templates.window))
+        templates = templates._replace(pixels=onto_pixels(square, templates.window).flatten(3))
     found = _look(templates, current, guess, variance, *settings)
     if rounds == 1:
         return found
     return further_rounds(
         lambda some, near: _look(some, current, near, variance, *settings), templates, found, guess, rounds
+    )
+
+
+def compiled(templates: Templates, current: Tensor, *others: Tensor | None) -> bool:
+    """Whether the compiled twin finds these templates in this frame."""
+    return (
+        kernels.serve(current, *others, *templates[:4])
+        and current.dtype in kernels.FRAME_KINDS
+        and templates.samples.dtype == torch.float32
     )
 
 

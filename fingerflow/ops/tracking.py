@@ -154,7 +154,7 @@ def search_lost(
     near = everywhere.gather(1, chosen[..., None].expand(-1, -1, 2))
     some = templates.of(chosen)
     again = further_rounds(
-        lambda these, there: find(these, current, there), some, find(some, current, near), near, rounds=2
+        lambda these, there: find(these, current, there), some, find(some, current, near), near, rounds=ROUNDS
     )
     result = replaced(found, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)

@@ -278,6 +278,24 @@ def test_templates_of_either_form() -> None:
             assert found.start[0, 3].isnan().all()
 
 
+def test_compiled_templates_are_found_portably() -> None:
+    """As when a graph that was prepared eagerly is traced, or runs on tensors without memory."""
+    frames = skin((0, 0)), skin((0.6, -0.3), seed=1)
+    kept = prepare_templates(frames[0], starts())
+    expected = find_templates(kept, frames[1], starts())
+    assert kept.pixels is None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "serve", lambda *_: False)
+        found = find_templates(kept, frames[1], starts())
+    same(Tracks(*found[:4]), Tracks(*expected[:4]))
+    without_memory = find_templates(
+        type(kept)(*[None if one is None else one.to("meta") for one in kept]),  # type: ignore[arg-type]
+        frames[1].to("meta"),
+        starts().to("meta"),
+    )
+    assert without_memory.points.shape == expected.points.shape
+
+
 def test_wrong_shapes_are_named() -> None:
     image, points, variance = torch.zeros(1, 1, 40, 40), torch.zeros(1, 3, 2), torch.zeros(1)
     for arguments, message in (
