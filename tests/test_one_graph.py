@@ -97,15 +97,17 @@ def test_areas_are_equal(said: Said) -> None:
 
 
 def test_points_are_equal(said: Said) -> None:
-    """The player's but for templates that count some frames later, of skin that deforms by 7 % in 60 frames here."""
+    """But for templates that are renewed a frame earlier or later, of skin that deforms by 7 % in 60 frames here: how
+    many frames `process` follows at once turns on the last digit, and the player looks after every eighth."""
     count = said.torch.sizes["point"]
-    np.testing.assert_allclose(said.onnx["position_px"], said.torch["position_px"], rtol=0, atol=1e-3)
-    off = np.abs(said.live["points"][:, :count] - said.torch["position_px"].values)
-    assert np.mean(off > 1e-3) < 0.03
-    assert np.max(off) < 0.03
-    np.testing.assert_allclose(said.onnx["position_std_px"], said.torch["position_std_px"], rtol=0.02, atol=1e-4)
-    ratio = said.live["deviation"][1:, :count] / said.torch["position_std_px"].values[1:]  # 0 in the key frame itself
-    assert np.nanquantile(np.abs(ratio - 1), 0.5) < 0.01
+    for other in (said.onnx["position_px"].values, said.live["points"][:, :count]):
+        off = np.abs(other - said.torch["position_px"].values)
+        assert np.mean(off > 1e-3) < 0.1
+        assert np.max(off) < 0.03
+    # 0 in the key frame itself
+    for deviation in (said.onnx["position_std_px"].values[1:], said.live["deviation"][1:, :count]):
+        ratio = deviation / said.torch["position_std_px"].values[1:]
+        assert np.nanquantile(np.abs(ratio - 1), 0.5) < 0.01
 
 
 def test_fields_are_equal(said: Said) -> None:

@@ -47,8 +47,10 @@ class Tolerance:
 # of a position over a gauge length of tens of px. All but px and rad is relative to the largest number of the output:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
-    **dict.fromkeys(("points", "error", "center", "semi_axes"), Tolerance(1e-3, 1e-3)),
-    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence"), Tolerance(2e-4, 2e-4)),
+    **dict.fromkeys(("points", "error"), Tolerance(1e-3, 1e-3)),
+    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence"), Tolerance(2e-4, 1e-3)),
+    # A cell at the border of the region may be told either way in float64.
+    **dict.fromkeys(("center", "semi_axes"), Tolerance(1e-3, 0.1)),
     **dict.fromkeys(("threshold", "angle", "deviation"), Tolerance(1e-4, 1e-3)),
 }
 _RELATIVE = Tolerance(1e-4, 1e-3)
