@@ -100,10 +100,10 @@ def test_points_are_equal(said: Said) -> None:
     """But for templates that are renewed a frame earlier or later, of skin that deforms by 7 % in 60 frames here: how
     many frames `process` follows at once turns on the last digit, and the player looks after every eighth."""
     count = said.torch.sizes["point"]
-    for other in (said.onnx["position_px"].values, said.live["points"][:, :count]):
+    for other, share in ((said.onnx["position_px"].values, 0.1), (said.live["points"][:, :count], 0.25)):
         off = np.abs(other - said.torch["position_px"].values)
-        assert np.mean(off > 1e-3) < 0.1
-        assert np.max(off) < 0.03
+        assert np.mean(off > 1e-3) < share
+        assert np.max(off) < 0.02
     # 0 in the key frame itself
     for deviation in (said.onnx["position_std_px"].values[1:], said.live["deviation"][1:, :count]):
         ratio = deviation / said.torch["position_std_px"].values[1:]
