@@ -18,11 +18,6 @@ namespace {
 constexpr float kTiny = 1e-20f;
 constexpr int kShifts = 2 * kBeyond + 1, kSquare = kShifts * kShifts, kTable = 3 * kSquare;
 
-Vector solved(float a, float b, float c, float d, float u, float v) {
-    const float determinant = a * d - b * c;
-    return {(d * u - b * v) / determinant, (a * v - c * u) / determinant};
-}
-
 // --- preparation --------------------------------------------------------------------------------------------------------
 
 class Preparer {
@@ -279,14 +274,14 @@ public:
         for (float*& one : table_) one = take(kCells);
         patch_ = take((n_ + 2 * kBeyond) * stride_ + 2 * kPatchBlock);
         values_ = take((n_ + 3) * kFloats);
-        slopes_ = take((n_ + 3) * kFloats);
+        matched_ = take(n_ * row_);
         lines_ = memory;
     }
 
     static std::int64_t floats(int n) {
         const int stride = patch_span(n + 2 * kBeyond), side = n + 2 * kBeyond;
-        return 3 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) +
-               2 * whole_floats((n + 3) * kFloats) + (side + 2) * stride;
+        return 4 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) +
+               whole_floats((n + 3) * kFloats) + (side + 2) * stride;
     }
 
     void follow(std::int64_t point) {
@@ -437,114 +432,97 @@ private:
         return shift;
     }
 
-    // Of the match M with its slopes Mx, My and the template T, gx, gy.
+    // Of the match M and the template T, gx, gy.
     struct Sums {
-        float tm, pgx, pgy, xt, xgx, xgy, yt, ygx, ygy, m, mm, xm, ym, x, y, nothing;
+        float tm, gx, gy, m, mm;
     };
 
     void second_sums(Vector shift, Sums* result) {
         const Vector whole{shift.x < 0 ? -1.0f : 0.0f, shift.y < 0 ? -1.0f : 0.0f};
-        float across[kTaps], across_slope[kTaps], down[kTaps], down_slope[kTaps];
-        cubic_taps(shift.x - whole.x, across, across_slope);
-        cubic_taps(shift.y - whole.y, down, down_slope);
+        float across[kTaps], down[kTaps], slope[kTaps];
+        cubic_taps(shift.x - whole.x, across, slope);
+        cubic_taps(shift.y - whole.y, down, slope);
         const float* corner = patch_ + (static_cast<int>(whole.y) + 1) * stride_ + static_cast<int>(whole.x) + 1;
         Floats of[kSums] = {};
         int block = 0;
-        for (; block + kFloats <= n_; block += kFloats) block_sums<false>(corner + block, block, across, across_slope, down, down_slope, of);
-        if (block < n_) block_sums<true>(corner + block, block, across, across_slope, down, down_slope, of);
+        for (; block + kFloats <= n_; block += kFloats) block_sums<false>(corner + block, block, across, down, of);
+        if (block < n_) block_sums<true>(corner + block, block, across, down, of);
         alignas(64) float sum_of[kSums];
         sums(of, sum_of);
         std::memcpy(result, sum_of, sizeof *result);
     }
 
-    // Those of some columns.
+    // Those of some columns, which are kept.
     template <bool kInPart>
-    void block_sums(const float* from, int block, const float* across, const float* across_slope, const float* down,
-                    const float* down_slope, Floats* of) {
+    void block_sums(const float* from, int block, const float* across, const float* down, Floats* of) {
         const int rows = n_ + kTaps - 1, stride = stride_;
-        float *const values = values_, *const slopes = slopes_;  // members would be read again after every store
-        {
-            Floats weight[kTaps], weight_slope[kTaps];
+        float* const values = values_;  // members would be read again after every store
+        Floats weight[kTaps], sum[5];
+        FINGERFLOW_UNROLL
+        for (int i = 0; i < kTaps; ++i) weight[i] = all(across[i]);
+        for (int r = 0; r < rows; ++r, from += stride) {
+            Floats value = load(from) * weight[0];
             FINGERFLOW_UNROLL
-            for (int i = 0; i < kTaps; ++i) {
-                weight[i] = all(across[i]);
-                weight_slope[i] = all(across_slope[i]);
-            }
-            for (int r = 0; r < rows; ++r, from += stride) {
-                Floats tap = held(load(from));
-                Floats value = tap * weight[0], slope = tap * weight_slope[0];
-                FINGERFLOW_UNROLL
-                for (int i = 1; i < kTaps; ++i) {
-                    tap = held(load(from + i));
-                    value += tap * weight[i];
-                    slope += tap * weight_slope[i];
-                }
-                store(values + r * kFloats, value);
-                store(slopes + r * kFloats, slope);
-            }
-        }
-        Floats weight[kTaps], weight_slope[kTaps], sum[15];
-        FINGERFLOW_UNROLL
-        for (int i = 0; i < kTaps; ++i) {
-            weight[i] = all(down[i]);
-            weight_slope[i] = all(down_slope[i]);
+            for (int i = 1; i < kTaps; ++i) value += load(from + i) * weight[i];
+            store(values + r * kFloats, value);
         }
         FINGERFLOW_UNROLL
-        for (int k = 0; k < 15; ++k) sum[k] = of[k];
+        for (int i = 0; i < kTaps; ++i) weight[i] = all(down[i]);
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < 5; ++k) sum[k] = of[k];
         const Beginning inside(kInPart ? n_ - block : kFloats);
         const float *own = samples_[0] + block, *gx = samples_[1] + block, *gy = samples_[2] + block;
+        float* const matched = matched_ + block;
         const int row = row_;
         for (int r = 0; r < n_; ++r) {
-            Floats value = load(values + r * kFloats), slope = load(slopes + r * kFloats);
-            Floats m = value * weight[0], x = slope * weight[0], y = value * weight_slope[0];
+            Floats m = load(values + r * kFloats) * weight[0];
             FINGERFLOW_UNROLL
-            for (int i = 1; i < kTaps; ++i) {
-                value = held(load(values + (r + i) * kFloats));
-                m += value * weight[i];
-                y += value * weight_slope[i];
-                x += load(slopes + (r + i) * kFloats) * weight[i];
-            }
-            if (kInPart) {
-                m = inside.of(m);
-                x = inside.of(x);
-                y = inside.of(y);
-            }
-            const Floats t = load(own + r * row), u = load(gx + r * row), v = load(gy + r * row);
-            sum[0] += t * m;
-            sum[1] += u * m;
-            sum[2] += v * m;
-            sum[3] += t * x;
-            sum[4] += u * x;
-            sum[5] += v * x;
-            sum[6] += t * y;
-            sum[7] += u * y;
-            sum[8] += v * y;
-            sum[9] += m;
-            sum[10] += m * m;
-            sum[11] += x * m;
-            sum[12] += y * m;
-            sum[13] += x;
-            sum[14] += y;
+            for (int i = 1; i < kTaps; ++i) m += load(values + (r + i) * kFloats) * weight[i];
+            if (kInPart) m = inside.of(m);
+            store(matched + r * row, m);
+            sum[0] += load(own + r * row) * m;
+            sum[1] += load(gx + r * row) * m;
+            sum[2] += load(gy + r * row) * m;
+            sum[3] += m;
+            sum[4] += m * m;
         }
         FINGERFLOW_UNROLL
-        for (int k = 0; k < 15; ++k) of[k] = sum[k];
+        for (int k = 0; k < 5; ++k) of[k] = sum[k];
+    }
+
+    // Sums over the window of D grad D, D = M - gain T - offset the residual: half the differences of D^2 between opposite edges.
+    Vector edges(float gain, float offset) const {
+        const float *const own = samples_[0], *const matched = matched_;
+        const int n = n_, row = row_, last = (n - 1) * row;
+        const auto square = [&](int k) {
+            const float left = matched[k] - gain * own[k] - offset;
+            return left * left;
+        };
+        Vector total{0, 0};
+        for (int k = 0; k < n; ++k) {
+            total.x += square(k * row + n - 1) - square(k * row);
+            total.y += square(last + k) - square(k);
+        }
+        return {total.x / 2, total.y / 2};
     }
 
     Look judge(std::int64_t image, Vector guess, Vector center, Vector beside, Vector looked, const Sums& of) const {
         const float samples = static_cast<float>(n_ * n_), energy = numbers_[kEnergy], some_energy = energy < kTiny ? kTiny : energy;
         const bool free = numbers_[kGain] > 0;
-        const float px = of.pgx - numbers_[kConstantX], py = of.pgy - numbers_[kConstantY];
-        const Vector last = solved(of.xgx, of.ygx, of.xgy, of.ygy, px, py);
+        const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
+        const float gain = free ? of.tm / some_energy : 1.0f;
+        // The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
+        const Vector missing{of.gx - numbers_[kConstantX], of.gy - numbers_[kConstantY]};
+        const Vector last = inverse * Vector{missing.x / gain, missing.y / gain};
         const float step = length(last);
-        const bool settled = step < kLastStep;  // a singular matrix leaves NaN: no root
+        const bool settled = step < kLastStep;  // what is not a number is no root
         const Vector shift = settled ? Vector{looked.x - last.x, looked.y - last.y} : looked;
         const bool converged = settled && fabsf(shift.x) < kReach && fabsf(shift.y) < kReach;
         Look result;
         result.found = {center.x + shift.x, center.y + shift.y};
 
-        const float bb = of.mm - of.m * of.m / samples, some_bb = bb < kTiny ? kTiny : bb;
-        const float gain = free ? of.tm / some_energy : 1.0f;
-        const float turn = gain * (last.x * px + last.y * py);
+        const float bb = of.mm - of.m * of.m / samples;
+        const float turn = gain * (last.x * missing.x + last.y * missing.y);
         const float unlike = (bb - of.tm * of.tm / some_energy) - turn;
         const float left = free ? unlike : of.mm - 2 * of.tm + energy - turn;
         const float rounding = all_.rounding;
@@ -552,11 +530,7 @@ private:
         if (pixel < 2 * rounding) pixel = 2 * rounding;
         result.scale = pixel / (gain * gain);
 
-        const float part_x = free ? (of.xm - of.x * of.m / samples) / some_bb : 0.0f;
-        const float part_y = free ? (of.ym - of.y * of.m / samples) / some_bb : 0.0f;
-        const float rest_x = free ? of.xt - part_x * of.tm : of.xt - of.xm, rest_y = free ? of.yt - part_y * of.tm : of.yt - of.ym;
-        const Vector back = solved(of.xgx - part_x * px, of.xgy - part_x * py, of.ygx - part_y * px, of.ygy - part_y * py, rest_x, rest_y);
-        const float error = length(Vector{back.x + last.x, back.y + last.y});
+        const float error = length(inverse * edges(gain, free ? of.m / samples : 0.0f)) / (gain * gain);
         result.error = converged ? error : NAN;
 
         const float variance = all_.variance == nullptr ? numbers_[kNoise] : all_.variance[image];
@@ -579,7 +553,7 @@ private:
         return result;
     }
 
-    static constexpr int kSums = whole_floats(16);
+    static constexpr int kSums = whole_floats(5);
 
     const TemplatesToFind& all_;
     const int n_, row_, stride_;
@@ -589,7 +563,7 @@ private:
     float* table_[3]{};
     float* patch_ = nullptr;
     float* values_ = nullptr;
-    float* slopes_ = nullptr;
+    float* matched_ = nullptr;
     float* lines_ = nullptr;
 };
 

@@ -8,10 +8,10 @@ with u = max(2 - |x|, 0) and v = max(1 - |x|, 0) the B-spline is b3(x) = (u^3 - 
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 MARGIN = 3  # px of a patch around its window: two of the spline at the reach, one of the smoothing
 TAPS = 5
-_SMOOTHING = (0.25, 0.5, 0.25)
 
 
 def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> Tensor:
@@ -22,9 +22,10 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     height, width = view.shape[-2:]
     side = size + 2 * MARGIN
     steps = torch.arange(side, device=view.device, dtype=center.dtype) - side // 2
-    column = (center[:, 0, :, None] + steps).clamp(0, width - 1)
-    row = (center[:, 1, :, None] + steps).clamp(0, height - 1)
-    index = (row[..., None] * width + column[..., None, :]).to(torch.int64)  # exact below 2^24
+    # Whole numbers before they are paired: there are a window's side as many of them after.
+    column = (center[:, 0, :, None] + steps).clamp(0, width - 1).to(torch.int64)
+    row = (center[:, 1, :, None] + steps).clamp(0, height - 1).to(torch.int64) * width
+    index = row[..., None] + column[..., None, :]
     # Bytes are gathered as they are, a quarter of the memory; torch gathers no uint16.
     plane = view if view.dtype == torch.uint8 else view.to(dtype)
     return plane.flatten(1).gather(1, index.flatten(1)).to(dtype).reshape(-1, side, side)
@@ -44,12 +45,16 @@ def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
 
 def along_y(weights: Tensor, size: int) -> Tensor:
     """(..., size, side): from the pixels of a column to the spline on a window, for taps (..., 5) of the shift in y."""
-    return (weights @ _bands(size, weights).flatten(1)).unflatten(-1, (size, size + 2 * MARGIN))
+    side = size + 2 * MARGIN
+    # Lines of a band that are a place longer than the matrix: laid end to end, each begins a place later in its row.
+    line = functional.pad(weights @ _smoothed(weights), (0, side + 1 - TAPS - 2))
+    repeated = line[..., None, :].expand(*line.shape[:-1], size, side + 1).flatten(-2)
+    return repeated[..., : size * side].unflatten(-1, (size, side))
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
     """(..., side, size): the same for a line."""
-    return (weights @ _bands(size, weights).transpose(1, 2).flatten(1)).unflatten(-1, (size + 2 * MARGIN, size))
+    return along_y(weights, size).transpose(-1, -2)
 
 
 def onto_pixels(weights: Tensor, size: int) -> Tensor:
@@ -58,13 +63,11 @@ def onto_pixels(weights: Tensor, size: int) -> Tensor:
     return middle.T @ weights @ middle
 
 
-def _bands(size: int, like: Tensor) -> Tensor:
-    """(5, size, side): where each tap finds its smoothed pixel."""
-    side = size + 2 * MARGIN
-    beyond = torch.arange(side, device=like.device) - torch.arange(size, device=like.device)[:, None]
-    tap = torch.arange(TAPS, device=like.device)[:, None, None]
-    smoothed = [weight * (beyond == tap + offset).to(like.dtype) for offset, weight in enumerate(_SMOOTHING)]
-    return smoothed[0] + smoothed[1] + smoothed[2]
+def _smoothed(like: Tensor) -> Tensor:
+    """(5, 7): from weights of coefficients to those of pixels."""
+    place = torch.arange(TAPS + 2, device=like.device) - torch.arange(TAPS, device=like.device)[:, None]
+    middle, beside = (place == 1).to(like.dtype), ((place == 0) | (place == 2)).to(like.dtype)
+    return middle / 2 + beside / 4
 
 
 def _from_places(shift: Tensor) -> Tensor:

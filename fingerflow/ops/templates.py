@@ -9,8 +9,13 @@ taken without its parts along a constant and along T: then the equation holds wh
    nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between them, has
    to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image computed
    before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c - s.
-2. *Second look*, in the frame: the window is sampled there once, with its slopes, and a step of Newton's ends the way.
-   The way back, from what was found to the template, solves the same equation with the slopes of the frame, linearly.
+2. *Second look*, in the frame: the window M is sampled there once, and a step ends the way. Its slopes are taken to be
+   those of the template times the gain a, so that sum g g', known from the key frame, is all that the step asks for:
+   1e-4 px RMS from the root on a press, a fiftieth of a standard deviation at noise of 10 grey levels.
+
+*Way back.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad D
+with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
+D grad D, which over a window is half the difference of D^2 between its opposite edges.
 
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
 """
@@ -30,6 +35,7 @@ from fingerflow.ops.spline_windows import (
     along_y,
     cut_patches,
     onto_pixels,
+    taps,
     taps_and_slopes,
 )
 from fingerflow.ops.tensors import components_first, finite, sum_rows
@@ -80,7 +86,7 @@ class Found(NamedTuple):
 
     Attributes:
         points: (B, N, 2) px; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance; NaN where it could not be computed.
+        error: (B, N) px, forward-backward distance to first order; NaN where no root was found.
         covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
         status: (B, N) uint8, a :class:`~fingerflow.ops.tracking_limits.TrackStatus`.
         estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
@@ -401,17 +407,14 @@ def _look(
     beside = _first_look(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
     looked = (-beside).clamp(-limits.REACH, limits.REACH)
 
-    matched, by_x, by_y = _window(patches, looked, window)
-    tm, *p = _times(templates.samples, matched).split(1, dim=1)
-    xt, *jx = _times(templates.samples, by_x).split(1, dim=1)
-    yt, *jy = _times(templates.samples, by_y).split(1, dim=1)
-    m1, m2, xm, ym, x1, y1 = (
-        one.sum(1).reshape(given.shape)
-        for one in (matched, matched * matched, by_x * matched, by_y * matched, by_x, by_y)
-    )
+    matched = _window(patches, looked, window)
+    tm, gx, gy = _times(templates.samples, matched).split(1, dim=1)
+    m1, m2 = (one.sum(1).reshape(given.shape) for one in (matched, matched * matched))
     samples = window * window
-    p = [one - numbers[:, k : k + 1] for one, k in zip(p, (Number.CONSTANT_X, Number.CONSTANT_Y), strict=True)]
-    last = _solved(jx[0], jy[0], jx[1], jy[1], *p)
+    gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
+    # The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
+    missing = torch.cat((gx - of[Number.CONSTANT_X], gy - of[Number.CONSTANT_Y]), dim=1)
+    last = _symmetric(inverse, missing / gain)
     length = _length(last)
     settled = length < limits.LAST_STEP  # a singular matrix leaves NaN: no root
     shift = looked - torch.where(settled, last, 0.0)
@@ -419,24 +422,15 @@ def _look(
     found = center + shift
 
     bb = m2 - m1 * m1 / samples
-    gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
     # What is left of the match that gain and offset do not explain, at the end of the last step.
-    turn = gain * sum_rows(last * torch.cat(p, dim=1))
+    turn = gain * sum_rows(last * missing)
     unlike = (bb - tm * tm / energy.clamp_min(_TINY)) - turn
     left = torch.where(free > 0, unlike, m2 - 2 * tm + energy - turn)
     pixel = (left / ((samples - 4) * limits.VALUE_NOISE)).clamp_min(2 * rounding)
     scale = pixel / (gain * gain)
 
-    # The way back: sum h (T(w + s) - M(w)) = 0 with the slopes h of the match.
-    part = [
-        torch.where(free > 0, (one - own * m1 / samples) / bb.clamp_min(_TINY), 0.0)
-        for one, own in ((xm, x1), (ym, y1))
-    ]
-    rest = [torch.where(free > 0, t - share * tm, t - m) for t, share, m in ((xt, part[0], xm), (yt, part[1], ym))]
-    back = _solved(
-        jx[0] - part[0] * p[0], jx[1] - part[0] * p[1], jy[0] - part[1] * p[0], jy[1] - part[1] * p[1], *rest
-    )
-    error = _length(back + last)
+    offset = torch.where(free > 0, m1 / samples, 0.0)
+    error = _length(_symmetric(inverse, _edges(matched, templates.samples, gain, offset, window))) / (gain * gain)
 
     noise = of[Number.NOISE] if variance is None else variance[:, None, None]
     noise_energy = noise * (samples * limits.VALUE_NOISE)
@@ -503,13 +497,26 @@ def _between(shift: Tensor) -> Tensor:
     )
 
 
-def _window(patches: Tensor, shift: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The windows at shifts (B, 2, N) in patches (P, side, side), and their slopes in x and y, (P, samples)."""
-    weights, slopes = taps_and_slopes(shift.transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
-    down = along_y(torch.stack((weights[:, 1], slopes[:, 1]), dim=1), size)  # values above slopes, in one product
-    lines = down.flatten(1, 2) @ patches
-    value, by_y = (lines @ along_x(weights[:, 0], size)).unflatten(1, (2, -1)).flatten(2).unbind(1)
-    return value, (lines[:, :size] @ along_x(slopes[:, 0], size)).flatten(1), by_y
+def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
+    """The windows at shifts (B, 2, N) in patches (P, side, side), (P, samples)."""
+    weights = taps(shift.transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
+    return (along_y(weights[:, 1], size) @ patches @ along_x(weights[:, 0], size)).flatten(1)
+
+
+def _edges(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
+    """(B, 2, N) sums over the window of D grad D, D = M - a T - b the residual of windows M (P, samples): half the
+    differences of D^2 between opposite edges."""
+    square = matched.unflatten(1, (size, size))
+    own = samples[:, :, 0].flatten(0, 1).unflatten(1, (size, size))
+    by_gain, beyond = gain.flatten()[:, None], offset.flatten()[:, None]
+
+    def energy(row: int | slice, column: int | slice) -> Tensor:
+        left = square[:, row, column] - by_gain * own[:, row, column] - beyond
+        return (left * left).sum(1)
+
+    every = slice(None)
+    x, y = energy(every, -1) - energy(every, 0), energy(-1, every) - energy(0, every)
+    return torch.stack((x, y)).reshape(2, *gain.shape[::2]).transpose(0, 1) / 2
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
