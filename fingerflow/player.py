@@ -913,7 +913,6 @@ class Stepper:
         self._held = {name: np.zeros(tensor.shape, tensor.dtype) for name, tensor in held.items()}
         self._held_values = {name: self._value(array) for name, array in self._held.items()}
         self._renewed = inputs["renew"]["points"].shape[1]  # points in a call
-        self._key_view = np.empty(0)
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         self.parallel, self.lag = parallel, max(LAG, parallel)
         # What a frame writes is not written again while its motion is still asked for.
@@ -966,9 +965,7 @@ class Stepper:
 
     def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
-        self._key_view = slot.views["topography_view"].copy()
-        straight = np.broadcast_to(np.eye(2), (*points.shape, 2))
-        self._run("key", {"topography_view": self._key_view, "points": points, "warp": straight})
+        self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
         self._motions = [motion.without(points) for motion in self._motions]
         self.keyed = _count_known(points)
 
@@ -980,7 +977,7 @@ class Stepper:
             some = rows[first : first + self._renewed]
             padded = np.pad(some, (0, self._renewed - len(some)), mode="edge")
             given = {"points": self._held["template_start"][:, padded], "warp": outputs["warp"][:, padded]}
-            results = self._run("renew", {"topography_view": self._key_view, **given}, hold=False)
+            results = self._run("renew", given, hold=False)
             found.append({name: array[:, : len(some)] for name, array in results.items()})
         if not found:
             return None

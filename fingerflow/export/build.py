@@ -1,9 +1,11 @@
 """The graphs of a recipe: module, and name, type and unit of everything that goes in and out."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils import _pytree as tree
 
 from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.graphs import Contact, ContactGraph, KeyGraph, Light, LightGraph
@@ -15,6 +17,9 @@ from fingerflow.graphs.frame import (
     FrameResult,
     Held,
     HeldGraph,
+    KeyView,
+    Prepared,
+    RenewGraph,
     SinceOnset,
     SinceOnsetGraph,
 )
@@ -31,7 +36,8 @@ UNITS = {
     **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
     **dict.fromkeys(("mask", "touching", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"),
-    "stale": "1",
+    **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
+    **dict.fromkeys(("key_coefficients", "key_noise"), "counts"),
     **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
     "mm_per_px": "mm/px",
     "angle": "rad",
@@ -52,18 +58,24 @@ class Graph:
     outputs: tuple[str, ...]
 
 
+OF_FRAME = (*Prepared._fields, *(name for name in Held._fields if name != "prepared"))  # the tensors of `Held`
+
+
 class _Flat(nn.Module):
-    """A module whose last argument is `Held`, with one argument a tensor, and some of its outputs."""
+    """A module whose last argument may be `Held`, with one argument a tensor, and some of its outputs."""
 
     def __init__(self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], held: bool) -> None:
         super().__init__()
         self.module = module
         self.kept = [names.index(name) for name in kept]
-        self.plain = -len(Held._fields) if held else None
+        self.held = held
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        arguments = tensors if self.plain is None else (*tensors[: self.plain], Held(*tensors[self.plain :]))
-        results = self.module(*arguments)
+        arguments: tuple[Any, ...] = tensors
+        if self.held:
+            plain, own = len(tensors) - len(OF_FRAME), len(tensors) - len(OF_FRAME) + len(Prepared._fields)
+            arguments = (*tensors[:plain], Held(Prepared(*tensors[plain:own]), *tensors[own:]))
+        results = tree.tree_leaves(self.module(*arguments))
         return tuple(results[place] for place in self.kept)
 
 
@@ -93,10 +105,9 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     contact, tracking = recipe.contact, recipe.tracking
     touching = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.lattice_px)
     follow = FollowGraph(tracking.window_px, tracking.forward_backward_limit_px)
-    key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset))
+    key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset), follow.deformation)
     border = tracking.window_px // 2 + 3
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
-    of_key = ("topography_view", "points", "warp")
     described = {
         "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
         "contact": (_Measured(touching), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
@@ -105,14 +116,18 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
             ("topography_view", "mask"),
             ("points", "response"),
         ),
-        "key": (key, of_key, Held._fields),
-        "renew": (key, of_key, Held._fields),
-        "track": (follow, ("topography_view", "prediction", *Held._fields), Followed._fields),
+        "key": (key, ("topography_view", "points"), (*OF_FRAME, *KeyView._fields)),
+        "renew": (
+            RenewGraph(tracking.window_px, tracking.gain_offset),
+            (*KeyView._fields, "points", "warp"),
+            Prepared._fields,
+        ),
+        "track": (follow, ("topography_view", "prediction", *OF_FRAME), Followed._fields),
         "frame": (
             FrameGraph(touching, follow),
             (
                 *("contact_view", "topography_view", "topography_to_contact", "prediction"),
-                *(*Light._fields, *Held._fields),
+                *(*Light._fields, *OF_FRAME),
             ),
             FrameResult._fields,
         ),

@@ -8,14 +8,16 @@ from torch import Tensor, nn
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.graphs.fields import FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
-from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph, lean_of, unknown_shift
+from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph, lean_of
 from fingerflow.ops.cells import covered
-from fingerflow.ops.templates import Templates, inverse_2x2
+from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.plane_fit import Support
+from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates
 
 
-class Held(NamedTuple):
-    """What a frame needs to know of the key frame: `Templates` of (B, N) points, and the inverse (B, N, 2, 2) of the
-    deformation with which they were prepared."""
+class Prepared(NamedTuple):
+    """`Templates` of (B, N) points, and the inverse (B, N, 2, 2) of the deformation with which they were prepared."""
 
     template_start: Tensor
     template_samples: Tensor
@@ -24,23 +26,67 @@ class Held(NamedTuple):
     template_pixels: Tensor
     template_inverse_warp: Tensor
 
+    @classmethod
+    def of(cls, templates: Templates, inverse_warp: Tensor) -> "Prepared":
+        """Of the portable form, which is exported."""
+        assert templates.pixels is not None
+        return cls(*templates[:4], templates.pixels, inverse_warp)
+
     def templates(self) -> Templates:
         """Those of `ops.templates`."""
         return Templates(*self[:5])
 
 
-class HeldGraph(nn.Module):
-    """`KeyGraph` with what else a frame needs; the noise is that of the view."""
+class Held(NamedTuple):
+    """What a frame needs to know of the key frame: the templates, and the `Support` of their neighbours, (B, N, N)."""
 
-    def __init__(self, key: KeyGraph) -> None:
+    prepared: Prepared
+    neighbours_weights: Tensor
+    neighbours_within: Tensor
+
+
+class KeyView(NamedTuple):
+    """What is needed of the key frame to prepare templates anew: its spline (B, 1, H, W) and its noise (B,)."""
+
+    key_coefficients: Tensor
+    key_noise: Tensor
+
+
+class HeldGraph(nn.Module):
+    """A key frame and its points to all that the frames to come need to know of them."""
+
+    def __init__(self, key: KeyGraph, deformation: DeformationGraph) -> None:
         super().__init__()
         self.key = key
+        self.deformation = deformation
 
-    def forward(self, topography_view: Tensor, points: Tensor, warp: Tensor) -> Held:
-        """(B, 1, H, W), (B, N, 2) px, NaN where there is none, and the deformation gradient (B, N, 2, 2) since."""
-        start, samples, table, numbers, pixels = self.key(topography_view, points, None, warp)
-        assert pixels is not None  # as exported
-        return Held(start, samples, table, numbers, pixels, inverse_2x2(warp.to(samples.dtype)))
+    def forward(self, topography_view: Tensor, points: Tensor) -> tuple[Held, KeyView]:
+        """(B, 1, H, W), and (B, N, 2) px, NaN where there is none."""
+        coefficients = spline_coefficients(topography_view)
+        noise = estimate_noise(topography_view).to(coefficients.dtype)
+        templates = self.key(topography_view, points, noise)
+        kind = templates.samples.dtype
+        straight = torch.eye(2, dtype=kind, device=points.device).expand(*points.shape, 2)
+        support = self.deformation.support(templates.start)
+        assert support is not None  # of the portable form
+        return Held(Prepared.of(templates, straight), *support), KeyView(coefficients, noise)
+
+
+class RenewGraph(nn.Module):
+    """Templates of some points prepared anew for the deformation of the skin since the key frame; settings as those of
+    `KeyGraph`."""
+
+    def __init__(self, window: int = 25, gain_offset: bool = True) -> None:
+        super().__init__()
+        self.window = window
+        self.gain_offset = gain_offset
+
+    def forward(self, key_coefficients: Tensor, key_noise: Tensor, points: Tensor, warp: Tensor) -> Prepared:
+        """`KeyView`, (B, N, 2) px and the deformation gradient (B, N, 2, 2)."""
+        templates = renew_templates(
+            key_coefficients, key_noise, points, self.window, warp, gain_offset=self.gain_offset
+        )
+        return Prepared.of(templates, inverse_2x2(warp.to(key_coefficients.dtype)))
 
 
 class Followed(NamedTuple):
@@ -62,20 +108,17 @@ class FollowGraph(nn.Module):
 
     def __init__(self, window: int = 25, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
-        self.window = window
         self.track = TrackGraph(forward_backward_limit)
         self.deformation = DeformationGraph(window)
 
     def forward(self, topography_view: Tensor, prediction: Tensor, held: Held) -> Followed:
         """(B, 1, H, W), (B, N, 2) px, and what `HeldGraph` gave."""
-        templates, inverse_warp = held.templates(), held.template_inverse_warp
+        templates, inverse_warp = held.prepared.templates(), held.prepared.template_inverse_warp
+        support = Support(held.neighbours_weights, held.neighbours_within)
         found = self.track(templates, topography_view, prediction)
-        deformed = self.deformation(templates.start, found.points, lean_of(templates), inverse_warp)
-        variance = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
-        stale = unknown_shift(deformed.warp, inverse_warp, self.window) > RENEWAL_PX
-        return Followed(
-            deformed.points, found.error, variance.sqrt(), found.status, deformed.warp, stale.to(torch.uint8)
-        )
+        deformed = self.deformation(templates.start, found.points, lean_of(templates), inverse_warp, support)
+        stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)
+        return Followed(deformed.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale)
 
 
 class FrameResult(NamedTuple):

@@ -6,8 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.ops.outliers import Neighbours, find_outliers
-from fingerflow.ops.point_gradients import neighbour_planes
+from fingerflow.ops.plane_fit import Support
+from fingerflow.ops.point_gradients import neighbour_planes, neighbours_support
 from fingerflow.ops.templates import Found, Templates, find_templates
+from fingerflow.ops.tensors import sum_rows
 from fingerflow.ops.tracking_limits import Number, TrackStatus
 
 # px that a deformation may shift the edge of a window before its template is prepared anew. What leans is taken off,
@@ -17,11 +19,13 @@ WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be
 
 
 class Deformed(NamedTuple):
-    """Positions (K, N, 2) px corrected for the deformation of their templates, that deformation (K, N, 2, 2), and where
-    the neighbours of a point expect it (K, N, 2) px, NaN where too few are known."""
+    """Positions (K, N, 2) px corrected for the deformation of their templates, that deformation (K, N, 2, 2), px by
+    which it has moved the edge of a window since the template was prepared (K, N), and where the neighbours of a point
+    expect it (K, N, 2) px, NaN where too few are known."""
 
     points: Tensor
     warp: Tensor
+    shift: Tensor
     expected: Tensor
 
 
@@ -39,17 +43,28 @@ class DeformationGraph(nn.Module):
         super().__init__()
         self.window = window
 
-    def forward(self, start: Tensor, found: Tensor, lean: Tensor, inverse_warp: Tensor) -> Deformed:
+    def support(self, start: Tensor) -> Support | None:
+        """What `forward` needs to know of the places (B, N, 2) px in the key frame; None where compiled kernels do
+        without."""
+        return neighbours_support(start, WARP_GAUGE_PX)
+
+    def forward(
+        self, start: Tensor, found: Tensor, lean: Tensor, inverse_warp: Tensor, support: Support | None = None
+    ) -> Deformed:
         """(1, N, 2) px in the key frame, (K, N, 2) px found, (1, N, 2, 4) and F_0^-1 (1, N, 2, 2) of the templates."""
-        expected, gradient = neighbour_planes(start, found - start, WARP_GAUGE_PX)
-        _, second = neighbour_planes(start, gradient.flatten(-2), WARP_GAUGE_PX)
-        laplacian = second.unflatten(2, (2, 2)).diagonal(dim1=-1, dim2=-2).sum(-1)
-        identity = torch.eye(2, dtype=found.dtype, device=found.device)
-        warp = identity + gradient.nan_to_num(0.0, 0.0, 0.0)
-        unknown = multiplied(warp, inverse_warp) - identity
-        leaning = (lean * unknown.flatten(-2)[..., None, :]).sum(-1)
+        support = support or self.support(start)
+        expected, gradient = neighbour_planes(start, found - start, WARP_GAUGE_PX, support)
+        _, second = neighbour_planes(start, gradient.flatten(2), WARP_GAUGE_PX, support)
+        # Components before points from here on, (K, 4, N): runtimes are slow where the last axis is short.
+        second = second.flatten(2).mT
+        laplacian = second[:, ::4] + second[:, 3::4]
+        identity = torch.eye(2, dtype=found.dtype, device=found.device).reshape(4, 1)
+        warp = identity + gradient.flatten(2).mT.nan_to_num(0.0, 0.0, 0.0)
+        unknown = multiplied(warp, inverse_warp.flatten(2).mT) - identity
+        leaning = sum_rows(lean.flatten(2).mT.unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
         bulge = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self.window**2 - 1) / 24)
-        return Deformed(found - leaning - bulge, warp, start + expected)
+        shift = self.window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt()
+        return Deformed(found - (leaning + bulge).mT, warp.mT.unflatten(2, (2, 2)), shift, start + expected)
 
 
 class AgreementGraph(nn.Module):
@@ -58,7 +73,7 @@ class AgreementGraph(nn.Module):
     def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
         """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
         frames, (K, N, ...)."""
-        deviation = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+        deviation = found.variance.sqrt()
         outliers = find_outliers(neighbours, found.points - start, deviation)
         status = found.status
         for reason, applies in (
@@ -88,12 +103,6 @@ class TrackGraph(nn.Module):
         return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
 
 
-def unknown_shift(warp: Tensor, inverse_warp: Tensor, window: int) -> Tensor:
-    """(B, N) px by which the edge of a window has moved since its template was prepared, with F_0^-1, if F is now."""
-    change = (multiplied(warp, inverse_warp) - torch.eye(2, dtype=warp.dtype, device=warp.device)).flatten(-2)
-    return window // 2 * (change * change).sum(-1).sqrt()
-
-
 def lean_of(templates: Templates) -> Tensor:
     """(B, N, 2, 4), see `Number.LEAN`."""
     return templates.numbers[..., Number.LEAN : Number.LEAN + 8].unflatten(-1, (2, 4))
@@ -101,14 +110,13 @@ def lean_of(templates: Templates) -> Tensor:
 
 def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Templates:
     """Templates of (1, N) points with those of the chosen ones (L,) replaced by (1, L)."""
-    return Templates(
-        *[
-            None if old is None or new is None else old.index_copy(1, chosen, new)
-            for old, new in zip(templates, renewed, strict=True)
-        ]  # type: ignore[arg-type]
+    return Templates._make(
+        None if old is None or new is None else old.index_copy(1, chosen, new)
+        for old, new in zip(templates, renewed, strict=True)
     )
 
 
 def multiplied(a: Tensor, b: Tensor) -> Tensor:
-    """Products of matrices (..., 2, 2), broadcast: a batched product of small ones takes ten times as long."""
-    return a[..., :1] * b[..., :1, :] + a[..., 1:] * b[..., 1:, :]
+    """Products (K, 4, N) of matrices (K or 1, 4, N), by xx, xy, yx, yy."""
+    rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))
+    return (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
-from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD, PlaneFit, finite, fit_planes, sum_rows
+from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD, PlaneFit, fit_planes
 from fingerflow.ops.scattered import check_scattered
 from fingerflow.ops.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.strain_uncertainty import field_sensitivity
+from fingerflow.ops.tensors import finite, sum_rows
 
 POSITIONS = 800  # in an ellipse, whatever its size; 8,000 move the median divergence of a press by 0.3 um/mm RMS
 # A straight border of a dense cloud has its centroid 0.15 gauge lengths away. Farther out a fit would extrapolate.
@@ -208,7 +209,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
     weighted = (turned[..., None] * inverse[:, :, None, None]).sum(-2) * (share / fit.mass).mT[..., None, None]
     at_centroid = (weighted * fit.centroid.mT[:, :, None, None]).sum(-1, keepdim=True)
     columns = torch.cat((weighted, at_centroid), dim=-1).flatten(2).mT  # (B, 30, Q)
-    sums = (columns @ (fit.near * fit.near).mT).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
+    sums = (columns @ fit.weights.mT).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
     return (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
 
 

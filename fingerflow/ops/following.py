@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
-from fingerflow.ops.templates import Found, Templates, compiled, further_rounds
+from fingerflow.ops.templates import ROUNDING, Found, Templates, compiled, further_rounds
 from fingerflow.ops.tracking_limits import TrackStatus
 
 
@@ -50,7 +50,7 @@ def follow_templates(
         rounds, forward_backward_limit, mismatch_limit: as for `find_templates`.
     """
     if templates.pixels is None and compiled(templates, frames, place, speed):
-        rounding = 0.0 if frames.is_floating_point() else 1 / 12
+        rounding = 0.0 if frames.is_floating_point() else ROUNDING
         settings = (rounds, rounding, forward_backward_limit, mismatch_limit)
         followed = kernels.find_templates(templates[:4], frames, place, speed, None, *settings)
         return Followed(Found(*[one[:, 0] for one in followed[:5]]), followed.place, followed.speed)
@@ -65,7 +65,7 @@ def follow_templates(
         found = further_rounds(look, templates, look(templates, guess), guess, rounds)
         every.append(found)
         place, speed, seen = expected(place, speed, seen, found)
-    return Followed(Found(*[torch.cat(one) for one in zip(*every, strict=True)]), place, speed)
+    return Followed(Found.joined(every), place, speed)
 
 
 def expected(place: Tensor, speed: Tensor, seen: Tensor, found: Found) -> tuple[Tensor, Tensor, Tensor]:

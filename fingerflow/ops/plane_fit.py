@@ -3,11 +3,12 @@
 Components stand before points, (B, 2, N): runtimes are slow where the last axis is short.
 """
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from fingerflow.ops.tensors import finite, sum_rows
 
 MINIMUM_POINTS = 5
 # The weighted standard deviation of the points must be this part of the support's radius in every direction. A uniform
@@ -16,64 +17,98 @@ MINIMUM_SPREAD = 0.1
 _TINY = 1e-20
 
 
+class Support(NamedTuple):
+    """What N points and Q queries say of fits, whatever the values; lengths in radii of the support.
+
+    Attributes:
+        weights: (1 or B, N, Q), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
+        within: (1 or B, N, Q), 1 within it, else 0.
+    """
+
+    weights: Tensor
+    within: Tensor
+
+
 class PlaneFit(NamedTuple):
-    """Planes at Q queries of B frames; lengths in radii of the support. Any number where it is not `known`."""
+    """Planes at Q queries of B frames, of C components; lengths in radii of the support. Any number where it is not
+    `known`."""
 
     known: Tensor  # (B, 1, Q) bool
-    value: Tensor  # (B, 2, Q) of (u, v), the unit of the values
-    gradient: Tensor  # (B, 4, Q), du/dx, du/dy, dv/dx, dv/dy, value unit per length unit
+    value: Tensor  # (B, C, Q), the unit of the values
+    gradient: Tensor  # (B, 2 C, Q), du/dx, du/dy, dv/dx, ..., value unit per length unit
     centroid: Tensor  # (B, 2, Q), weighted mean place of the points, from the common origin
     inverse: Tensor  # (B, 3, Q), xx, xy, yy of the inverse of the points' second moments about it
     mass: Tensor  # (B, 1, Q), sum of the weights
-    near: Tensor  # (1 or B, N, Q), square roots of the weights of all points at all queries
+    weights: Tensor  # of `Support`
 
 
-def fit_planes(places: Tensor, values: Tensor, queries: Tensor, usable: Tensor, radius: float) -> PlaneFit:
+def about_their_mean(points: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Places (B, 2, N) in radii from the mean of points (B, N, 2), 0 where one is not known; and (B, 1, N) whether."""
+    moved = points.mT
+    given = finite(sum_rows(moved))
+    number = given.to(points.dtype)
+    moved = torch.where(given, moved, 0.0)
+    origin = moved.sum(2, keepdim=True) / number.sum(2, keepdim=True).clamp_min(1)
+    return (moved - origin) * number / radius, given
+
+
+def support_of(places: Tensor, queries: Tensor) -> Support:
+    """Of places (1 or B, 2, N) and queries (1 or B, 2, Q) in radii from one origin, as for `fit_planes`.
+
+    1 - |x_i - x_q|^2 is a product of (2x, |x|^2, 1) with its counterpart: no pair is visited by itself.
+    """
+    norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
+    support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
+    asked = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
+    near = (support.mT @ asked).clamp_min(0)
+    return Support(near * near, near.sign())
+
+
+def fit_planes(
+    places: Tensor, values: Tensor, queries: Tensor, usable: Tensor, radius: float, support: Support | None = None
+) -> PlaneFit:
     """The weighted fits of `ops.local_gradients`, weights (1 - (r/R)^2)^2.
 
-    With places x from a common origin, 1 - |x_i - x_q|^2 is a product of (2x, |x|^2, 1) with its counterpart, and the
-    moments of all fits are the product of the weights with the monomials of x and u: no pair is visited by itself.
+    The moments of all fits are the product of the weights with the monomials of x and u.
 
     Args:
         places: (1 or B, 2, N) in radii from an origin among them: digits are lost as the square of their distance.
-        values: (B, 2, N), any number where not usable.
+        values: (B, C, N), any number where not usable.
         queries: (1 or B, 2, Q) in radii from the same origin.
         usable: (B, 1, N) bool; places are finite everywhere.
         radius: of the support in the length unit that gradients are to be per.
+        support: of these places and queries, where it is known.
     """
+    weights, within = support or support_of(places, queries)
+    channels = values.shape[1]
     weight = usable.to(places.dtype)
     # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
     values = torch.where(usable, values, 0.0)
     level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
-    moved = values - level
-    norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
-    support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
-    asked = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
-    near = (support.transpose(1, 2) @ asked).clamp_min(0)
-    # 1, x, y, the products xx, xy, yy, u, v, and ux, uy, vx, vy.
-    of_places = torch.cat((torch.ones_like(norm), places, squares(places)), dim=1)
-    monomials = torch.cat((weight * of_places, weight * moved, weight * _mixed(moved, places)), dim=1)
-    # Times so much that 1 is exceeded wherever it is not 0: half the time of a comparison and a cast.
-    count = _product(weight, (near * 1e30).clamp_max(1))
-    sums = _product(monomials, near * near)
+    moved = weight * (values - level)
+    # 1, x, y, the products xx, xy, yy, u, v, ..., and ux, uy, vx, ...
+    of_places = torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
+    monomials = torch.cat((weight * of_places, moved, _mixed(moved, places)), dim=1)
+    count = _product(weight, within)
+    sums = _product(monomials, weights)
     known = count > MINIMUM_POINTS - 0.5
     mass = torch.where(known, sums[:, :1], 1.0)
     mean = sums / mass
-    centroid, motion = mean[:, 1:3], mean[:, 6:8]
+    centroid, motion = mean[:, 1:3], mean[:, 6 : 6 + channels]
     spread = mean[:, 3:6] - squares(centroid)
-    cross = mean[:, 8:] - _mixed(motion, centroid)
+    cross = mean[:, 6 + channels :] - _mixed(motion, centroid)
     xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
     determinant = xx * yy - xy * xy
     half = (xx + yy) / 2  # of the trace
     narrowest = half - (half * half - determinant).clamp_min(0).sqrt()
     known = known & (narrowest >= MINIMUM_SPREAD**2) & (determinant > _TINY)
     inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
-    by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of u and of v
-    slopes = torch.stack(
-        (by_x * inverse[:, :1] + by_y * inverse[:, 1:2], by_x * inverse[:, 1:2] + by_y * inverse[:, 2:]), dim=2
-    )
-    value = motion + level - (slopes * (centroid - queries)[:, None]).sum(2)
-    return PlaneFit(known, value, slopes.flatten(1, 2) / radius, centroid, inverse, mass, near)
+    by_x, by_y = cross[:, ::2], cross[:, 1::2]  # of every component
+    along_x, along_y = by_x * inverse[:, :1] + by_y * inverse[:, 1:2], by_x * inverse[:, 1:2] + by_y * inverse[:, 2:]
+    beside = centroid - queries
+    value = motion + level - along_x * beside[:, :1] - along_y * beside[:, 1:]
+    slopes = torch.stack((along_x, along_y), dim=2).flatten(1, 2)
+    return PlaneFit(known, value, slopes / radius, centroid, inverse, mass, weights)
 
 
 def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radius: float) -> Tensor:
@@ -84,8 +119,7 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
     one = torch.ones_like(places[:, :1])
     of_places = torch.cat((one, places, squares(places)), dim=1)  # (., 6, N)
     weighted = (covariance[:, :, None] * of_places[:, None]).flatten(1, 2)
-    fourth = fit.near * fit.near
-    sums = _product(weighted, fourth * fourth).unflatten(1, (3, 6)) / (fit.mass * fit.mass)[:, None]
+    sums = _product(weighted, fit.weights * fit.weights).unflatten(1, (3, 6)) / (fit.mass * fit.mass)[:, None]
     x, y = fit.centroid[:, None, :1], fit.centroid[:, None, 1:]
     plain, along_x, along_y, xx, xy, yy = (sums[:, :, k : k + 1] for k in range(6))
     xx = xx - 2 * x * along_x + x * x * plain
@@ -107,19 +141,9 @@ def squares(pair: Tensor) -> Tensor:
     return torch.cat((pair[:, :1] * pair, pair[:, 1:] * pair[:, 1:]), dim=1)
 
 
-def sum_rows(values: Tensor) -> Tensor:
-    """(..., 1, P) of (..., K, P), K fixed: a product, as ONNX Runtime reduces leading axes ten times as slowly."""
-    return values.new_ones(1, values.shape[-2]) @ values
-
-
-def finite(values: Tensor) -> Tensor:
-    """Whether (...) floating values are finite, in two operations of ONNX where `isfinite` takes four."""
-    return values.abs() < math.inf
-
-
-def _mixed(pair: Tensor, other: Tensor) -> Tensor:
-    """(B, 4, N) products ac, ad, bc, bd of pairs (B, 2, N)."""
-    return torch.cat((pair[:, :1] * other, pair[:, 1:] * other), dim=1)
+def _mixed(components: Tensor, pair: Tensor) -> Tensor:
+    """(B, 2 C, N) products ac, ad, bc, ... of components (B, C, N) with pairs (1 or B, 2, N)."""
+    return (components[:, :, None] * pair[:, None]).flatten(1, 2)
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:

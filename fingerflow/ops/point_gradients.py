@@ -7,7 +7,8 @@ from torch import Tensor
 
 from fingerflow import kernels
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.plane_fit import finite, fit_planes, gradient_covariance, sum_rows
+from fingerflow.ops.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
+from fingerflow.ops.tensors import finite, sum_rows
 
 
 def point_gradients(
@@ -24,12 +25,8 @@ def point_gradients(
         own = torch.where(displacement.isfinite().all(-1), 0.0, torch.nan)[..., None, None]
         return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
     radius = gauge_length / 2
-    usable = finite(sum_rows(reference.mT + displacement.mT))
-    given = finite(sum_rows(reference.mT))
-    number = given.to(reference.dtype)
-    places = torch.where(given, reference.mT, 0.0)
-    origin = places.sum(2, keepdim=True) / number.sum(2, keepdim=True).clamp_min(1)
-    places = (places - origin) * number / radius
+    places, given = about_their_mean(reference, radius)
+    usable = given & finite(sum_rows(displacement.mT))
     planes = None
     if covariance is not None:
         planes = covariance.flatten(2).mT[:, (0, 1, 3)]
@@ -49,24 +46,30 @@ class NeighbourPlanes(NamedTuple):
     gradient: Tensor
 
 
-def neighbour_planes(reference: Tensor, values: Tensor, gauge_length: float) -> NeighbourPlanes:
-    """`local_gradients` of values (B, N, C), C even, at all given reference positions (1 or B, N, 2).
+def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
+    """What the portable form of `neighbour_planes` needs to know of reference positions (1 or B, N, 2), once for all
+    that is asked there; None where compiled kernels do without."""
+    if kernels.serve(reference):
+        return None
+    places, _ = about_their_mean(reference, gauge_length / 2)
+    return support_of(places, places)
 
-    Also where a point's own value is not known, from its neighbours. Forms as for `point_gradients`.
+
+def neighbour_planes(
+    reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
+) -> NeighbourPlanes:
+    """`local_gradients` of values (B, N, C) at all given reference positions (1 or B, N, 2).
+
+    Also where a point's own value is not known, from its neighbours; where one of the C is not known, none is. Forms as
+    for `point_gradients`; the portable one takes the `neighbours_support` of these positions, if that is known.
     """
     if kernels.serve(reference, values):
         fit = local_gradients(reference, values, gauge_length=gauge_length)
         return NeighbourPlanes(fit.value, fit.gradient)
     radius = gauge_length / 2
-    given = finite(sum_rows(reference.mT))
-    number = given.to(reference.dtype)
-    places = torch.where(given, reference.mT, 0.0)
-    origin = places.sum(2, keepdim=True) / number.sum(2, keepdim=True).clamp_min(1)
-    places = (places - origin) * number / radius
-    every = []
-    for pair in values.mT.split(2, dim=1):
-        fitted = fit_planes(places, pair, places, given & finite(sum_rows(pair)), radius)
-        known = fitted.known & given
-        every.append([torch.where(known, one, torch.nan) for one in (fitted.value, fitted.gradient)])
-    value, gradient = (torch.cat(parts, dim=1).mT for parts in zip(*every, strict=True))
+    places, given = about_their_mean(reference, radius)
+    usable = given & finite(sum_rows(values.mT))
+    fitted = fit_planes(places, values.mT, places, usable, radius, support)
+    known = fitted.known & given
+    value, gradient = (torch.where(known, one, torch.nan).mT for one in (fitted.value, fitted.gradient))
     return NeighbourPlanes(value, gradient.unflatten(2, (-1, 2)))

@@ -20,8 +20,8 @@ D grad D, which over a window is half the difference of D^2 between its opposite
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -39,12 +39,20 @@ from fingerflow.ops.spline_windows import (
     taps_and_slopes,
 )
 from fingerflow.ops.tensors import components_first, finite, sum_rows
-from fingerflow.ops.tracking_limits import NUMBERS, Number, TrackStatus
+from fingerflow.ops.tracking_limits import Number, TrackStatus
 from fingerflow.ops.windows import sample_windows
 
 _BEYOND = 2  # whole shifts of the table on either side, and so many samples more than the window around it
 _SHIFTS = 2 * _BEYOND + 1
+_QUARTIC = (
+    (0, 2 / 24, -1 / 24, -2 / 24, 1 / 24),
+    (0, -16 / 24, 16 / 24, 4 / 24, -4 / 24),
+    (1, 0, -30 / 24, 0, 6 / 24),
+    (0, 16 / 24, 16 / 24, -4 / 24, -4 / 24),
+    (0, -2 / 24, -1 / 24, 2 / 24, 1 / 24),
+)
 _TINY = 1e-20
+ROUNDING = 1 / 12  # variance that whole grey levels have against the light
 
 
 class Templates(NamedTuple):
@@ -78,7 +86,7 @@ class Templates(NamedTuple):
             index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
             return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
 
-        return Templates(*[None if one is None else picked(one) for one in self])  # type: ignore[arg-type]
+        return Templates._make(None if one is None else picked(one) for one in self)
 
 
 class Found(NamedTuple):
@@ -97,6 +105,16 @@ class Found(NamedTuple):
     covariance: Tensor
     status: Tensor
     estimate: Tensor
+
+    @property
+    def variance(self) -> Tensor:
+        """(B, N) px^2 of a component of ``points``, the mean of both."""
+        return self.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
+
+    @classmethod
+    def joined(cls, parts: Iterable["Found"]) -> "Found":
+        """What was found in several frames, one after the other."""
+        return cls._make(torch.cat(one) for one in zip(*parts, strict=True))
 
 
 def prepare_templates(
@@ -127,37 +145,77 @@ def prepare_templates(
         raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
     dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
     variance = (estimate_noise(image) if noise is None else noise).to(dtype).square()
-    rounding = 0.0 if image.is_floating_point() else 1 / 12
+    rounding = 0.0 if image.is_floating_point() else ROUNDING
     given = points.to(dtype)
     inverse = None if warp is None else inverse_2x2(warp.to(dtype))
     if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
         return Templates(
             *kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding), pixels=None
         )
-    known = finite(given).all(-1, keepdim=True)
     if inverse is not None:
-        known = known & finite(inverse).flatten(2).all(-1, keepdim=True)
-        inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=dtype, device=image.device))
-    start = torch.where(known, given, torch.nan)
+        spline = spline_coefficients(image)
+        return _of_spline(spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding)
+    known = finite(given).all(-1, keepdim=True)
     place = torch.where(known, given, 0.0)
+    sampled = _straight(image, place, window + 2 * _BEYOND)
+    return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
+
+
+def renew_templates(
+    coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
+) -> Templates:
+    """`prepare_templates` of whole grey levels where the key frame's spline and noise are known, in the portable form.
+
+    Args:
+        coefficients: (B, 1, H, W) of `spline_coefficients`.
+        noise: (B,) standard deviation of white noise, grey levels.
+        points, window, warp, gain_offset: as for `prepare_templates`.
+    """
+    kind = coefficients.dtype
+    settings = {"gain_offset": gain_offset, "variance": noise.to(kind).square(), "rounding": ROUNDING}
+    return _of_spline(coefficients, points.to(kind), inverse_2x2(warp.to(kind)), window, **settings)
+
+
+def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
+    """Templates sampled from the spline at given (B, N, 2) + F^-1 w."""
+    known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
+    inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
+    place = torch.where(known, given, 0.0)
+    batch, count = place.shape[:2]
+    image_index = torch.arange(batch, device=place.device)[:, None].expand(batch, count).flatten()
     wide = window + 2 * _BEYOND
-    value, along = _straight(image, place, wide) if inverse is None else _deformed(image, place, wide, inverse)
-    # (P, wide, wide) and (P, 2, wide, wide)
+    sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), wide, 3, inverse.flatten(0, 1))
+    return _from_samples(sampled, place, known, coefficients, **settings)
+
+
+def _from_samples(
+    sampled: tuple[Tensor, Tensor],
+    place: Tensor,
+    known: Tensor,
+    image: Tensor,
+    *,
+    gain_offset: bool,
+    variance: Tensor,
+    rounding: float,
+) -> Templates:
+    """Templates of places (B, N, 2), known or not, from (P, wide, wide) values and (P, 2, wide, wide) slopes."""
+    value, along = sampled
+    batched = place.shape[:2]
+    window = value.shape[-1] - 2 * _BEYOND
     inner = (..., slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
     level = value[inner].mean((1, 2), keepdim=True)
     value = value - level
     own, slope = value[inner].flatten(1), along[inner].flatten(2)
     gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
-    numbers = _numbers(own, slope, gradient, level.flatten(), variance.repeat_interleave(points.shape[1]), rounding)
-    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(dtype)
+    numbers = _numbers(own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding)
+    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(value.dtype)
     numbers[:, Number.GAIN] = float(gain_offset)
     samples = torch.cat((own[:, None], gradient), dim=1)
     pixels = onto_pixels(samples.unflatten(2, (window, window)), window).flatten(2)
     numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = _covariance_of_noise(numbers, pixels)
     table = _correlations(value, samples.unflatten(2, (window, window)))
-    batched = points.shape[:2]
     return Templates(
-        start,
+        torch.where(known, place, torch.nan),
         samples.unflatten(0, batched),
         table.unflatten(0, batched),
         numbers.unflatten(0, batched),
@@ -194,7 +252,7 @@ def find_templates(
     dtype = templates.samples.dtype
     variance = None if noise is None else noise.to(dtype).square()
     guess = prediction.to(dtype)
-    rounding = 0.0 if current.is_floating_point() else 1 / 12
+    rounding = 0.0 if current.is_floating_point() else ROUNDING
     settings = (rounding, forward_backward_limit, mismatch_limit)
     if compiled(templates, current, guess, variance):
         followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
@@ -302,15 +360,6 @@ def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
     return lines @ across + base, along
 
 
-def _deformed(image: Tensor, place: Tensor, wide: int, inverse_warp: Tensor) -> tuple[Tensor, Tensor]:
-    """The same at place + F^-1 w, slopes with respect to w."""
-    batch, count = place.shape[:2]
-    image_index = torch.arange(batch, device=image.device)[:, None].expand(batch, count).flatten()
-    return sample_windows(
-        spline_coefficients(image), image_index, place.flatten(0, 1), wide, 3, inverse_warp.flatten(0, 1)
-    )
-
-
 def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
     """Slopes (P, 2, samples) less their parts along a constant and along the values (P, samples), which sum to 0."""
     centred = slope - slope.mean(2, keepdim=True)
@@ -396,9 +445,9 @@ def _look(
     start, guess = components_first(templates.start), components_first(prediction)
     given = finite(start + guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
-    numbers = templates.numbers.transpose(1, 2)
-    of = [numbers[:, k : k + 1] for k in range(Number.LEAN)]
-    inverse = (of[Number.INVERSE_XX], of[Number.INVERSE_XY], of[Number.INVERSE_YY])
+    numbers = components_first(templates.numbers[..., : Number.LEAN])
+    of = numbers.split(1, dim=1)
+    inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
     free, energy, level = of[Number.GAIN], of[Number.ENERGY], of[Number.LEVEL]
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.flatten()[:, None, None]
@@ -408,12 +457,15 @@ def _look(
     looked = (-beside).clamp(-limits.REACH, limits.REACH)
 
     matched = _window(patches, looked, window)
-    tm, gx, gy = _times(templates.samples, matched).split(1, dim=1)
-    m1, m2 = (one.sum(1).reshape(given.shape) for one in (matched, matched * matched))
+    tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
+    m1 = matched.sum(1).reshape(given.shape)
     samples = window * window
+    explaining = tm * tm / energy.clamp_min(_TINY)
     gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
-    # The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
-    missing = torch.cat((gx - of[Number.CONSTANT_X], gy - of[Number.CONSTANT_Y]), dim=1)
+    offset = torch.where(free > 0, m1 / samples, 0.0)
+    squares, edges = _residual(matched, templates.samples, gain, offset, window).split((1, 2), dim=1)
+    # The slopes there are those of the template times the gain: what they differ by counts in a short step for little.
+    missing = by_slopes - numbers[:, Number.CONSTANT_X : Number.CONSTANT_Y + 1]
     last = _symmetric(inverse, missing / gain)
     length = _length(last)
     settled = length < limits.LAST_STEP  # a singular matrix leaves NaN: no root
@@ -421,16 +473,13 @@ def _look(
     converged = settled & (shift.abs().amax(1, keepdim=True) < limits.REACH)
     found = center + shift
 
-    bb = m2 - m1 * m1 / samples
-    # What is left of the match that gain and offset do not explain, at the end of the last step.
-    turn = gain * sum_rows(last * missing)
-    unlike = (bb - tm * tm / energy.clamp_min(_TINY)) - turn
-    left = torch.where(free > 0, unlike, m2 - 2 * tm + energy - turn)
+    # What is left of the match at the end of the last step, and how much of it contrast alone does not explain.
+    left = squares - (gain * sum_rows(last * missing))
+    bb = squares + torch.where(free > 0, explaining, 2 * tm - energy - m1 * m1 / samples)
+    unlike = left + (bb - explaining - squares)
     pixel = (left / ((samples - 4) * limits.VALUE_NOISE)).clamp_min(2 * rounding)
     scale = pixel / (gain * gain)
-
-    offset = torch.where(free > 0, m1 / samples, 0.0)
-    error = _length(_symmetric(inverse, _edges(matched, templates.samples, gain, offset, window))) / (gain * gain)
+    error = _length(_symmetric(inverse, edges)) / (gain * gain)
 
     noise = of[Number.NOISE] if variance is None else variance[:, None, None]
     noise_energy = noise * (samples * limits.VALUE_NOISE)
@@ -451,8 +500,8 @@ def _look(
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
     lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
-    spread = [numbers[:, k : k + 1] for k in range(Number.COVARIANCE_XX, NUMBERS)]
-    matrix = torch.cat((spread[0], spread[1], spread[1], spread[2]), dim=1)
+    spread = templates.numbers[..., Number.COVARIANCE_XX :].transpose(1, 2)  # may be infinite without texture
+    matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
     return Found(
         (found + lost).transpose(1, 2),
@@ -463,38 +512,22 @@ def _look(
     )
 
 
-def _first_look(
-    table: Tensor, wanted: Tensor, inverse: tuple[Tensor, Tensor, Tensor], free: Tensor, shift: Tensor
-) -> Tensor:
+def _first_look(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, shift: Tensor) -> Tensor:
     """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
-    squares = _SHIFTS * _SHIFTS
-    cells = table.unflatten(1, (3, squares))
-    value, gx, gy = wanted.split(1, dim=1)
+    cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
+    value, gradient = wanted[:, :1], wanted[:, 1:]
+    # By powers of the shift, the weights of the values at -2 to 2 for the quartic through them (Lagrange).
+    quartic = torch.tensor(_QUARTIC, dtype=table.dtype, device=table.device)
     for _ in range(limits.LOOK_STEPS):
-        x, y = _between(shift[:, :1]), _between(shift[:, 1:])  # (B, 5, N)
+        square = shift * shift
+        powers = torch.stack((torch.ones_like(shift), shift, square, square * shift, square * square), dim=2)
+        x, y = (quartic @ powers).unbind(1)  # (B, 5, N)
         weights = (y[:, :, None] * x[:, None]).flatten(1, 2)
-        at_x, at_y, own = (sum_rows(one * weights) for one in cells.unbind(1))
+        *at, own = sum_rows(cells * weights[:, None]).squeeze(2).split((2, 1), dim=1)
         ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
-        gain = torch.where(free > 0, ratio, 1.0)
-        shift = shift - _symmetric(inverse, torch.cat((at_x - gx / gain, at_y - gy / gain), dim=1))
+        shift = shift - _symmetric(inverse, at[0] - gradient / torch.where(free > 0, ratio, 1.0))
         shift = shift.clamp(-limits.LOOK_REACH, limits.LOOK_REACH)
     return shift
-
-
-def _between(shift: Tensor) -> Tensor:
-    """Weights (B, 5, N) of the values at -2 to 2 for the quartic through them at a shift (B, 1, N) (Lagrange)."""
-    square = shift * shift
-    inner, outer = (square - 4) * shift / -6, (square - 1) * shift / 24
-    return torch.cat(
-        (
-            outer * (shift - 2),
-            inner * (shift - 1),
-            (square - 1) * (square - 4) / 4,
-            inner * (shift + 1),
-            outer * (shift + 2),
-        ),
-        dim=1,
-    )
 
 
 def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
@@ -503,20 +536,15 @@ def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
     return (along_y(weights[:, 1], size) @ patches @ along_x(weights[:, 0], size)).flatten(1)
 
 
-def _edges(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
-    """(B, 2, N) sums over the window of D grad D, D = M - a T - b the residual of windows M (P, samples): half the
-    differences of D^2 between opposite edges."""
-    square = matched.unflatten(1, (size, size))
-    own = samples[:, :, 0].flatten(0, 1).unflatten(1, (size, size))
-    by_gain, beyond = gain.flatten()[:, None], offset.flatten()[:, None]
-
-    def energy(row: int | slice, column: int | slice) -> Tensor:
-        left = square[:, row, column] - by_gain * own[:, row, column] - beyond
-        return (left * left).sum(1)
-
-    every = slice(None)
-    x, y = energy(every, -1) - energy(every, 0), energy(-1, every) - energy(0, every)
-    return torch.stack((x, y)).reshape(2, *gain.shape[::2]).transpose(0, 1) / 2
+def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
+    """(B, 3, N) of the residual D = M - a T - b of windows M (P, samples): the sum of D^2, and those of D grad D in x
+    and y, half the differences of D^2 between opposite edges."""
+    own = samples[:, :, 0].flatten(0, 1)
+    left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
+    place = torch.arange(size, device=samples.device)
+    edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
+    weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)), dim=1)
+    return components_first((left * left @ weights).unflatten(0, samples.shape[:2]))
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
@@ -525,16 +553,9 @@ def _times(samples: Tensor, windows: Tensor) -> Tensor:
     return components_first((samples.flatten(0, 1) @ windows[..., None]).reshape(batch, count, 3))
 
 
-def _symmetric(matrix: tuple[Tensor, Tensor, Tensor], vectors: Tensor) -> Tensor:
-    """Products (B, 2, N) of symmetric matrices (xx, xy, yy), (B, 1, N) each, with vectors (B, 2, N)."""
-    xx, xy, yy = matrix
-    x, y = vectors.split(1, dim=1)
-    return torch.cat((xx * x + xy * y, xy * x + yy * y), dim=1)
-
-
-def _solved(a: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """Solutions (B, 2, N) of [[a, b], [c, d]] s = (u, v); not finite where there is none."""
-    return torch.cat((d * u - b * v, a * v - c * u), dim=1) / (a * d - b * c)
+def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """Products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
+    return matrix[:, ::2] * vectors + matrix[:, 1:2] * vectors.flip(1)
 
 
 def _length(vectors: Tensor) -> Tensor:

@@ -19,7 +19,6 @@ from fingerflow.graphs.track import (
     TrackGraph,
     lean_of,
     merged,
-    unknown_shift,
 )
 from fingerflow.ops.cells import covered
 from fingerflow.ops.corners import detect_corners
@@ -105,13 +104,12 @@ class TrackingStage:
             steps.append(step)
             done += len(step.status)
         assert self.series is not None
-        points, error, covariance, status, place = (torch.cat(one) for one in zip(*steps, strict=True))
-        self.series.position[indices] = points.cpu()
-        variances = covariance.diagonal(dim1=-2, dim2=-1)
-        self.series.deviation[indices] = self._since_start(variances.mean(-1)).sqrt().cpu()
-        self.series.error[indices] = error.cpu()
-        self.series.status[indices] = status.cpu()
-        return self._inside(excess, place).cpu().numpy()
+        found = Found.joined(steps)
+        self.series.position[indices] = found.points.cpu()
+        self.series.deviation[indices] = self._since_start(found.variance).sqrt().cpu()
+        self.series.error[indices] = found.error.cpu()
+        self.series.status[indices] = found.status.cpu()
+        return self._inside(excess, found.estimate).cpu().numpy()
 
     def _since_start(self, variance: Tensor) -> Tensor:
         """Variance (n, N) of positions relative to the skin that was chosen; from frame to frame those of all steps."""
@@ -141,7 +139,7 @@ class TrackingStage:
             astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
             self._place = torch.where(astray, deformed.expected[-1:], self._place)
             self._speed = torch.where(astray, 0.0, self._speed)
-            self._renew(deformed.warp[-1:], len(images))
+            self._renew(deformed.warp[-1:], deformed.shift[-1:], len(images))
         else:
             self._prepare(images[-1:], found.points)
         return found._replace(estimate=_last_seen(found.points, before))
@@ -169,17 +167,17 @@ class TrackingStage:
             # What a search has found is no motion: it may have been a jolt.
             seen = seen & (one.status == TrackStatus.TRACKED)[..., None]
             place, speed, seen = expected(place, speed, seen, searched)
-        again = Found(*[torch.cat(one) for one in zip(*every, strict=True)])
+        again = Found.joined(every)
         found = Found(*[old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)])
         return Followed(found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed))
 
-    def _renew(self, warp: Tensor, frames: int) -> None:
+    def _renew(self, warp: Tensor, shift: Tensor, frames: int) -> None:
         """Prepares anew the templates whose windows have changed by more than a part of a pixel at their edge, and
         takes as many frames at once as leave the others below it."""
         assert self._templates is not None
         assert self._key is not None
         half = self._settings.window_px // 2
-        much = unknown_shift(warp, self._inverse_warp, self._settings.window_px) > RENEWAL_PX
+        much = shift > RENEWAL_PX
         changed = first_of(much, exactly=self._templates.pixels is None)[0]
         fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
         self._at_once = int(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE))
@@ -244,9 +242,8 @@ def _may_disagree(found: Found, expected: Tensor) -> bool:
     """Whether any point is far enough from where its neighbours expect it, or uncertain enough, to be looked at: what
     `find_outliers` marks is further off, and mostly there is nothing."""
     off = (found.points - expected).square().sum(-1)
-    variance = found.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
-    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))
-    return bool(((off > _FAR**2 * usual) | (variance > _UNSURE**2 * usual_variance)).any())
+    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, found.variance))
+    return bool(((off > _FAR**2 * usual) | (found.variance > _UNSURE**2 * usual_variance)).any())
 
 
 def _last_seen(points: Tensor, before: Tensor) -> Tensor:
