@@ -197,6 +197,7 @@ inline Floats looked_up(Floats low, Floats high, Integers index) {
 }
 #endif
 
+constexpr float kLeastFraction = -3, kMostFraction = 6;
 // Numbers kept within limits and split into whole and fraction. What is not a number becomes `low`.
 struct Split {
     std::int32_t whole[kFloats];
@@ -204,7 +205,7 @@ struct Split {
 };
 #if defined(__GNUC__) || defined(__clang__)
 inline Split split(Floats value, float low, float high) {
-    // The whole part is limited, not the number: beyond the limits the fraction grows.
+    // The whole part is limited, not the number: beyond the limits the fraction grows, but not until a cubic of it overflows.
     Floats whole = value > all(low) ? value : all(low);
     whole = whole < all(high) ? whole : all(high);
     const Floats towards_zero = __builtin_convertvector(__builtin_convertvector(whole, Integers), Floats);
@@ -212,7 +213,8 @@ inline Split split(Floats value, float low, float high) {
     Split result;
     const Integers integers = __builtin_convertvector(whole, Integers);
     std::memcpy(result.whole, &integers, sizeof integers);
-    result.fraction = value - whole;
+    const Floats fraction = value - whole;
+    result.fraction = fraction < all(kLeastFraction) ? all(kLeastFraction) : fraction > all(kMostFraction) ? all(kMostFraction) : fraction;
     return result;
 }
 #else
@@ -224,7 +226,8 @@ inline Split split(const Floats& value, float low, float high) {
         std::int32_t integer = static_cast<std::int32_t>(whole);
         if (static_cast<float>(integer) > whole) --integer;
         result.whole[k] = integer;
-        result.fraction.of[k] = value.of[k] - static_cast<float>(integer);
+        const float fraction = value.of[k] - static_cast<float>(integer);
+        result.fraction.of[k] = fraction < kLeastFraction ? kLeastFraction : fraction > kMostFraction ? kMostFraction : fraction;
     }
     return result;
 }

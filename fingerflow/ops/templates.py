@@ -445,8 +445,8 @@ def _look(
     start, guess = components_first(templates.start), components_first(prediction)
     given = finite(start + guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
-    numbers = components_first(templates.numbers[..., : Number.LEAN])
-    of = numbers.split(1, dim=1)
+    numbers = templates.numbers.transpose(1, 2)
+    of = numbers[:, : Number.LEAN].split(1, dim=1)
     inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
     free, energy, level = of[Number.GAIN], of[Number.ENERGY], of[Number.LEVEL]
     center = guess.round()
@@ -500,7 +500,7 @@ def _look(
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
     lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
-    spread = templates.numbers[..., Number.COVARIANCE_XX :].transpose(1, 2)  # may be infinite without texture
+    spread = numbers[:, Number.COVARIANCE_XX :]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
     return Found(

@@ -102,8 +102,9 @@ def _sample_piece(
     # Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
     whole_x = x.detach().floor().clamp(-first, width - 1 - last)
     whole_y = y.detach().floor().clamp(-first, height - 1 - last)
-    weights_x, slopes_x = spline_weights(x - whole_x, order)
-    weights_y, slopes_y = spline_weights(y - whole_y, order)
+    # Far beyond the frame a cubic would grow until nothing is finite.
+    weights_x, slopes_x = spline_weights((x - whole_x).clamp(-order, 2 * order), order)
+    weights_y, slopes_y = spline_weights((y - whole_y).clamp(-order, 2 * order), order)
     index = (whole_y.long() + first + image_index[:, None, None] * height) * width + (whole_x.long() + first)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
     for k in range(order + 1):
