@@ -92,7 +92,7 @@ def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tenso
     """The inputs of a graph, by position; the key frame is a view of its own."""
     source = {**known, "topography_view": known["key_view"]} if name in ("key", "detect") else known
     if name == "renew":
-        source |= {one: source[one][:, :RENEWED] for one in ("points", "warp")}
+        source = source | {one: source[one][:, :RENEWED] for one in ("points", "warp")}
     return tuple(source[one] for one in graph.inputs)
 
 

@@ -443,7 +443,7 @@ def _look(
     window, dtype = templates.window, templates.samples.dtype
     # Components before points from here on, (B, K, N): runtimes are slow where the last axis is short.
     start, guess = components_first(templates.start), components_first(prediction)
-    given = finite(start + guess)[:, :1]
+    given = finite(start - guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
     numbers = templates.numbers.transpose(1, 2)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
