@@ -29,6 +29,7 @@ import time
 import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -948,6 +949,8 @@ class Stepper:
             side = self.begin(slot, measure=self.measures)
             self.run(side)
             self.finish(side)
+            some = self._held["template_start"][:, : self._renewed]
+            self.prepared(some, np.broadcast_to(np.eye(2), (*some.shape, 2)))
 
     def choose(self, slot: Slot) -> Array:
         """Points (1, N, 2) px worth tracking in a frame, NaN beyond those that were found."""
@@ -965,34 +968,36 @@ class Stepper:
 
     def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
-        self._run("key", {"topography_view": slot.views["topography_view"], "points": points})
+        self._hold(self._run("key", {"topography_view": slot.views["topography_view"], "points": points}))
         self._motions = [motion.without(points) for motion in self._motions]
         self.keyed = _count_known(points)
 
-    def renewed(self, outputs: Mapping[str, Array]) -> Renewal | None:
-        """The templates that a frame has found to be deformed by more than they know, prepared for its deformation."""
-        rows = np.flatnonzero(outputs["stale"][0])
-        found: list[dict[str, Array]] = []
-        for first in range(0, len(rows), self._renewed):
-            some = rows[first : first + self._renewed]
-            padded = np.pad(some, (0, self._renewed - len(some)), mode="edge")
-            given = {"points": self._held["template_start"][:, padded], "warp": outputs["warp"][:, padded]}
-            results = self._run("renew", given, hold=False)
-            found.append({name: array[:, : len(some)] for name, array in results.items()})
-        if not found:
-            return None
-        return Renewal(rows, {name: np.concatenate([one[name] for one in found], axis=1) for name in found[0]})
+    def stale(self, outputs: Mapping[str, Array], besides: Array) -> Renewal | None:
+        """The templates that a frame has found to be deformed by more than they know, besides rows that are known."""
+        rows = np.setdiff1d(np.flatnonzero(outputs["stale"][0]), besides)
+        start = self._held["template_start"][:, rows]
+        return Renewal(rows, start, outputs["warp"][:, rows], self._renewed) if len(rows) else None
 
-    def renew(self, renewal: Renewal) -> None:
-        """Uses them from now on; no frame may be under way."""
-        for name, array in renewal.templates.items():
-            self._held[name][:, renewal.rows] = array
+    def prepared(self, points: Array, warp: Array) -> dict[str, Array]:
+        """Templates of some points (1, n, 2) of the key frame for their deformation (1, n, 2, 2), in any thread."""
+        missing = self._renewed - points.shape[1]
+        given = {
+            name: np.pad(array, ((0, 0), (0, missing)) + ((0, 0),) * (array.ndim - 2), mode="edge")
+            for name, array in (("points", points), ("warp", warp))
+        }
+        results = self._run("renew", given)
+        return {name: array[:, : points.shape[1]] for name, array in results.items()}
+
+    def renew(self, rows: Array, templates: Mapping[str, Array]) -> None:
+        """Uses these templates from now on; no frame may be under way."""
+        for name, array in templates.items():
+            self._held[name][:, rows] = array
             self._push(name)
 
     def use(self, threshold: float) -> None:
         """Makes this the share of light lost above which a pixel touches."""
         self.threshold = threshold
-        self._run("background", {**self._glass, "threshold": np.array([threshold])})
+        self._hold(self._run("background", {**self._glass, "threshold": np.array([threshold])}))
 
     def begin(self, slot: Slot, measure: bool = False) -> int:
         """Makes ready to compute a frame, and to measure the threshold in it; gives the side that `run` and `finish`
@@ -1101,8 +1106,8 @@ class Stepper:
             binding.bind_ortvalue_output(name, ort.OrtValue.ortvalue_from_numpy(array))
         return binding
 
-    def _run(self, graph: str, given: Mapping[str, Array], hold: bool = True) -> dict[str, Array]:
-        """One of the graphs that run rarely; what it gives is held where `frame` takes it, if it is to be."""
+    def _run(self, graph: str, given: Mapping[str, Array]) -> dict[str, Array]:
+        """One of the graphs that run rarely."""
         session, path = self._sessions[graph], self._bundle.files[graph]
         inputs = self._tensors(graph, "get_inputs")
         known = {**self._held, **given}
@@ -1113,19 +1118,47 @@ class Stepper:
             for name, tensor in inputs.items()
         }
         names = [argument.name for argument in session.get_outputs()]
-        found = dict(zip(names, session.run(names, feed), strict=True))
-        if hold:
-            for name in self._held.keys() & found.keys():
-                self._held[name][...] = found.pop(name)
-                self._push(name)
-        return found
+        return dict(zip(names, session.run(names, feed), strict=True))
+
+    def _hold(self, found: Mapping[str, Array]) -> None:
+        """Keeps what the graphs to come take."""
+        for name, array in found.items():
+            self._held[name][...] = array
+            self._push(name)
 
 
-class Renewal(NamedTuple):
-    """Rows of the templates, and what they become: arrays (1, rows, ...) by the names of what is held."""
+class Renewal:
+    """Templates that are to be prepared anew, in pieces by whoever has time.
 
-    rows: Array
-    templates: dict[str, Array]
+    Args:
+        rows: of the templates.
+        start, warp: (1, rows, 2) px of the key frame, (1, rows, 2, 2) deformation.
+        size: rows of a piece.
+    """
+
+    def __init__(self, rows: Array, start: Array, warp: Array, size: int) -> None:
+        self.rows, self._start, self._warp, self._size = rows, start, warp, size
+        self._pieces: list[Future[dict[str, Array]]] = [Future() for _ in range(0, len(rows), size)]
+        self._open = deque(range(len(self._pieces)))
+
+    def prepare_piece(self, prepared: Callable[[Array, Array], dict[str, Array]]) -> bool:
+        """The next piece; False where none is left that nobody has begun."""
+        try:
+            number = self._open.popleft()
+        except IndexError:
+            return False
+        part = slice(number * self._size, (number + 1) * self._size)
+        try:
+            self._pieces[number].set_result(prepared(self._start[:, part], self._warp[:, part]))
+        except BaseException as error:
+            self._pieces[number].set_exception(error)
+            raise
+        return True
+
+    def templates(self) -> dict[str, Array]:
+        """Arrays (1, rows, ...) by the names of what is held, when all pieces are done."""
+        done = [piece.result() for piece in self._pieces]
+        return {name: np.concatenate([one[name] for one in done], axis=1) for name in done[0]}
 
 
 def _count_known(points: Array) -> int:
@@ -1461,7 +1494,7 @@ _HANGING = 2.0  # s that a stopped stream waits for its source before it is left
 _REKEY_SHARE = 0.8
 _REKEY = "rekey"  # why the key frame changes while its points stay
 _PAGE = "page"  # somebody asked for other points
-_RENEWAL_FRAMES = 8  # frames after which templates are looked at
+_RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after which what is renewed counts
 _TRACE_INTERVAL, _TRACE_LENGTH = 1 / 30, 900  # 30 s of traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -1475,6 +1508,15 @@ class _Change(NamedTuple):
     key: Slot
     points: Array
     cause: str
+
+
+class _Renewing(NamedTuple):
+    """Templates that are renewed from frame number `due` of those that are computed on, unless the key frame is another
+    than number `key` then."""
+
+    due: int
+    key: int
+    work: Renewal
 
 
 class Player:
@@ -1527,7 +1569,7 @@ class Player:
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: _Change | None = None
-        self._renewal: tuple[int, int, Renewal] | None = None  # frame that found it, key frames until then
+        self._renewals: deque[_Renewing] = deque()
         self._drawing = False  # a frame is on its way to the page
         self._last_trouble = ""
 
@@ -1706,6 +1748,8 @@ class Player:
                 number, (slot, side) = begun
                 self._stepper.run(side)
                 self._order.done(number, (slot, side))
+                # Not while frames are ended: others would wait.
+                any(one.work.prepare_piece(self._stepper.prepared) for one in tuple(self._renewals))
         except BaseException:
             self._order.stop()
             raise
@@ -1737,20 +1781,17 @@ class Player:
             self._restart(index, slot, self._stepper.choose(slot), "start")
         if change is not None and index < change.after + self._stepper.lag:
             change = None
-        renewal = self._renewal
-        if renewal is not None and index < renewal[0] + self._stepper.lag:
-            renewal = None
-        if change is None and threshold is None and renewal is None:
+        due = self._renewals and index >= self._renewals[0].due
+        if change is None and threshold is None and not due:
             return True
+        templates = self._renewed_templates() if due else {}
         if not self._order.wait_for_all():  # they read what changes now
             return False
         if threshold is not None:
             self._stepper.use(threshold)
             self._search.used()
-        if renewal is not None:
-            if renewal[1] == self.restarts + self.keys:  # else there are new templates already
-                self._stepper.renew(renewal[2])
-            self._renewal = None
+        if due and (renewing := self._renewals.popleft()).key == self.restarts + self.keys:
+            self._stepper.renew(renewing.work.rows, templates)
         if change is not None:
             if change.cause == _REKEY:
                 self._rekey(change.key, change.points)
@@ -1759,6 +1800,12 @@ class Player:
             self._change = None
             self._free.put(change.key)
         return True
+
+    def _renewed_templates(self) -> dict[str, Array]:
+        work = self._renewals[0].work
+        while work.prepare_piece(self._stepper.prepared):
+            pass
+        return work.templates()
 
     def _choose(self, index: int, change: _Change) -> None:
         """Takes new points where they are more than those that are followed."""
@@ -1791,9 +1838,8 @@ class Player:
         self._fill(slot, outputs, place)
         if self._stepper.measures:
             self._learn_threshold(slot, index, float(outputs["real_area_px"][0]), self._stepper.measured(side))
-        if self._renewal is None and (index + 1) % _RENEWAL_FRAMES == 0:
-            renewal = self._stepper.renewed(outputs)
-            self._renewal = None if renewal is None else (index, self.restarts + self.keys, renewal)
+        if (index + 1) % _RENEWAL_FRAMES == 0:
+            self._look_at_templates(index, outputs)
         drawn = None
         if self._change is None and (cause := self._cause_to_change(slot, index)):
             self._change = _Change(index, slot, outputs["points"].copy(), cause)
@@ -1804,6 +1850,13 @@ class Player:
         else:
             self._free.put(slot)
         return self._records.put((place, drawn))
+
+    def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
+        key = self.restarts + self.keys
+        under_way = [one.work.rows for one in self._renewals if one.key == key and one.due > index]
+        work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
+        if work is not None:
+            self._renewals.append(_Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""

@@ -1,5 +1,6 @@
 """Points of the skin through all frames of the topography view."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -87,7 +88,11 @@ class TrackingStage:
         self._place = self._speed = torch.empty(0)
         self._warp = self._inverse_warp = torch.empty(0)  # as the templates have it, (1, N, 2, 2)
         self._neighbours: Neighbours | None = None
-        self._at_once = 1  # frames
+        self._to_renew: tuple[Tensor, Tensor] | None = (
+            None  # numbers (L,) of templates, and for which warp (1, L, 2, 2)
+        )
+        self._at_once = MOST_AT_ONCE if self._settings.template == "keyframe" else 1  # frames
+        self._followed = self._looked = 1  # frames since the points were chosen, and when templates were looked at
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
         self.series: TrackSeries | None = None
 
@@ -100,7 +105,8 @@ class TrackingStage:
             steps.append(self._begin(images[:1]))
             done = 1
         while done < len(images):
-            step = self._step(images[done : done + self._at_once])
+            until_look = MOST_AT_ONCE - self._followed % MOST_AT_ONCE
+            step = self._step(images[done : done + min(self._at_once, until_look)])
             steps.append(step)
             done += len(step.status)
         assert self.series is not None
@@ -139,7 +145,9 @@ class TrackingStage:
             astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
             self._place = torch.where(astray, deformed.expected[-1:], self._place)
             self._speed = torch.where(astray, 0.0, self._speed)
-            self._renew(deformed.warp[-1:], deformed.shift[-1:], len(images))
+            self._followed += len(images)
+            if self._at_once < MOST_AT_ONCE or self._followed % MOST_AT_ONCE == 0:
+                self._look_at_templates(deformed.warp[-1:], deformed.shift[-1:])
         else:
             self._prepare(images[-1:], found.points)
         return found._replace(estimate=_last_seen(found.points, before))
@@ -171,22 +179,35 @@ class TrackingStage:
         found = Found(*[old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)])
         return Followed(found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed))
 
-    def _renew(self, warp: Tensor, shift: Tensor, frames: int) -> None:
-        """Prepares anew the templates whose windows have changed by more than a part of a pixel at their edge, and
-        takes as many frames at once as leave the others below it."""
+    def _look_at_templates(self, warp: Tensor, shift: Tensor) -> None:
+        """Finds the templates whose windows have changed by more than a part of a pixel at their edge.
+
+        They are prepared anew for eight frames later, as in a stream, which prepares them meanwhile; where the skin
+        deforms so fast that others would change by as much until then, at once, and fewer frames are followed at a
+        time.
+        """
+        assert self._templates is not None
+        much = shift > RENEWAL_PX
+        if self._to_renew is not None:
+            chosen, known = self._to_renew
+            self._renew(chosen, known)
+            much = much.index_fill(1, chosen, False)
+        half, frames = self._settings.window_px // 2, self._followed - self._looked
+        fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
+        self._at_once = 2 ** int(math.log2(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE)))
+        self._warp, self._looked = warp, self._followed
+        changed = first_of(much, exactly=self._templates.pixels is None)[0] if much.any() else None
+        self._to_renew = None if changed is None else (changed, warp[:, changed])
+        if self._to_renew is not None and self._at_once < MOST_AT_ONCE:
+            self._renew(*self._to_renew)
+            self._to_renew = None
+
+    def _renew(self, chosen: Tensor, warp: Tensor) -> None:
         assert self._templates is not None
         assert self._key is not None
-        half = self._settings.window_px // 2
-        much = shift > RENEWAL_PX
-        changed = first_of(much, exactly=self._templates.pixels is None)[0]
-        fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
-        self._at_once = int(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE))
-        self._warp = warp
-        if much.any():
-            known = warp[:, changed]
-            renewed = self._templates_of(self._key, self._templates.start[:, changed], known)
-            self._templates = merged(self._templates, renewed, changed)
-            self._inverse_warp = self._inverse_warp.index_copy(1, changed, inverse_2x2(known))
+        renewed = self._templates_of(self._key, self._templates.start[:, chosen], warp)
+        self._templates = merged(self._templates, renewed, chosen)
+        self._inverse_warp = self._inverse_warp.index_copy(1, chosen, inverse_2x2(warp))
 
     def _begin(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""

@@ -297,21 +297,38 @@ def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pyte
 
 @pytest.mark.parametrize("parallel", ["1", "2"])
 def test_stale_templates_are_renewed(stream: Stream, parallel: str) -> None:
-    """Looked at after every eighth frame, in calls of four points; they count two frames later, and not after a new key
-    frame: the second is after frame 15, where 7 of 10 points are found for the fourth time."""
-    stale = {7: 6, 15: 3, 23: 1}
-    found = [10] * 12 + [7] * 20
+    """Looked at after every eighth frame, in pieces of four points; they count eight frames later, those under way are
+    not asked for again, and none counts after a new key frame: that is 27, where 7 of 10 points are found for the
+    fourth time."""
+    stale = {7: 6, 15: 8, 23: 1}
+    found = [10] * 24 + [7] * 16
     frames = [frame(found=count, stale=stale.get(number, 0)) for number, count in enumerate(found)]
     ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", parallel)
     records, number = ended.results.records, np.arange(len(found))
-    assert [event["frame"] for event in ended.results.events if event["event"] == "key_frame"] == [15]
+    assert [event["frame"] for event in ended.results.events if event["event"] == "key_frame"] == [27]
     assert "stale" not in (records.dtype.names or ())
     assert "warp" not in (records.dtype.names or ())
     start = records["points"][0, :, 0]
     moved = records["points"][..., 0] - start
-    np.testing.assert_array_equal(moved[:, 0], np.select([number < 9, number < 25], [0, 1], 2))
-    np.testing.assert_array_equal(moved[:, 5], np.where(number < 9, 0, 1))
-    np.testing.assert_array_equal(moved[:, 6], 0)
+    np.testing.assert_array_equal(moved[:, 0], np.where(number < 16, 0, 1))
+    np.testing.assert_array_equal(moved[:, 5], np.where(number < 16, 0, 1))
+    np.testing.assert_array_equal(moved[:, 6], np.where(number < 24, 0, 1))
+
+
+def test_a_renewal_that_fails_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In whatever thread: none waits for it."""
+    run, asked = player.Stepper._run, []
+
+    def failing(stepper: player.Stepper, graph: str, given: Any) -> Any:
+        asked.append(graph)
+        if asked.count("renew") > 2:  # two warm up
+            raise MemoryError("no room")
+        return run(stepper, graph, given)
+
+    monkeypatch.setattr(player.Stepper, "_run", failing)
+    frames = [frame(stale=6 if number == 7 else 0) for number in range(32)]
+    with pytest.raises(MemoryError, match="no room"):
+        stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "2")
 
 
 def test_single_frames_change_nothing() -> None:
