@@ -406,15 +406,19 @@ def scene_text(
     topography: View = _TOPOGRAPHY,
     forces: str | None = None,
     calibration: str = 'file = "calibration.toml"',
+    region: View | None = None,
 ) -> str:
     """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
 
-    ``calibration`` is the content of the table [calibration], in TOML.
+    ``calibration`` is the content of the table [calibration], in TOML; ``region`` the part of the topography view where
+    a stream chooses points.
     """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
     trigger = "# trigger_frame = 12" if trigger_frame is None else f"trigger_frame = {trigger_frame}"
     dark_line = f"dark = {toml_string(dark)}" if dark else '# dark = "dark.cine"'
     mark = "" if forces else "# "
+    live = "" if region else "# "
+    where = region or View((100, 400), (100, 540))
     return f"""# A scene of fingerflow: what was recorded and what is asked of it. Paths are relative to this file.
 
 [recording]
@@ -468,4 +472,7 @@ young_modulus_mpa = 1.0
 poisson_ratio = 0.4
 depth_mm = 2.0                # of skin that the strain energy is integrated over
 rate_window_s = 0.05
+
+{live}[stream]                      # of an exported bundle in its player
+{live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
 """

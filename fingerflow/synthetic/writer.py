@@ -23,11 +23,13 @@ from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Scene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
+from fingerflow.views import View
 
 #: What the settings of a scene are made of.
 KINDS = {kind.__name__: kind for kind in (Press, Slide, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)}
 FILE = "File"
 REFERENCE_PICTURES = 8
+_LOOKS = 12  # frames whose contact is looked at
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
@@ -122,7 +124,27 @@ def _scene_file(scene: Scene) -> str:
         topography=scene.views["topography"],
         forces="forces.csv",
         calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
+        region=_region(scene),
     )
+
+
+def _region(scene: Scene) -> View | None:
+    """Where the skin that will touch lies in the first frame of the topography view: a stream cannot know."""
+    truth, turns = scene.truth, np.linspace(0, 2 * np.pi, 64)
+    edges = []
+    for frame in np.unique(np.linspace(0, scene.n_frames - 1, _LOOKS).astype(int)):
+        if (ellipse := truth.ellipse(int(frame))) is not None:
+            along, across = ellipse.semi_axes[0] * np.cos(turns), ellipse.semi_axes[1] * np.sin(turns)
+            cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
+            edge = np.stack((along * cosine - across * sine, along * sine + across * cosine), axis=1) + ellipse.centre
+            skin = truth.material(edge, int(frame))
+            edges.append(truth.topography_pixels(truth.positions(skin, 0)))
+    if not edges:
+        return None
+    height, width = scene.views["topography"].shape
+    low, high = np.floor(np.concatenate(edges).min(0)), np.ceil(np.concatenate(edges).max(0))
+    (left, top), (right, bottom) = low.clip(0).astype(int), high.clip(0, (width, height)).astype(int)
+    return View((int(top), int(bottom)), (int(left), int(right))) if left < right and top < bottom else None
 
 
 def _truth_file(scene: Scene, folder: Path) -> str:
