@@ -53,7 +53,7 @@ STRAIN_GIVES = frozenset(
         "strain_energy_rate",
     }
 )
-_FRAMES = 16  # a batch
+_FRAMES = 64  # a batch
 # Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
 # Measured on the shipped press, where the border is known.
 _BORDER_MM = 0.06
