@@ -42,7 +42,14 @@ EXACT = [
     "noise_rows",
     "touching_rows",
 ]
-ROUNDED = ["area_medians_block", "dense_region_cells", "local_fit_block", "search_points", "templates_points"]
+ROUNDED = [
+    "area_medians_block",
+    "dense_region_cells",
+    "light_gain_rows",
+    "local_fit_block",
+    "search_points",
+    "templates_points",
+]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers
