@@ -71,30 +71,32 @@ int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side,
     const Frames frames{image.data, given->batch, given->height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
     const auto add = FINGERFLOW_PICK(add_lit_line);
     const auto sum = FINGERFLOW_PICK(sum_blocks);
-    parallel_for(given->batch, threads, [&](std::int64_t frame) {
-        if (down * across <= 0) {
-            gains[frame] = std::numeric_limits<float>::quiet_NaN();
-            return;
-        }
-        const float* const light = given->light + (given->lights == 1 ? 0 : frame) * pixels;
-        const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels;
+    if (down * across <= 0) {
+        std::fill_n(gains, given->batch, std::numeric_limits<float>::quiet_NaN());
+        return 0;
+    }
+    std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
+    // A row of blocks of all frames at a time, so that its light of the empty glass is read once for all of them.
+    parallel_for(down, threads, [&](std::int64_t row) {
         const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
         auto* const memory = static_cast<float*>(workspace(4 * bytes));
         const LitColumns columns{memory, memory + width, memory + 2 * width, memory + 3 * width};
-        Blocks blocks(static_cast<std::size_t>(down * across));
-        for (std::int64_t row = 0; row < down; ++row) {
+        for (std::int64_t frame = 0; frame < given->batch; ++frame) {
+            const float* const light = given->light + (given->lights == 1 ? 0 : frame) * pixels;
+            const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels;
             std::memset(memory, 0, 4 * bytes);
             for (std::int64_t line = row * rows; line < (row + 1) * rows; ++line) {
                 const std::int64_t y = kStep / 2 + line * kStep;
-                add(frames, frame, y, light + y * width, black + y * width, columns);
+                add(frames, frame, y, std::min(y + 2 * kStep, given->height - 1), light + y * width, black + y * width, columns);
             }
-            sum(columns.passed, across, side, blocks.passed.data() + row * across);
-            sum(columns.light, across, side, blocks.light.data() + row * across);
-            sum(columns.passed_squared, across, side, blocks.passed_squared.data() + row * across);
-            sum(columns.light_squared, across, side, blocks.light_squared.data() + row * across);
+            Blocks& to = blocks[static_cast<std::size_t>(frame)];
+            sum(columns.passed, across, side, to.passed.data() + row * across);
+            sum(columns.light, across, side, to.light.data() + row * across);
+            sum(columns.passed_squared, across, side, to.passed_squared.data() + row * across);
+            sum(columns.light_squared, across, side, to.light_squared.data() + row * across);
         }
-        gains[frame] = uppermost_mode(blocks);
     });
+    parallel_for(given->batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
     return 0;
 } catch (const std::exception&) {
     return 1;

@@ -27,11 +27,13 @@ void add_line(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_REST
 
 }  // namespace
 
-void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, const float* light, const float* black,
-                  const LitColumns& columns) {
+void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std::int64_t ahead, const float* light,
+                  const float* black, const LitColumns& columns) {
     const auto add = [&](const auto* data) {
-        add_line(data + frame * frames.frame_stride + y * frames.row_stride, light, black, frames.width, columns.passed,
-                 columns.light, columns.passed_squared, columns.light_squared);
+        const auto *const row = data + frame * frames.frame_stride, *const next = row + ahead * frames.row_stride;
+        for (std::int64_t x = 0; x < frames.width; x += 64 / static_cast<std::int64_t>(sizeof *row)) FINGERFLOW_PREFETCH(next + x);
+        add_line(row + y * frames.row_stride, light, black, frames.width, columns.passed, columns.light,
+                 columns.passed_squared, columns.light_squared);
     };
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, add)
 }

@@ -13,9 +13,10 @@ struct LitColumns {
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // Adds the pixels of a line that are lit to the columns; `light` and `black` are those of the line.
-    void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, const float* light, const float* black,
-                      const LitColumns& columns);
+    // Adds the pixels of a line that are lit to the columns; `light` and `black` are those of the line. The line `ahead`
+    // is the next one that will be asked for: lines that do not follow each other are fetched by no processor by itself.
+    void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std::int64_t ahead, const float* light,
+                      const float* black, const LitColumns& columns);
     // Sums of `side`, a multiple of 8, neighbours of `blocks` x `side` numbers, which are lost.
     void sum_blocks(float* numbers, std::int64_t blocks, std::int64_t side, float* sums);
 )
