@@ -138,10 +138,12 @@ void smooth_cells(const CellPlane& plane, float width, float* cells, float* othe
 
 void inverse_slopes(const CellPlane& plane, const float* density, float* inverse) {
     for (std::int64_t y = 0; y < plane.height; ++y) {
-        const float* FINGERFLOW_RESTRICT row = density + y * plane.pitch;
+        const std::int64_t width = plane.width;
+        const float *FINGERFLOW_RESTRICT row = density + y * plane.pitch, *FINGERFLOW_RESTRICT below = row + plane.pitch;
+        const float* FINGERFLOW_RESTRICT above = row - plane.pitch;
         float* FINGERFLOW_RESTRICT to = inverse + y * plane.pitch;
-        for (std::int64_t x = 0; x < plane.width; ++x) {
-            const float across = row[x + 1] - row[x - 1], down = row[x + plane.pitch] - row[x - plane.pitch];
+        for (std::int64_t x = 0; x < width; ++x) {
+            const float across = row[x + 1] - row[x - 1], down = below[x] - above[x];
             to[x] = 1.0f / sqrtf((across * across + down * down) / 4 + 1e-12f);
         }
         for (std::int64_t x = plane.width; x < whole(plane); ++x) to[x] = 1e6f;
@@ -233,12 +235,15 @@ void cover_row(const CellPlane& plane, std::int64_t y, const float* density, con
                float limit, float* FINGERFLOW_RESTRICT line, float* FINGERFLOW_RESTRICT coverage,
                float* FINGERFLOW_RESTRICT excess) {
     const std::int64_t at = y * plane.pitch;
-    const float *const row = density + at, *const steep = inverse + at, *const full = filled + at;
-    for (std::int64_t x = -1; x <= plane.width; ++x) {
-        const float beside = full[x - plane.pitch] > full[x + plane.pitch] ? full[x - plane.pitch] : full[x + plane.pitch];
+    const std::int64_t width = plane.width;
+    const float *FINGERFLOW_RESTRICT row = density + at, *FINGERFLOW_RESTRICT steep = inverse + at;
+    const float *FINGERFLOW_RESTRICT full = filled + at, *FINGERFLOW_RESTRICT above = full - plane.pitch;
+    const float* FINGERFLOW_RESTRICT below = full + plane.pitch;
+    for (std::int64_t x = -1; x <= width; ++x) {
+        const float beside = above[x] > below[x] ? above[x] : below[x];
         line[x] = beside > full[x] ? beside : full[x];
     }
-    for (std::int64_t x = 0; x < plane.width; ++x) {
+    for (std::int64_t x = 0; x < width; ++x) {
         const float beside = line[x - 1] > line[x + 1] ? line[x - 1] : line[x + 1], near = beside > line[x] ? beside : line[x];
         float part = (row[x] - limit) * steep[x] + 0.5f;
         part = (part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part) * near;

@@ -40,18 +40,11 @@ float uppermost_mode(const Blocks& blocks) {
     const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(kTop) * static_cast<double>(sorted.size())));
     std::nth_element(sorted.begin(), sorted.begin() + (kept - 1), sorted.end(), std::greater<float>());
     float gain = sorted[static_cast<std::size_t>(kept - 1)];
-    for (const float width : kWidths) {
-        double sum = 0;
-        std::int64_t count = 0;
-        for (const float quotient : quotients)
-            if (std::fabs(quotient - gain) <= width * gain) {
-                sum += quotient;
-                ++count;
-            }
-        gain = static_cast<float>(sum / static_cast<double>(std::max<std::int64_t>(count, 1)));
-    }
+    quotients.resize((quotients.size() + 15) / 16 * 16);  // zeros, which lie within no width of what is above zero
+    for (const float width : kWidths)
+        gain = FINGERFLOW_PICK(mean_within)(quotients.data(), static_cast<std::int64_t>(quotients.size()), gain, width * gain);
     std::int64_t glass = 0, beside = 0;
-    for (std::size_t k = 0; k < quotients.size(); ++k) {
+    for (std::size_t k = 0; k < blocks.light.size(); ++k) {
         const float distance = quotients[k] / std::max(gain, 1e-6f) - 1;
         glass += std::fabs(distance) <= kNarrow && blocks.light[k] > kLit * full;
         beside += distance < -kNarrow && distance >= -kBeside;

@@ -3,6 +3,7 @@
 #include <float.h>
 #include <math.h>
 
+#include "floats.h"
 #include "lanes.h"
 
 namespace fingerflow {
@@ -39,17 +40,35 @@ void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std:
 }
 
 void sum_blocks(float* numbers, std::int64_t blocks, std::int64_t side, float* sums) {
-    // Pairs of neighbours first, three times: whole vectors until eight have become one.
-    for (std::int64_t left = blocks * side / 2; left >= blocks * side / 8; left /= 2) {
+    // Pairs of neighbours, as often as that goes: whole vectors.
+    for (; side % 2 == 0; side /= 2) {
+        const std::int64_t count = blocks * side / 2;
         FINGERFLOW_INDEPENDENT
-        for (std::int64_t k = 0; k < left; ++k) numbers[k] = numbers[2 * k] + numbers[2 * k + 1];
+        for (std::int64_t k = 0; k < count; ++k) numbers[k] = numbers[2 * k] + numbers[2 * k + 1];
     }
-    const std::int64_t eights = side / 8;
     for (std::int64_t block = 0; block < blocks; ++block) {
-        float sum = 0;
-        for (std::int64_t k = 0; k < eights; ++k) sum += numbers[block * eights + k];
+        float sum = numbers[block * side];
+        for (std::int64_t k = 1; k < side; ++k) sum += numbers[block * side + k];
         sums[block] = sum;
     }
+}
+
+float mean_within(const float* numbers, std::int64_t count, float middle, float width) {
+    Floats sum = all(0), number = all(0);
+    for (std::int64_t k = 0; k < count; k += kFloats) {
+        const Floats value = load(numbers + k), away = value - middle;
+        const Floats beyond = is_positive(greater(away, 0.0f - away) - width);
+        number += 1.0f - beyond;
+        sum += value * (1.0f - beyond);
+    }
+    float sums[kFloats], counts[kFloats], total = 0, found = 0;
+    store(sums, sum);
+    store(counts, number);
+    for (int k = 0; k < kFloats; ++k) {
+        total += sums[k];
+        found += counts[k];
+    }
+    return found > 0 ? total / found : 0.0f;
 }
 
 }  // namespace FINGERFLOW_ISA

@@ -17,8 +17,10 @@ FINGERFLOW_FOR_EACH_SET(
     // is the next one that will be asked for: lines that do not follow each other are fetched by no processor by itself.
     void add_lit_line(const Frames& frames, std::int64_t frame, std::int64_t y, std::int64_t ahead, const float* light,
                       const float* black, const LitColumns& columns);
-    // Sums of `side`, a multiple of 8, neighbours of `blocks` x `side` numbers, which are lost.
+    // Sums of `side` neighbours of `blocks` x `side` numbers, which are lost.
     void sum_blocks(float* numbers, std::int64_t blocks, std::int64_t side, float* sums);
+    // Mean of those of the numbers, a multiple of 16 of them, that lie within `width` of a middle; 0 if none do.
+    float mean_within(const float* numbers, std::int64_t count, float middle, float width);
 )
 // clang-format on
 
