@@ -31,6 +31,7 @@ PLAIN = [
     "search",
     "templates",
     "touching",
+    "triangle_strain",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
@@ -49,6 +50,7 @@ ROUNDED = [
     "local_fit_block",
     "search_points",
     "templates_points",
+    "triangle_strain_frame",
 ]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums

@@ -116,7 +116,7 @@ def stress_parts(
     exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """sxx, syy and sxy of `stress`, each by itself."""
-    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
+    direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
 
 
@@ -133,11 +133,11 @@ def energy_form(
     xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
 ) -> Tensor:
     """The quadratic form of `strain_energy_density` from exx^2, eyy^2, exy^2 and exx eyy, or from their means."""
-    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
+    direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
     return direct * (xx + yy) + mixed * between + shear * xy
 
 
-def _stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
+def stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
     """Factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))

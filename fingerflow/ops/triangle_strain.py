@@ -5,7 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.ops.strain import energy_form, strain_parts, stress_parts
+from fingerflow import kernels
+from fingerflow.ops.strain import STRAIN_MEASURES, energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.ops.strain_uncertainty import strain_covariance_parts
 from fingerflow.ops.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
@@ -52,6 +53,16 @@ def triangle_strain(
     along, down = slopes.permute(2, 1, 0)[..., None].unbind()  # (3, M, 1)
     flat = torch.where(usable, 0.0, torch.nan)[:, None].to(slopes.dtype)
 
+    areas = triangle_areas(reference, triangles)
+    if displacement.dtype == torch.float32 and kernels.serve(reference, displacement, covariance, touching):
+        return TriangleStrain(
+            *kernels.triangle_strain(
+                *(triangles, slopes, areas[0], flat[:, 0], displacement, covariance, touching),
+                measure=STRAIN_MEASURES.index(measure),
+                stiffness=stiffness(*solid),
+            )
+        )
+
     def at_corners(values: Tensor) -> Tensor:
         """(B, N) to (3, M, B)."""
         return values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
@@ -69,7 +80,7 @@ def triangle_strain(
     (ux, uy), (vx, vy) = (gradient(moved) for moved in displacement.unbind(-1))
     exx, eyy, exy = strain = strain_parts(ux, uy, vx, vy, measure)
     density = energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid)
-    shares = area_shares(touching, (density.abs() < torch.inf).T, triangle_areas(reference, triangles)).T
+    shares = area_shares(touching, (density.abs() < torch.inf).T, areas).T
     counted = shares.nan_to_num(0.0)
 
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
