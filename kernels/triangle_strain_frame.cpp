@@ -5,7 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "floats.h"
 #include "lanes.h"
 
 namespace fingerflow {
@@ -17,13 +16,13 @@ inline float known_or_zero(float value) { return value == value ? value : 0.0f; 
 // Planes of a frame: of points, then of triangles.
 struct Planes {
     float *u, *v, *uu, *uv, *vv;             // (points)
-    float* sums;                             // (points, 4): forces along x and y, energy of the noise, 0
+    float* sums;                             // (points, 3): forces along x and y, energy of the noise
     float *force_x, *force_y, *noise;        // (3, triangles), per area
     float *energy, *counted;                 // (triangles): density, area that counts
 
     Planes(float* memory, std::int64_t points, std::int64_t triangles)
         : u(memory), v(u + points), uu(v + points), uv(uu + points), vv(uv + points), sums(vv + points),
-          force_x(sums + 4 * points), force_y(force_x + 3 * triangles), noise(force_y + 3 * triangles),
+          force_x(sums + 3 * points), force_y(force_x + 3 * triangles), noise(force_y + 3 * triangles),
           energy(noise + 3 * triangles), counted(energy + triangles) {}
 };
 
@@ -125,24 +124,24 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
         return;
     }
     const auto share = static_cast<float>(whole / seen);
-    memset(planes.sums, 0, static_cast<std::size_t>(4 * of.points) * sizeof(float));
+    memset(planes.sums, 0, static_cast<std::size_t>(3 * of.points) * sizeof(float));
     double energy = 0;
     for (std::int64_t t = 0; t < of.count; ++t) {
         const float area = planes.counted[t] * share;
         if (!(area > 0)) continue;
         float left = planes.energy[t];
         for (std::int64_t at = t; at < 3 * of.count; at += of.count) {
-            const float added[4] = {planes.force_x[at], planes.force_y[at], planes.noise[at], 0};
-            float* const to = planes.sums + 4 * of.corners[at];
-            const Floats4 sum = load4(to) + load4(added) * area;
-            memcpy(to, &sum, sizeof sum);
+            float* const to = planes.sums + 3 * of.corners[at];
+            to[0] += area * planes.force_x[at];
+            to[1] += area * planes.force_y[at];
+            to[2] += area * planes.noise[at];
             left -= planes.noise[at];
         }
         energy += static_cast<double>(area * left);
     }
     double linear = 0, own = 0;
     for (std::int64_t k = 0; k < of.points; ++k) {
-        const float *const sum = planes.sums + 4 * k, x = sum[0], y = sum[1];
+        const float *const sum = planes.sums + 3 * k, x = sum[0], y = sum[1];
         linear += static_cast<double>(known_or_zero(x * x * planes.uu[k] + 2 * x * y * planes.uv[k] + y * y * planes.vv[k]));
         own += static_cast<double>(sum[2] * sum[2]);
     }

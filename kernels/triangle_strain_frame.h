@@ -26,7 +26,7 @@ struct TriangleFrame {
 };
 
 // How many floats `memory` of a frame has to hold.
-inline std::int64_t triangle_memory(const Triangles& triangles) { return 9 * triangles.points + 11 * triangles.count; }
+inline std::int64_t triangle_memory(const Triangles& triangles) { return 8 * triangles.points + 11 * triangles.count; }
 
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(

@@ -83,9 +83,10 @@ class Displacement:
     late: NDArray[np.float64]
     vector: NDArray[np.float64]
 
-    def covariance(self, frames: slice) -> NDArray[np.float64]:
+    def covariance(self, frames: slice) -> NDArray[np.float32]:
         """(n, N, 2, 2) mm^2, of the displacement in these frames."""
-        result: NDArray[np.float64] = self.variance[frames, :, None, None] * np.eye(2) + self.of_onset
+        own = self.variance[frames, :, None, None] * np.eye(2, dtype=np.float32)
+        result: NDArray[np.float32] = own + self.of_onset.astype(np.float32)
         return result
 
     def deviation(self) -> NDArray[np.float32]:
@@ -300,7 +301,7 @@ def _triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
         return np.zeros((0, 3), dtype=np.int32)
 
 
-def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:
+def _tensor(inputs: Inputs, values: NDArray[np.floating]) -> Tensor:
     return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(inputs.device)
 
 
