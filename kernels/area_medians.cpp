@@ -17,6 +17,12 @@ constexpr std::int64_t kNumbers = 5;  // of a point of a block
 
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
+// How far a distance reaches beyond a half width, or 0.
+float beyond(float distance, float half) {
+    const float outside = std::fabs(distance) - half;
+    return (outside + std::fabs(outside)) / 2;
+}
+
 // The median of numbers, at least one, whose order is lost.
 float median(std::vector<float>& numbers) {
     const auto middle = numbers.begin() + static_cast<std::ptrdiff_t>(numbers.size() / 2);
@@ -170,6 +176,8 @@ private:
         const auto room = static_cast<std::int64_t>(number_.size());
         float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room;
         auto* const number = reinterpret_cast<std::int32_t*>(v + room);
+        const float middle_x = (low_x + high_x) / 2, half_x = (high_x - low_x) / 2;
+        const float middle_y = (low_y + high_y) / 2, half_y = (high_y - low_y) / 2;
         std::int64_t count = 0;
         const std::int64_t left = column_of(low_x - 1), right = column_of(high_x + 1), bottom = row_of(high_y + 1);
         for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
@@ -181,8 +189,7 @@ private:
                 u[count] = u_[size(k)];
                 v[count] = v_[size(k)];
                 number[count] = static_cast<std::int32_t>(k);
-                const float dx = std::max(0.0f, std::max(low_x - x_[size(k)], x_[size(k)] - high_x));
-                const float dy = std::max(0.0f, std::max(low_y - y_[size(k)], y_[size(k)] - high_y));
+                const float dx = beyond(x_[size(k)] - middle_x, half_x), dy = beyond(y_[size(k)] - middle_y, half_y);
                 count += dx * dx + dy * dy < 1.00001f;
             }
         }

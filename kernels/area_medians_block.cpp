@@ -148,7 +148,7 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
             any[q] += share[field][q];
         }
     }
-    float along_x[kAreaBlock][kAreaShares] = {}, along_y[kAreaBlock][kAreaShares] = {};
+    alignas(64) float along_x[kAreaBlock][kAreaShares] = {}, along_y[kAreaBlock][kAreaShares] = {};
     int positions = 0;  // that take part
     for (int q = 0; q < kAreaBlock; ++q) {
         if (!(any[q] > 0)) continue;
@@ -169,17 +169,25 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
         moments(points, fits.x[q], fits.y[q], fits.center_x[q], fits.center_y[q], weighted, weighted + points.count);
         ++positions;
     }
-    for (std::int64_t k = 0; k < points.count; ++k)
+    // Two points at a time: one sum after the other would wait for each.
+    for (std::int64_t k = 0; k < points.count; k += 2) {
+        const std::int64_t next = k + 1 < points.count ? 1 : 0;
         for (int first = 0; first < kAreaShares; first += kFloats) {
-            float* const to = shares + points.number[k] * kAreaShares + first;
-            Floats by_x = load(to), by_y = all(0);
+            Floats sums[2][2] = {};
             const float* weighted = memory + k;
             for (int n = 0; n < positions; ++n, weighted += 2 * points.count) {
-                by_x += load(along_x[n] + first) * weighted[0];
-                by_y += load(along_y[n] + first) * weighted[points.count];
+                const Floats x = load(along_x[n] + first), y = load(along_y[n] + first);
+                sums[0][0] += x * weighted[0];
+                sums[0][1] += y * weighted[points.count];
+                sums[1][0] += x * weighted[next];
+                sums[1][1] += y * weighted[points.count + next];
             }
-            store(to, by_x + by_y);
+            for (std::int64_t n = 0; n <= next; ++n) {
+                float* const to = shares + points.number[k + n] * kAreaShares + first;
+                store(to, load(to) + (sums[n][0] + sums[n][1]));
+            }
         }
+    }
 }
 
 }  // namespace FINGERFLOW_ISA
