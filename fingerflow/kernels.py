@@ -614,12 +614,13 @@ def triangle_strain(
     corners = triangles.T.to(torch.int32)
     tensors = (displacement, covariance, touching, corners, slopes.permute(2, 1, 0), areas, flat)
     given = [tensor.contiguous() for tensor in tensors]
-    results = (torch.empty(batch, count, 3), torch.empty(batch, count, 3), torch.empty(batch, count))
-    energies = torch.empty(2, batch, dtype=torch.float64).unbind()
-    pointers = (tensor.data_ptr() for tensor in (*given, *results, *energies))
+    strain, deviation, density = torch.empty(batch, count, 3), torch.empty(batch, count, 3), torch.empty(batch, count)
+    energy, energy_deviation = (torch.empty(batch, dtype=torch.float64) for _ in range(2))
+    results = (strain, deviation, density, energy, energy_deviation)
+    pointers = (tensor.data_ptr() for tensor in (*given, *results))
     request = _TriangleStrain(*pointers, *(batch, points, count, measure), *stiffness)
     _call("fingerflow_strain_of_triangles", ctypes.addressof(request), torch.get_num_threads())
-    return *results, *energies
+    return results
 
 
 def halve(frames: Tensor) -> Tensor:

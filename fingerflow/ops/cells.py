@@ -88,8 +88,7 @@ def mask_of(excess: Tensor, cell: int, height: int, width: int) -> Tensor:
     Of a lattice of places all in a column lie between the same cells: along the rows first, then down.
     """
     (left, right, across), (top, bottom, along) = (
-        _between(excess, pixels, cells, cell)
-        for pixels, cells in ((width, excess.shape[3]), (height, excess.shape[2]))
+        _between(excess, pixels, cells, cell) for pixels, cells in ((width, excess.shape[3]), (height, excess.shape[2]))
     )
     rows = excess[..., left] * (1 - across) + excess[..., right] * across
     along = along[:, None]

@@ -126,7 +126,8 @@ def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_
     The density is a quadratic form of the strain: the same form of its covariance (..., 4), exx, eyy, exy and exx with
     eyy, as `strain_covariance` has it.
     """
-    return energy_form(*covariance.unbind(-1), young_modulus_mpa, poisson_ratio)
+    exx, eyy, exy, between = covariance.unbind(-1)
+    return energy_form(exx, eyy, exy, between, young_modulus_mpa, poisson_ratio)
 
 
 def energy_form(

@@ -65,8 +65,9 @@ def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:
     The displacement (u, v) of a corner of slope s adds s_x u to exx, s_y v to eyy and (s_y u + s_x v) / 2 to exy. Where
     skin is already stretched by some per cent, strains of all measures are off by as much more or less.
     """
+    x, y = slopes.unbind(-1)
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    return torch.stack(strain_covariance_parts(*slopes.unbind(-1), uu, uv, vv), dim=-1)
+    return torch.stack(strain_covariance_parts(x, y, uu, uv, vv), dim=-1)
 
 
 def strain_covariance_parts(
