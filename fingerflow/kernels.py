@@ -598,7 +598,7 @@ def triangle_strain(
     all float32; touching (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
 
     Raises:
-        TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points that are not there.
+        TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
     """
     batch, points = displacement.shape[:2]
     count = len(triangles)

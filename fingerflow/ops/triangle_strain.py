@@ -54,7 +54,8 @@ def triangle_strain(
     flat = torch.where(usable, 0.0, torch.nan)[:, None].to(slopes.dtype)
 
     areas = triangle_areas(reference, triangles)
-    if displacement.dtype == torch.float32 and kernels.serve(reference, displacement, covariance, touching):
+    compiled = kernels.serve(reference, displacement, covariance, touching)
+    if compiled and displacement.dtype == torch.float32 and len(triangles):
         return TriangleStrain(
             *kernels.triangle_strain(
                 *(triangles, slopes, areas[0], flat[:, 0], displacement, covariance, touching),
