@@ -31,6 +31,7 @@ PLAIN = [
     "search",
     "templates",
     "touching",
+    "triangle_strain",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
 EXACT = [
@@ -42,7 +43,15 @@ EXACT = [
     "noise_rows",
     "touching_rows",
 ]
-ROUNDED = ["area_medians_block", "dense_region_cells", "local_fit_block", "search_points", "templates_points"]
+ROUNDED = [
+    "area_medians_block",
+    "dense_region_cells",
+    "light_gain_rows",
+    "local_fit_block",
+    "search_points",
+    "templates_points",
+    "triangle_strain_frame",
+]
 
 # -ffp-contract=off: a fused multiply-add rounds once where separate steps round twice, and not every set has it. Sums
 # of hundreds of products may differ by that, and take half the time. -fno-trapping-math: a choice between two numbers

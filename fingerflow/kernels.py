@@ -19,7 +19,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS
 
-_INTERFACE = 15  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 16  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -565,6 +565,64 @@ def area_medians(
     return medians, deviations
 
 
+class _TriangleStrain(ctypes.Structure):
+    """`fingerflow_triangle_strain` of kernels/interface.h."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("displacement", "covariance", "touching", "corners", "slopes", "areas", "flat")
+        ),
+        *((name, ctypes.c_void_p) for name in ("strain", "strain_std", "density", "energy", "energy_std")),
+        *((name, ctypes.c_int64) for name in ("batch", "point_count", "triangle_count", "measure")),
+        *((name, ctypes.c_double) for name in ("direct", "between", "shear")),
+    )
+
+
+def triangle_strain(
+    triangles: Tensor,
+    slopes: Tensor,
+    areas: Tensor,
+    flat: Tensor,
+    displacement: Tensor,
+    covariance: Tensor,
+    touching: Tensor,
+    *,
+    measure: int,
+    stiffness: tuple[float, float, float],
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Strain (B, M, 3), its deviation, density (B, M), energy and its deviation (B,) float64, as `ops.triangle_strain`
+    has them to rounding.
+
+    Triangles (M, 3) int64, slopes (M, 3, 2), areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2),
+    all float32; touching (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
+
+    Raises:
+        TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
+    """
+    batch, points = displacement.shape[:2]
+    count = len(triangles)
+    _check_like("triangles", triangles, torch.int64, (count, 3))
+    _check_like("slopes", slopes, torch.float32, (count, 3, 2))
+    _check_like("areas", areas, torch.float32, (count,))
+    _check_like("flat", flat, torch.float32, (count,))
+    _check_like("displacement", displacement, torch.float32, (batch, points, 2))
+    _check_like("covariance", covariance, torch.float32, (batch, points, 2, 2))
+    _check_like("touching", touching, torch.bool, (batch, count))
+    if measure not in (0, 1, 2) or (count and not 0 <= int(triangles.min()) <= int(triangles.max()) < points):
+        raise ValueError(f"measure {measure} of 0 to 2; triangles of {points} points")
+    corners = triangles.T.to(torch.int32)
+    tensors = (displacement, covariance, touching, corners, slopes.permute(2, 1, 0), areas, flat)
+    given = [tensor.contiguous() for tensor in tensors]
+    strain, deviation, density = torch.empty(batch, count, 3), torch.empty(batch, count, 3), torch.empty(batch, count)
+    energy, energy_deviation = (torch.empty(batch, dtype=torch.float64) for _ in range(2))
+    results = (strain, deviation, density, energy, energy_deviation)
+    pointers = (tensor.data_ptr() for tensor in (*given, *results))
+    request = _TriangleStrain(*pointers, *(batch, points, count, measure), *stiffness)
+    _call("fingerflow_strain_of_triangles", ctypes.addressof(request), torch.get_num_threads())
+    return results
+
+
 def halve(frames: Tensor) -> Tensor:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
     halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
@@ -664,6 +722,7 @@ def _library() -> ctypes.CDLL | None:
     ]
     library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
     library.fingerflow_medians_over_area.argtypes = [pointer, number]
+    library.fingerflow_strain_of_triangles.argtypes = [pointer, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

@@ -8,11 +8,20 @@
 #include "area_medians_block.h"
 #include "interface.h"
 #include "parallel.h"
+#include "workspace.h"
 
 namespace fingerflow {
 namespace {
 
+constexpr std::int64_t kNumbers = 5;  // of a point of a block
+
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+// How far a distance reaches beyond a half width, or 0.
+float beyond(float distance, float half) {
+    const float outside = std::fabs(distance) - half;
+    return (outside + std::fabs(outside)) / 2;
+}
 
 // The median of numbers, at least one, whose order is lost.
 float median(std::vector<float>& numbers) {
@@ -63,7 +72,7 @@ private:
     struct Block {
         AreaFits fits;
         int positions;
-        std::size_t first, count;  // of its candidates
+        AreaPoints points;
     };
 
     // Usable points, without the mean of their displacement, in cells of half a radius around the ellipse.
@@ -139,6 +148,9 @@ private:
         const float along = ellipse_[2] / settings_.radius, across = ellipse_[3] / settings_.radius;
         const float cosine = ellipse_[4], sine = ellipse_[5];
         blocks_.resize(size((given_.positions + kAreaBlock - 1) / kAreaBlock));
+        // Room for all points in each block: what is not needed is not touched.
+        const auto room = static_cast<std::int64_t>(number_.size());
+        auto* const memory = static_cast<float*>(workspace(blocks_.size() * kNumbers * number_.size() * sizeof(float)));
         std::int64_t first = 0;
         for (Block& block : blocks_) {
             block.positions = static_cast<int>(std::min<std::int64_t>(kAreaBlock, given_.positions - first));
@@ -152,34 +164,36 @@ private:
                 high_x = std::max(high_x, x);
                 high_y = std::max(high_y, y);
             }
-            block.first = candidates_.size();
-            const std::int64_t left = column_of(low_x - 1), right = column_of(high_x + 1), bottom = row_of(high_y + 1);
-            for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
-                const std::int64_t end = starts_[size(row * columns_ + right + 1)];
-                for (std::int64_t k = starts_[size(row * columns_ + left)]; k < end; ++k) {
-                    const float dx = std::max(0.0f, std::max(low_x - x_[size(k)], x_[size(k)] - high_x));
-                    const float dy = std::max(0.0f, std::max(low_y - y_[size(k)], y_[size(k)] - high_y));
-                    if (dx * dx + dy * dy < 1.00001f) candidates_.push_back(k);
-                }
-            }
-            block.count = candidates_.size() - block.first;
-            FINGERFLOW_PICK(fit_area)(settings_, points_of(block), block.fits);
+            block.points = near(low_x, low_y, high_x, high_y, memory + (&block - blocks_.data()) * kNumbers * room);
+            FINGERFLOW_PICK(fit_area)(settings_, block.points, block.fits);
             for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
             first += kAreaBlock;
         }
     }
 
-    AreaPoints points_of(const Block& block) {
-        near_.resize(4 * std::max<std::size_t>(block.count, 1));
-        float* const to = near_.data();
-        for (std::size_t k = 0; k < block.count; ++k) {
-            const std::size_t from = size(candidates_[block.first + k]);
-            to[k] = x_[from];
-            to[block.count + k] = y_[from];
-            to[2 * block.count + k] = u_[from];
-            to[3 * block.count + k] = v_[from];
+    // The points within a radius of a box, copied to memory with room for all of them.
+    AreaPoints near(float low_x, float low_y, float high_x, float high_y, float* memory) const {
+        const auto room = static_cast<std::int64_t>(number_.size());
+        float *const x = memory, *const y = x + room, *const u = y + room, *const v = u + room;
+        auto* const number = reinterpret_cast<std::int32_t*>(v + room);
+        const float middle_x = (low_x + high_x) / 2, half_x = (high_x - low_x) / 2;
+        const float middle_y = (low_y + high_y) / 2, half_y = (high_y - low_y) / 2;
+        std::int64_t count = 0;
+        const std::int64_t left = column_of(low_x - 1), right = column_of(high_x + 1), bottom = row_of(high_y + 1);
+        for (std::int64_t row = row_of(low_y - 1); row <= bottom; ++row) {
+            const std::int64_t end = starts_[size(row * columns_ + right + 1)];
+            for (std::int64_t k = starts_[size(row * columns_ + left)]; k < end; ++k) {
+                // Written in any case, kept where it is near: a jump would be guessed wrong half the time.
+                x[count] = x_[size(k)];
+                y[count] = y_[size(k)];
+                u[count] = u_[size(k)];
+                v[count] = v_[size(k)];
+                number[count] = static_cast<std::int32_t>(k);
+                const float dx = beyond(x_[size(k)] - middle_x, half_x), dy = beyond(y_[size(k)] - middle_y, half_y);
+                count += dx * dx + dy * dy < 1.00001f;
+            }
         }
-        return {to, to + block.count, to + 2 * block.count, to + 3 * block.count, static_cast<std::int64_t>(block.count)};
+        return {x, y, u, v, number, count};
     }
 
     // Standard deviations: the points' shares in the error of each median, with their covariances.
@@ -188,15 +202,10 @@ private:
         beside_.reach = static_cast<float>(given_.reach);
         beside_.even = static_cast<float>(given_.even);
         float total[kAreaFields] = {};
-        std::vector<float> all(number_.size() * kAreaShares), own, memory;
+        std::vector<float> all(number_.size() * kAreaShares), memory;
         for (const Block& block : blocks_) {
-            own.assign(std::max<std::size_t>(block.count, 1) * kAreaShares, 0.0f);
-            memory.resize(2 * std::max<std::size_t>(block.count, 1));
-            FINGERFLOW_PICK(add_shares)(settings_, points_of(block), block.fits, beside_, memory.data(), own.data(), total);
-            for (std::size_t k = 0; k < block.count; ++k) {
-                float* const to = all.data() + size(candidates_[block.first + k]) * kAreaShares;
-                for (int s = 0; s < 2 * kAreaFields; ++s) to[s] += own[k * kAreaShares + size(s)];
-            }
+            memory.resize(std::max(memory.size(), 2 * kAreaBlock * size(block.points.count)));
+            FINGERFLOW_PICK(add_shares)(settings_, block.points, block.fits, beside_, memory.data(), all.data(), total);
         }
         double variance[kAreaFields] = {};
         for (std::size_t k = 0; k < number_.size(); ++k) {
@@ -219,8 +228,8 @@ private:
     AreaBeside beside_{};
     float half_x_ = 0, half_y_ = 0;
     std::int64_t columns_ = 0, rows_ = 0;
-    std::vector<std::int64_t> starts_, number_, candidates_;
-    std::vector<float> x_, y_, u_, v_, near_;
+    std::vector<std::int64_t> starts_, number_;
+    std::vector<float> x_, y_, u_, v_;
     std::vector<Block> blocks_;
 };
 

@@ -148,10 +148,11 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
             any[q] += share[field][q];
         }
     }
+    alignas(64) float along_x[kAreaBlock][kAreaShares] = {}, along_y[kAreaBlock][kAreaShares] = {};
+    int positions = 0;  // that take part
     for (int q = 0; q < kAreaBlock; ++q) {
         if (!(any[q] > 0)) continue;
         // What a displacement (1, 0) or (0, 1) of a point at (x, y) from the centroid and of weight 1 adds to a field.
-        float along_x[kAreaShares] = {}, along_y[kAreaShares] = {};
         const float forward[2][2] = {{1 + fits.gradient[0][q], fits.gradient[1][q]},
                                      {fits.gradient[2][q], 1 + fits.gradient[3][q]}};
         const float a = fits.inverse[0][q], b = fits.inverse[1][q], d = fits.inverse[2][q];
@@ -160,16 +161,31 @@ void add_shares(const AreaSettings& settings, const AreaPoints& points, const Ar
             for (int c = 0; c < 2; ++c) {
                 const float sx = by_gradient[field][c][0][q], sy = by_gradient[field][c][1][q];
                 const float x = sx * forward[0][0] + sy * forward[0][1], y = sx * forward[1][0] + sy * forward[1][1];
-                along_x[2 * field + c] = scale * (x * a + y * b);
-                along_y[2 * field + c] = scale * (x * b + y * d);
+                along_x[positions][2 * field + c] = scale * (x * a + y * b);
+                along_y[positions][2 * field + c] = scale * (x * b + y * d);
             }
         }
-        moments(points, fits.x[q], fits.y[q], fits.center_x[q], fits.center_y[q], memory, memory + points.count);
-        for (std::int64_t k = 0; k < points.count; ++k) {
-            float* const to = shares + k * kAreaShares;
-            const float wx = memory[k], wy = memory[points.count + k];
-            for (int first = 0; first < kAreaShares; first += kFloats)
-                store(to + first, load(to + first) + (load(along_x + first) * wx + load(along_y + first) * wy));
+        float* const weighted = memory + 2 * positions * points.count;
+        moments(points, fits.x[q], fits.y[q], fits.center_x[q], fits.center_y[q], weighted, weighted + points.count);
+        ++positions;
+    }
+    // Two points at a time: one sum after the other would wait for each.
+    for (std::int64_t k = 0; k < points.count; k += 2) {
+        const std::int64_t next = k + 1 < points.count ? 1 : 0;
+        for (int first = 0; first < kAreaShares; first += kFloats) {
+            Floats sums[2][2] = {};
+            const float* weighted = memory + k;
+            for (int n = 0; n < positions; ++n, weighted += 2 * points.count) {
+                const Floats x = load(along_x[n] + first), y = load(along_y[n] + first);
+                sums[0][0] += x * weighted[0];
+                sums[0][1] += y * weighted[points.count];
+                sums[1][0] += x * weighted[next];
+                sums[1][1] += y * weighted[points.count + next];
+            }
+            for (std::int64_t n = 0; n <= next; ++n) {
+                float* const to = shares + points.number[k + n] * kAreaShares + first;
+                store(to, load(to) + (sums[n][0] + sums[n][1]));
+            }
         }
     }
 }

@@ -17,9 +17,10 @@ struct AreaSettings {
     float minimum_points, radius, least_spread, farthest, least_ratio;
 };
 
-// The points that may lie within a radius of a position of the block.
+// The points that may lie within a radius of a position of the block; number among those of the frame.
 struct AreaPoints {
     const float *x, *y, *u, *v;
+    const std::int32_t* number;
     std::int64_t count;
 };
 
@@ -42,8 +43,8 @@ struct AreaBeside {
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     void fit_area(const AreaSettings& settings, const AreaPoints& points, AreaFits& fits);
-    // Adds to (count, kAreaShares) numbers how much each point's displacement moves the sum of the fields beside their
-    // medians, and to `total` how many positions these are. `memory` has room for 2 count numbers.
+    // Adds to (points of the frame, kAreaShares) numbers how much each point's displacement moves the sum of the fields
+    // beside their medians, and to `total` how many positions these are. `memory` has room for 2 kAreaBlock count numbers.
     void add_shares(const AreaSettings& settings, const AreaPoints& points, const AreaFits& fits,
                     const AreaBeside& beside, float* memory, float* shares,
                     float (&total)[kAreaFields]);

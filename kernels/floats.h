@@ -129,11 +129,21 @@ inline Vector held(Vector value) {
 }
 inline void store(float* to, const Floats& value) { std::memcpy(to, &value, sizeof value); }
 
-// Numbers above zero, and whether they are (1 or 0); zero for the others.
+// Numbers above zero, and whether they are (1 or 0), zero for the others; the lesser and the greater of two.
 #if defined(__GNUC__) || defined(__clang__)
+inline Floats lesser(Floats a, Floats b) { return a < b ? a : b; }
+inline Floats greater(Floats a, Floats b) { return a > b ? a : b; }
 inline Floats positive(Floats value) { return value > all(0) ? value : all(0); }
 inline Floats is_positive(Floats value) { return value > all(0) ? all(1) : all(0); }
 #else
+inline Floats lesser(Floats a, const Floats& b) {
+    for (int k = 0; k < kFloats; ++k) a.of[k] = a.of[k] < b.of[k] ? a.of[k] : b.of[k];
+    return a;
+}
+inline Floats greater(Floats a, const Floats& b) {
+    for (int k = 0; k < kFloats; ++k) a.of[k] = a.of[k] > b.of[k] ? a.of[k] : b.of[k];
+    return a;
+}
 inline Floats positive(Floats value) {
     for (int k = 0; k < kFloats; ++k) value.of[k] = value.of[k] > 0 ? value.of[k] : 0.0f;
     return value;

@@ -17,6 +17,13 @@
 #define FINGERFLOW_INDEPENDENT _Pragma("GCC ivdep")
 #endif
 
+// Asks for the cache line at an address, which may be any, before it is needed.
+#if defined(__GNUC__) || defined(__clang__)
+#define FINGERFLOW_PREFETCH(address) __builtin_prefetch(address)
+#else
+#define FINGERFLOW_PREFETCH(address)
+#endif
+
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
 

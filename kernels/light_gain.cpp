@@ -1,14 +1,16 @@
 // Quotients of blocks, and their uppermost mode, as fingerflow/ops/light_gain.py has it: some thousand numbers a frame.
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <exception>
 #include <functional>
 #include <limits>
 #include <vector>
 
 #include "interface.h"
+#include "light_gain_rows.h"
 #include "parallel.h"
-#include "pixels.h"
+#include "workspace.h"
 
 namespace fingerflow {
 namespace {
@@ -17,40 +19,20 @@ constexpr std::int64_t kStep = 4;
 constexpr float kRough = 0.15f, kLit = 0.25f, kMost = 1.4f, kLeast = 0.7f, kTop = 0.03f, kNarrow = 0.02f, kBeside = 0.06f;
 constexpr float kWidths[] = {0.04f, 0.02f, 0.01f, 0.01f};
 
-// Sums over the pixels of a block that are lit: counts less those without light, and light, and their squares.
-struct Sums {
-    float passed, light, passed_squared, light_squared;
+// Sums over the pixels of blocks that are lit, as `LitColumns` has them.
+struct Blocks {
+    std::vector<float> passed, light, passed_squared, light_squared;
+    explicit Blocks(std::size_t count) : passed(count), light(count), passed_squared(count), light_squared(count) {}
 };
 
-// Adds a line to blocks.
-template <class Pixel>
-void add_line(const Pixel* row, const float* light, const float* black, std::int64_t blocks, std::int64_t side,
-              Sums* sums) {
-    for (std::int64_t block = 0; block < blocks; ++block) {
-        Sums sum = sums[block];
-        for (std::int64_t x = block * side; x < (block + 1) * side; ++x) {
-            const float own = static_cast<float>(row[x]) - black[x];
-            const bool lit = light[x] > 0.0f && std::fabs(own) <= std::numeric_limits<float>::max();
-            const float count = lit ? own : 0.0f, lamp = lit ? light[x] : 0.0f;
-            sum.passed += count;
-            sum.light += lamp;
-            sum.passed_squared += count * count;
-            sum.light_squared += lamp * lamp;
-        }
-        sums[block] = sum;
-    }
-}
-
-float uppermost_mode(const std::vector<Sums>& blocks) {
-    float full = 0;
-    for (const Sums& sums : blocks) full = std::max(full, sums.light);
-    std::vector<float> quotients(blocks.size());
+float uppermost_mode(const Blocks& blocks) {
+    const float full = *std::max_element(blocks.light.begin(), blocks.light.end());
+    std::vector<float> quotients(blocks.light.size());
     std::int64_t number = 0;
-    for (std::size_t k = 0; k < blocks.size(); ++k) {
-        const Sums& sums = blocks[k];
-        const bool lit = sums.light > kLit * full;
-        const float quotient = lit ? sums.passed / sums.light : 0.0f;
-        const float variance = lit ? sums.passed_squared / sums.light_squared - quotient * quotient : 0.0f;
+    for (std::size_t k = 0; k < quotients.size(); ++k) {
+        const bool lit = blocks.light[k] > kLit * full;
+        const float quotient = lit ? blocks.passed[k] / blocks.light[k] : 0.0f;
+        const float variance = lit ? blocks.passed_squared[k] / blocks.light_squared[k] - quotient * quotient : 0.0f;
         quotients[k] = variance < kRough * kRough ? quotient : 0.0f;
         number += lit;
     }
@@ -58,20 +40,13 @@ float uppermost_mode(const std::vector<Sums>& blocks) {
     const auto kept = std::max<std::int64_t>(1, std::lrint(static_cast<double>(kTop) * static_cast<double>(sorted.size())));
     std::nth_element(sorted.begin(), sorted.begin() + (kept - 1), sorted.end(), std::greater<float>());
     float gain = sorted[static_cast<std::size_t>(kept - 1)];
-    for (const float width : kWidths) {
-        double sum = 0;
-        std::int64_t count = 0;
-        for (const float quotient : quotients)
-            if (std::fabs(quotient - gain) <= width * gain) {
-                sum += quotient;
-                ++count;
-            }
-        gain = static_cast<float>(sum / static_cast<double>(std::max<std::int64_t>(count, 1)));
-    }
+    quotients.resize((quotients.size() + 15) / 16 * 16);  // zeros, which lie within no width of what is above zero
+    for (const float width : kWidths)
+        gain = FINGERFLOW_PICK(mean_within)(quotients.data(), static_cast<std::int64_t>(quotients.size()), gain, width * gain);
     std::int64_t glass = 0, beside = 0;
-    for (std::size_t k = 0; k < quotients.size(); ++k) {
+    for (std::size_t k = 0; k < blocks.light.size(); ++k) {
         const float distance = quotients[k] / std::max(gain, 1e-6f) - 1;
-        glass += std::fabs(distance) <= kNarrow && blocks[k].light > kLit * full;
+        glass += std::fabs(distance) <= kNarrow && blocks.light[k] > kLit * full;
         beside += distance < -kNarrow && distance >= -kBeside;
     }
     const bool seen = gain > kLeast && gain < kMost && static_cast<float>(glass) >= kTop * static_cast<float>(number) && glass >= 2 * beside;
@@ -85,24 +60,36 @@ int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side,
     using namespace fingerflow;
     const std::int64_t width = given->width, rows = side / kStep, pixels = given->height * width;
     const std::int64_t lines = (given->height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
-    parallel_for(given->batch, threads, [&](std::int64_t frame) {
-        if (down * across <= 0) {
-            gains[frame] = std::numeric_limits<float>::quiet_NaN();
-            return;
+    const fingerflow_image& image = given->frames;
+    const Frames frames{image.data, given->batch, given->height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
+    const auto add = FINGERFLOW_PICK(add_lit_line);
+    const auto sum = FINGERFLOW_PICK(sum_blocks);
+    if (down * across <= 0) {
+        std::fill_n(gains, given->batch, std::numeric_limits<float>::quiet_NaN());
+        return 0;
+    }
+    std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
+    // A row of blocks of all frames at a time, so that its light of the empty glass is read once for all of them.
+    parallel_for(down, threads, [&](std::int64_t row) {
+        const std::size_t bytes = static_cast<std::size_t>(width) * sizeof(float);
+        auto* const memory = static_cast<float*>(workspace(4 * bytes));
+        const LitColumns columns{memory, memory + width, memory + 2 * width, memory + 3 * width};
+        for (std::int64_t frame = 0; frame < given->batch; ++frame) {
+            const float* const light = given->light + (given->lights == 1 ? 0 : frame) * pixels;
+            const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels;
+            std::memset(memory, 0, 4 * bytes);
+            for (std::int64_t line = row * rows; line < (row + 1) * rows; ++line) {
+                const std::int64_t y = kStep / 2 + line * kStep;
+                add(frames, frame, y, std::min(y + 2 * kStep, given->height - 1), light + y * width, black + y * width, columns);
+            }
+            Blocks& to = blocks[static_cast<std::size_t>(frame)];
+            sum(columns.passed, across, side, to.passed.data() + row * across);
+            sum(columns.light, across, side, to.light.data() + row * across);
+            sum(columns.passed_squared, across, side, to.passed_squared.data() + row * across);
+            sum(columns.light_squared, across, side, to.light_squared.data() + row * across);
         }
-        std::vector<Sums> blocks(static_cast<std::size_t>(down * across));
-        for (std::int64_t line = 0; line < down * rows; ++line) {
-            const std::int64_t y = kStep / 2 + line * kStep, at = line / rows * across;
-            const float* const lamp = given->light + (given->lights == 1 ? 0 : frame) * pixels + y * width;
-            const float* const black = given->black + (given->blacks == 1 ? 0 : frame) * pixels + y * width;
-            const auto add = [&](const auto* data) {
-                const auto* const row = data + frame * given->frames.image_stride + y * given->frames.row_stride;
-                add_line(row, lamp, black, across, side, blocks.data() + at);
-            };
-            [&] { FINGERFLOW_FOR_PIXEL(static_cast<PixelKind>(given->frames.kind), given->frames.data, add) }();
-        }
-        gains[frame] = uppermost_mode(blocks);
     });
+    parallel_for(given->batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
     return 0;
 } catch (const std::exception&) {
     return 1;

@@ -168,6 +168,7 @@ public:
                   nullptr,
                   nullptr,
                   same_usable_.data(),
+                  symmetric(given),
                   nullptr,
                   nullptr,
                   nullptr,
@@ -190,6 +191,18 @@ public:
     }
 
 private:
+    static bool symmetric(const fingerflow_local_fit& given) {
+        const std::int64_t components = given.components, numbers = given.noise_batch * given.point_count * given.noises;
+        if (given.noises != components * components) return false;
+        const auto* const noise = static_cast<const Real*>(given.noise);
+        for (const Real* own = noise; own < noise + numbers; own += given.noises)
+            for (std::int64_t i = 1; i < components; ++i)
+                for (std::int64_t j = 0; j < i; ++j) {
+                    const Real one = own[i * components + j], other = own[j * components + i];
+                    if (one != other && !(std::isnan(one) && std::isnan(other))) return false;
+                }
+        return true;
+    }
     const Real* part(const void* all, std::int64_t batch, std::int64_t frame, std::int64_t numbers) const {
         return static_cast<const Real*>(all) + (batch == 1 ? 0 : frame) * numbers;
     }

@@ -152,6 +152,7 @@ struct Geometry {
     Real mass[kFitBlock], x[kFitBlock], y[kFitBlock];  // place of the weighted centroid, from the query
     Real inverse_xx[kFitBlock], inverse_xy[kFitBlock], inverse_yy[kFitBlock];  // of the second moments about it
     Real nothing[kFitBlock];  // 0, or NaN where the points determine no plane
+    Real offset[kFitBlock];
     std::int64_t points[kFitBlock];
 
     // From sums (kFitWeights, kFitBlock).
@@ -174,6 +175,7 @@ struct Geometry {
             inverse_xy[q] = -xy * scale;
             inverse_yy[q] = xx * scale;
             nothing[q] = known != 0 ? Real(0) : unknown;
+            offset[q] = root(cx * cx + cy * cy) + nothing[q];
         }
         for (int q = 0; q < kFitBlock; ++q) points[q] = static_cast<std::int64_t>(sums[q]);
     }
@@ -221,9 +223,10 @@ void write_covariance(const FitFrames<Real>& frames, const FitBlock<Real>& block
                       const Real* sums, std::int64_t first) {
     const std::int64_t components = frames.components, size = 4 * components * components;
     Real pairs[3][kFitBlock];
+    Real* const covariance = frames.covariance + first * size;
     const auto write = [&](std::int64_t i, std::int64_t j) {
         for (int q = 0; q < block.queries; ++q) {
-            Real* to = frames.covariance + (first + block.query[q]) * size + 4 * components * i + 2 * j;
+            Real* const to = covariance + block.query[q] * size + 4 * components * i + 2 * j;
             to[0] = pairs[0][q];
             to[1] = to[2 * components] = pairs[1][q];
             to[2 * components + 1] = pairs[2][q];
@@ -232,15 +235,17 @@ void write_covariance(const FitFrames<Real>& frames, const FitBlock<Real>& block
     if (frames.noises == 1) {  // one variance: components have it in common and are independent
         for (int q = 0; q < block.queries; ++q)
             for (std::int64_t k = 0; k < size; ++k)
-                frames.covariance[(first + block.query[q]) * size + k] = at.nothing[q];
+                covariance[block.query[q] * size + k] = at.nothing[q];
         sandwich(at, sums, pairs);
         for (std::int64_t c = 0; c < components; ++c) write(c, c);
         return;
     }
-    for (std::int64_t v = 0; v < frames.noises; ++v) {
-        sandwich(at, sums + v * 6 * kFitBlock, pairs);
-        write(v / components, v % components);
-    }
+    for (std::int64_t i = 0; i < components; ++i)
+        for (std::int64_t j = frames.symmetric ? i : 0; j < components; ++j) {
+            sandwich(at, sums + (i * components + j) * 6 * kFitBlock, pairs);
+            write(i, j);
+            if (frames.symmetric && j > i) write(j, i);
+        }
 }
 
 template <class Real>
@@ -264,23 +269,28 @@ void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real*
         for (; c + 2 <= components; c += 2) sum_values<2>(candidates, 1 + c, values + 3 * kFitBlock * c);
         if (c < components) sum_values<1>(candidates, 1 + c, values + 3 * kFitBlock * c);
         for (std::int64_t v = 0; v < frames.noises; ++v)
-            sum_noise(candidates, 1 + components + v, noise + 6 * kFitBlock * v);
+            if (!frames.symmetric || v % components >= v / components)
+                sum_noise(candidates, 1 + components + v, noise + 6 * kFitBlock * v);
 
         const std::int64_t first = frame * frames.queries;
         for (c = 0; c < components; ++c) {
             Real value[kFitBlock], along_x[kFitBlock], along_y[kFitBlock];
             solve(at, values + 3 * kFitBlock * c, frames.levels[frame * components + c], value, along_x, along_y);
+            Real* const values_to = frames.value + first * components + c;
+            Real* const gradient_to = frames.gradient + 2 * (first * components + c);
             for (int q = 0; q < block.queries; ++q) {
-                const std::int64_t place = (first + block.query[q]) * components + c;
-                frames.value[place] = value[q];
-                frames.gradient[2 * place] = along_x[q];
-                frames.gradient[2 * place + 1] = along_y[q];
+                const std::int64_t place = block.query[q] * components;
+                values_to[place] = value[q];
+                gradient_to[2 * place] = along_x[q];
+                gradient_to[2 * place + 1] = along_y[q];
             }
         }
         if (frames.covariance != nullptr) write_covariance(frames, block, at, noise, first);
+        std::int64_t* const counts = frames.point_count + first;
+        Real* const offsets = frames.offset + first;
         for (int q = 0; q < block.queries; ++q) {
-            frames.point_count[first + block.query[q]] = at.points[q];
-            frames.offset[first + block.query[q]] = root(at.x[q] * at.x[q] + at.y[q] * at.y[q]) + at.nothing[q];
+            counts[block.query[q]] = at.points[q];
+            offsets[block.query[q]] = at.offset[q];
         }
     }
 }

@@ -21,6 +21,7 @@ struct FitFrames {
     const Real* records;
     const Real* levels;                // (frames, components)
     const unsigned char* same_usable;  // (frames), whether the usable points are those of the frame before
+    bool symmetric;                    // covariances are, so that half of what is beside their diagonal tells the rest
     Real* value;                       // (frames, queries, components), and so on as in fingerflow/ops/local_fit.py
     Real* gradient;
     Real* covariance;  // null without variances

@@ -21,9 +21,8 @@ int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits,
     const auto find = FINGERFLOW_PICK(touching_rows);
     parallel_for(pieces, threads, [&](std::int64_t piece) {
         const std::int64_t top = piece * rows, bottom = std::min(height, top + rows);
-        auto* const lines = static_cast<unsigned char*>(workspace(static_cast<std::size_t>((2 * size + 2) * (width + size + 64))));
-        for (std::int64_t frame = 0; frame < batch; ++frame)
-            find(frames, lit, frame, top, bottom, size, limits[frame], lines, touching);
+        auto* const memory = static_cast<unsigned char*>(workspace(touching_memory(frames, size)));
+        find(frames, lit, top, bottom, size, limits, memory, touching);
     });
     return 0;
 } catch (const std::exception&) {

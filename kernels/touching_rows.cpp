@@ -22,27 +22,126 @@ void compare(const Pixel* FINGERFLOW_RESTRICT row, const float* FINGERFLOW_RESTR
 }
 
 #ifdef __AVX512BW__
-// 64 bytes at a time, compared in four vectors of floats.
+// Which of 64 pixels, of which `left` are there, lie below black + share * light and are lit, and which are lit.
+struct Compared {
+    std::uint64_t below = 0, has = 0;
+    Compared(const std::uint8_t* row, const float* light, const float* black, float share, std::int64_t left) {
+        const __m512 factor = _mm512_set1_ps(share), zero = _mm512_setzero_ps();
+        for (int at = 0; at < 64 && at < left; at += 16) {
+            const auto some = static_cast<__mmask16>(left - at >= 16 ? 0xffff : (1 << (left - at)) - 1);
+            const __m512 counts = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_maskz_loadu_epi8(some, row + at)));
+            const __m512 given = _mm512_maskz_loadu_ps(some, light + at);
+            const __m512 limit = _mm512_add_ps(_mm512_mul_ps(factor, given), _mm512_maskz_loadu_ps(some, black + at));
+            const __mmask16 lit = _mm512_cmp_ps_mask(given, zero, _CMP_GT_OQ);
+            has |= static_cast<std::uint64_t>(lit) << at;
+            below |= static_cast<std::uint64_t>(_mm512_mask_cmp_ps_mask(lit, counts, limit, _CMP_LT_OQ)) << at;
+        }
+    }
+};
+
+// As `compare`, of as many pixels as are whole vectors.
 std::int64_t compare_bytes(const std::uint8_t* row, const float* light, const float* black, float share,
                            std::int64_t width, unsigned char* line, unsigned char* lit) {
-    const __m512 factor = _mm512_set1_ps(share), zero = _mm512_setzero_ps();
     const __m512i one = _mm512_set1_epi8(1);
     std::int64_t x = 0;
     for (; x + 64 <= width; x += 64) {
-        __mmask64 has = 0, below = 0;
-        for (int part = 0; part < 4; ++part) {
-            const std::int64_t at = x + 16 * part;
-            const __m512 counts = _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(reinterpret_cast<const __m128i*>(row + at))));
-            const __m512 given = _mm512_loadu_ps(light + at);
-            const __m512 limit = _mm512_add_ps(_mm512_mul_ps(factor, given), _mm512_loadu_ps(black + at));
-            has |= static_cast<__mmask64>(_mm512_cmp_ps_mask(given, zero, _CMP_GT_OQ)) << (16 * part);
-            below |= static_cast<__mmask64>(_mm512_cmp_ps_mask(counts, limit, _CMP_LT_OQ)) << (16 * part);
-        }
-        _mm512_storeu_si512(lit + x, _mm512_maskz_mov_epi8(has, one));
-        _mm512_storeu_si512(line + x, _mm512_maskz_mov_epi8(has & below, one));
+        const Compared found(row + x, light + x, black + x, share, 64);
+        _mm512_storeu_si512(lit + x, _mm512_maskz_mov_epi8(found.has, one));
+        _mm512_storeu_si512(line + x, _mm512_maskz_mov_epi8(found.below, one));
     }
     return x;
 }
+
+// Of bytes and windows of 3 x 3 a pixel is a bit, sums are those of full adders, 64 pixels at a time. Lines of a frame
+// take so little that those of all frames stay in the first cache, and light and black beside them.
+class Bits {
+public:
+    Bits(const Frames& frames, const Lit& lit, const float* shares, unsigned char* memory)
+        : frames_(frames), lit_(lit), shares_(shares), words_((frames.width + 63) / 64), pitch_(words_ + 2),
+          lines_(reinterpret_cast<std::uint64_t*>(memory)), ones_(lines_ + 6 * frames.batch * pitch_ + 1), twos_(ones_ + pitch_) {}
+
+    void rows(std::int64_t top, std::int64_t bottom, unsigned char* result) const {
+        for (std::int64_t y = top - 1; y <= bottom; ++y)
+            for (std::int64_t frame = 0; frame < frames_.batch; ++frame) {
+                compare(frame, y);
+                if (y > top) count(frame, y - 1, result + (frame * frames_.height + y - 1) * frames_.width);
+            }
+    }
+
+private:
+    // Lines after which one is asked for: it is short, and where it ends the processor does not look for the next.
+    static constexpr std::int64_t kAhead = 2;
+
+    std::uint64_t* line(std::int64_t frame, std::int64_t y, std::int64_t kind) const {
+        return lines_ + ((2 * frame + kind) * 3 + (y + 3) % 3) * pitch_;
+    }
+
+    void compare(std::int64_t frame, std::int64_t y) const {
+        const std::int64_t inside = y < 0 ? 0 : y >= frames_.height ? frames_.height - 1 : y, width = frames_.width;
+        const auto* const row = static_cast<const std::uint8_t*>(frames_.data) + frame * frames_.frame_stride + inside * frames_.row_stride;
+        const float* const light = lit_.light + ((lit_.lights == 1 ? 0 : frame) * frames_.height + inside) * width;
+        const float* const black = lit_.black + ((lit_.blacks == 1 ? 0 : frame) * frames_.height + inside) * width;
+        std::uint64_t *const below = line(frame, y, 0), *const has = line(frame, y, 1);
+        const std::int64_t ahead = (y + kAhead < frames_.height ? kAhead : 0) * frames_.row_stride;
+        for (std::int64_t word = 0; word < words_; ++word) {
+            const std::int64_t at = 64 * word;
+            FINGERFLOW_PREFETCH(row + ahead + at);
+            const Compared found(row + at, light + at, black + at, shares_[frame], width - at);
+            below[word] = found.below;
+            has[word] = found.has;
+        }
+    }
+
+    // Writes where five of nine are set and the middle one is lit.
+    void count(std::int64_t frame, std::int64_t y, unsigned char* out) const {
+        const std::uint64_t *const above = line(frame, y - 1, 0), *const middle = line(frame, y, 0);
+        const std::uint64_t *const below = line(frame, y + 1, 0), *const has = line(frame, y, 1);
+        // Of each column, ones and twos.
+        for (std::int64_t word = 0; word < words_; ++word) {
+            const std::uint64_t a = above[word], b = middle[word], c = below[word];
+            ones_[word] = a ^ b ^ c;
+            twos_[word] = most(a, b, c);
+        }
+        extend(ones_);
+        extend(twos_);
+        const __m512i one = _mm512_set1_epi8(1);
+        for (std::int64_t word = 0; word < words_; ++word) {
+            const Three ones(ones_ + word), twos(twos_ + word);
+            // One of ones.odd, two of ones.most and of twos.odd each, four of twos.most.
+            const std::uint64_t two = ones.most ^ twos.odd, four = ones.most & twos.odd, other = twos.most;
+            const std::uint64_t five = (four & other) | ((four | other) & (ones.odd | two));
+            const std::int64_t left = frames_.width - 64 * word;
+            const auto some = static_cast<__mmask64>(left >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << left) - 1);
+            _mm512_mask_storeu_epi8(out + 64 * word, some, _mm512_maskz_mov_epi8(five & has[word], one));
+        }
+    }
+
+    // The first and the last column once more, beyond them.
+    void extend(std::uint64_t* sums) const {
+        const std::int64_t last = frames_.width - 1, beyond = frames_.width;
+        sums[-1] = sums[0] << 63;
+        sums[words_] = 0;
+        sums[beyond / 64] |= (sums[last / 64] >> last % 64 & 1) << beyond % 64;
+    }
+
+    static std::uint64_t most(std::uint64_t a, std::uint64_t b, std::uint64_t c) { return (a & b) | (c & (a ^ b)); }
+
+    // Sums of a bit and its two neighbours.
+    struct Three {
+        std::uint64_t odd, most;
+        explicit Three(const std::uint64_t* words) {
+            const std::uint64_t left = words[0] << 1 | words[-1] >> 63, right = words[0] >> 1 | words[1] << 63;
+            odd = left ^ words[0] ^ right;
+            most = Bits::most(left, words[0], right);
+        }
+    };
+
+    const Frames& frames_;
+    const Lit& lit_;
+    const float* const shares_;
+    const std::int64_t words_, pitch_;
+    std::uint64_t *const lines_, *const ones_, *const twos_;
+};
 #else
 std::int64_t compare_bytes(const std::uint8_t*, const float*, const float*, float, std::int64_t, unsigned char*, unsigned char*) {
     return 0;
@@ -97,15 +196,21 @@ void rows(const Pixel* frame, const Frames& frames, const float* light, const fl
 
 }  // namespace
 
-void touching_rows(const Frames& frames, const Lit& lit, std::int64_t frame, std::int64_t top, std::int64_t bottom,
-                   int size, float share, unsigned char* lines, unsigned char* result) {
+void touching_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
+                   const float* shares, unsigned char* memory, unsigned char* result) {
+#ifdef __AVX512BW__
+    if (frames.kind == kUint8 && size == 3) return Bits(frames, lit, shares, memory).rows(top, bottom, result);
+#endif
     const std::int64_t pixels = frames.height * frames.width;
-    const float* const light = lit.light + (lit.lights == 1 ? 0 : frame) * pixels;
-    const float* const black = lit.black + (lit.blacks == 1 ? 0 : frame) * pixels;
-    const auto find = [&](const auto* data) {
-        rows(data + frame * frames.frame_stride, frames, light, black, top, bottom, size, share, lines, result + frame * pixels);
-    };
-    FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, find)
+    for (std::int64_t frame = 0; frame < frames.batch; ++frame) {
+        const float* const light = lit.light + (lit.lights == 1 ? 0 : frame) * pixels;
+        const float* const black = lit.black + (lit.blacks == 1 ? 0 : frame) * pixels;
+        const auto find = [&](const auto* data) {
+            rows(data + frame * frames.frame_stride, frames, light, black, top, bottom, size, shares[frame], memory,
+                 result + frame * pixels);
+        };
+        [&] { FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, find) }();
+    }
 }
 
 }  // namespace FINGERFLOW_ISA

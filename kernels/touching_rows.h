@@ -1,6 +1,8 @@
 // Pixels below a share of the light of the empty glass, the majority in every window, in some rows of one frame.
 #pragma once
 
+#include <cstddef>
+
 #include "instruction_sets.h"
 #include "pixels.h"
 
@@ -12,11 +14,19 @@ struct Lit {
     std::int64_t lights, blacks;
 };
 
+// Lines of bytes of one frame, or lines of bits of all of them.
+inline std::size_t touching_memory(const Frames& frames, int size) {
+    const std::int64_t bytes = (2 * size + 2) * (frames.width + size + 64), words = (frames.width + 63) / 64 + 2;
+    const std::int64_t bits = 8 * words * (6 * frames.batch + 2);
+    return static_cast<std::size_t>(bytes > bits ? bytes : bits);
+}
+
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
-    // `size` at most 15. `result` is of the whole batch; `lines` holds (2 size + 2) x (width + size + 64) bytes.
-    void touching_rows(const Frames& frames, const Lit& lit, std::int64_t frame, std::int64_t top, std::int64_t bottom,
-                       int size, float share, unsigned char* lines, unsigned char* result);
+    // Some rows of all frames, each with its share. `size` at most 15, `result` is of the whole batch; `memory` has
+    // touching_memory bytes.
+    void touching_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
+                       const float* shares, unsigned char* memory, unsigned char* result);
 )
 // clang-format on
 

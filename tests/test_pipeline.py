@@ -316,12 +316,12 @@ def test_a_point_that_was_lost_at_its_onset_has_none(scene: Scene) -> None:
 
 
 def test_triangles_that_are_lost_count_like_the_others() -> None:
-    from fingerflow.stages.deformation import _shares
+    from fingerflow.ops.triangle_strain import area_shares
 
     areas = torch.tensor([[1.0, 1.0, 2.0]])
     known = torch.tensor([[1, 1, 1], [1, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]]).bool()
     inside = torch.tensor([[1, 1, 1], [1, 1, 1], [1, 1, 1], [1, 1, 1], [0, 0, 0]]).bool()
-    total = _shares(inside, known, areas).sum(1)
+    total = area_shares(inside, known, areas).sum(1)
     torch.testing.assert_close(total, torch.tensor([4.0, 4.0, torch.nan, torch.nan, torch.nan]), equal_nan=True)
 
 

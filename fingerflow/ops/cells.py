@@ -83,8 +83,22 @@ def covered(excess: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
 
 
 def mask_of(excess: Tensor, cell: int, height: int, width: int) -> Tensor:
-    """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of."""
-    kind, device = excess.dtype, excess.device
-    y, x = (torch.arange(side, dtype=kind, device=device) for side in (height, width))
-    x, y = (place.flatten().expand(len(excess), -1) for place in (x.expand(height, -1), y[:, None].expand(-1, width)))
-    return covered(excess, x, y, cell).unflatten(1, (1, height, width))
+    """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of.
+
+    Of a lattice of places all in a column lie between the same cells: along the rows first, then down.
+    """
+    (left, right, across), (top, bottom, along) = (
+        _between(excess, pixels, cells, cell) for pixels, cells in ((width, excess.shape[3]), (height, excess.shape[2]))
+    )
+    rows = excess[..., left] * (1 - across) + excess[..., right] * across
+    along = along[:, None]
+    return rows[..., top, :] * (1 - along) + rows[..., bottom, :] * along > 0
+
+
+def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
+    """For each of a line of pixels the cells (pixels,) that it lies between, as in `at_places`, and how far from the
+    first."""
+    place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
+    first = place.floor().clamp(0, max(count - 2, 0))
+    index = first.to(torch.int64)
+    return index, index + min(1, count - 1), place - first

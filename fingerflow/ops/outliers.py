@@ -80,11 +80,12 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, deviation: Tenso
         deviation: (B, N) standard deviation of a component.
     """
     index, offset, within = neighbours
-    x, y = offset.unbind(-1)  # (P, k, N), broadcast over frames
+    # (P, k, N), broadcast over frames; each by itself in memory: pairs side by side are gone through one by one.
+    x, y = (part.contiguous() for part in offset.unbind(-1))
     known = (displacement.sum(-1) + deviation).isfinite()
     one = known.to(displacement.dtype)
     sure = torch.where(known, deviation, 1.0).clamp_min(_LEAST_DEVIATION)
-    u, v = torch.where(known[..., None], displacement, 0.0).unbind(-1)
+    u, v = (part.contiguous() for part in torch.where(known[..., None], displacement, 0.0).unbind(-1))
     there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
     weight = there * within
     number = weight.sum(1)  # (B, N)

@@ -48,16 +48,20 @@ def green_lagrange(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     The lab's published script has dv/dx in place of dv/dy in eyy; here it is dv/dy. Raises ValueError for another
     measure.
     """
+    return torch.stack(strain_parts(*_parts(gradient), measure), dim=-1)
+
+
+def strain_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> tuple[Tensor, Tensor, Tensor]:
+    """exx, eyy and exy of `green_lagrange`, each by itself as the parts du/dx, du/dy, dv/dx and dv/dy are."""
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
-    ux, uy, vx, vy = _parts(gradient)
     exx, eyy, exy = ux, vy, (uy + vx) / 2
     if measure != "infinitesimal":
         exx = exx + (ux * ux + vx * vx) / 2
         eyy = eyy + (uy * uy + vy * vy) / 2
     if measure == "green_lagrange":
         exy = exy + (ux * uy + vx * vy) / 2
-    return torch.stack((exx, eyy, exy), dim=-1)
+    return exx, eyy, exy
 
 
 class PrincipalStrains(NamedTuple):
@@ -100,15 +104,20 @@ def strain_energy_density(strain: Tensor, young_modulus_mpa: float = 1.0, poisso
             "for a nearly incompressible skin take a value such as 0.49"
         )
     exx, eyy, exy = _components(strain)
-    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
-    return direct * (exx * exx + eyy * eyy) + mixed * exx * eyy + shear * exy * exy
+    return energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, young_modulus_mpa, poisson_ratio)
 
 
 def stress(strain: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
     """Stress (..., 3) as (sxx, syy, sxy) in MPa of the solid of `strain_energy_density`, for strain (..., 3)."""
-    exx, eyy, exy = _components(strain)
-    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
-    return torch.stack((2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy), dim=-1)
+    return torch.stack(stress_parts(*_components(strain), young_modulus_mpa, poisson_ratio), dim=-1)
+
+
+def stress_parts(
+    exx: Tensor, eyy: Tensor, exy: Tensor, young_modulus_mpa: float, poisson_ratio: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """sxx, syy and sxy of `stress`, each by itself."""
+    direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
+    return 2 * direct * exx + mixed * eyy, 2 * direct * eyy + mixed * exx, shear * exy
 
 
 def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_ratio: float = 0.4) -> Tensor:
@@ -117,12 +126,19 @@ def energy_of_noise(covariance: Tensor, young_modulus_mpa: float = 1.0, poisson_
     The density is a quadratic form of the strain: the same form of its covariance (..., 4), exx, eyy, exy and exx with
     eyy, as `strain_covariance` has it.
     """
-    direct, mixed, shear = _stiffness(young_modulus_mpa, poisson_ratio)
     exx, eyy, exy, between = covariance.unbind(-1)
-    return direct * (exx + eyy) + mixed * between + shear * exy
+    return energy_form(exx, eyy, exy, between, young_modulus_mpa, poisson_ratio)
 
 
-def _stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
+def energy_form(
+    xx: Tensor, yy: Tensor, xy: Tensor, between: Tensor, young_modulus_mpa: float, poisson_ratio: float
+) -> Tensor:
+    """The quadratic form of `strain_energy_density` from exx^2, eyy^2, exy^2 and exx eyy, or from their means."""
+    direct, mixed, shear = stiffness(young_modulus_mpa, poisson_ratio)
+    return direct * (xx + yy) + mixed * between + shear * xy
+
+
+def stiffness(young_modulus_mpa: float, poisson_ratio: float) -> tuple[float, float, float]:
     """Factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy density, MPa."""
     scale = young_modulus_mpa / (1 + poisson_ratio)
     direct = scale * (1 - poisson_ratio) / (2 * (1 - 2 * poisson_ratio))

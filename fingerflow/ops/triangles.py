@@ -5,8 +5,12 @@ from torch import Tensor
 
 from fingerflow.ops.scattered import check_scattered, result_dtype, working_dtype
 
+MINIMUM_QUALITY = 0.1
 
-def triangle_gradients(points: Tensor, triangles: Tensor, values: Tensor, *, minimum_quality: float = 0.1) -> Tensor:
+
+def triangle_gradients(
+    points: Tensor, triangles: Tensor, values: Tensor, *, minimum_quality: float = MINIMUM_QUALITY
+) -> Tensor:
     """Gradient of the linear interpolation of `values` on each triangle (the constant-strain triangle).
 
     Args:

@@ -11,9 +11,7 @@ from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.strain import energy_of_noise, green_lagrange, strain_energy_density, stress
-from fingerflow.ops.strain_uncertainty import strain_covariance
-from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_slopes
+from fingerflow.ops.triangle_strain import triangle_strain
 from fingerflow.stages.contact import ContactSeries
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.tracking import TrackSeries
@@ -55,7 +53,7 @@ STRAIN_GIVES = frozenset(
         "strain_energy_rate",
     }
 )
-_FRAMES = 16  # a batch
+_FRAMES = 64  # a batch
 # Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
 # Measured on the shipped press, where the border is known.
 _BORDER_MM = 0.06
@@ -85,9 +83,10 @@ class Displacement:
     late: NDArray[np.float64]
     vector: NDArray[np.float64]
 
-    def covariance(self, frames: slice) -> NDArray[np.float64]:
+    def covariance(self, frames: slice) -> NDArray[np.float32]:
         """(n, N, 2, 2) mm^2, of the displacement in these frames."""
-        result: NDArray[np.float64] = self.variance[frames, :, None, None] * np.eye(2) + self.of_onset
+        own = self.variance[frames, :, None, None] * np.eye(2, dtype=np.float32)
+        result: NDArray[np.float32] = own + self.of_onset.astype(np.float32)
         return result
 
     def deviation(self) -> NDArray[np.float32]:
@@ -236,7 +235,6 @@ def fields(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Field
 def strains(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> StrainSeries:
     """Strain on the Delaunay triangles of the reference positions, and its energy."""
     settings = inputs.scene.fields
-    solid = settings.young_modulus_mpa, settings.poisson_ratio
     triangles = _triangulate(moved.reference)
     count = len(moved.displacement)
     shape = (count, len(triangles))
@@ -251,60 +249,27 @@ def strains(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Stra
     reference = _tensor(inputs, moved.reference)[None]
     onset = torch.from_numpy(np.where(moved.onset < 0, count, moved.onset)).to(inputs.device)
     corners = torch.from_numpy(triangles.astype(np.int64)).to(inputs.device)
-    areas, slopes = triangle_areas(reference, corners), triangle_slopes(reference, corners)
     begins = onset[corners].amax(1) if len(corners) else onset[:0]  # the frame in which a triangle touches as a whole
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
-        covariance = _tensor(inputs, moved.covariance(part))
-        gradient = triangle_gradients(reference, corners, _tensor(inputs, moved.displacement[part]))
-        strain = green_lagrange(gradient, settings.strain)
-        density = strain_energy_density(strain, *solid)
-        errors = strain_covariance(slopes, covariance[:, corners])  # (n, M, 3, 4) by corners
-        inside = torch.arange(part.start, part.stop, device=inputs.device)[:, None] >= begins
-        shares = _shares(inside, density.isfinite(), areas)
-        added = shares[..., None] * energy_of_noise(errors, *solid).nan_to_num(0.0)
-        of_noise = added.sum((1, 2), dtype=torch.float64)
-        energy = (shares * density.nan_to_num(0.0)).sum(1, dtype=torch.float64) - of_noise
-        # To first order by the forces at the points; of the noise's own energy, by what each point adds to it: its
-        # displacement has two components, and a sixth more comes from being stiffly joined to its neighbours. The
-        # forces that are measured have noise too, which adds twice that variance on average.
-        pulled = shares[..., None] * stress(strain, *solid).nan_to_num(0.0)
-        forces = torch.stack(
-            (
-                pulled[..., None, 0] * slopes[..., 0] + pulled[..., None, 2] * slopes[..., 1],
-                pulled[..., None, 1] * slopes[..., 1] + pulled[..., None, 2] * slopes[..., 0],
-                added,
-            ),
-            dim=-1,
+        found = triangle_strain(
+            reference,
+            corners,
+            _tensor(inputs, moved.displacement[part]),
+            _tensor(inputs, moved.covariance(part)),
+            torch.arange(part.start, part.stop, device=inputs.device)[:, None] >= begins,
+            measure=settings.strain,
+            young_modulus_mpa=settings.young_modulus_mpa,
+            poisson_ratio=settings.poisson_ratio,
         )
-        at_points = torch.zeros(len(strain), reference.shape[1], 3, device=inputs.device)
-        at_points.index_add_(1, corners.flatten(), forces.nan_to_num(0.0).flatten(1, 2))
-        x, y, own = at_points.unbind(-1)
-        linear = x * x * covariance[..., 0, 0] + 2 * x * y * covariance[..., 0, 1] + y * y * covariance[..., 1, 1]
-        of_itself = 7 / 6 * (own * own).sum(1, dtype=torch.float64)
-        variance = torch.maximum(linear.nan_to_num(0.0).sum(1, dtype=torch.float64) - of_itself, of_itself)
-        series.strain[part] = strain.cpu()
-        series.strain_std[part] = (errors.sum(2)[..., :3].clamp_min(0).sqrt() + 0 * strain).cpu()
-        series.density[part] = density.cpu()
-        series.energy[part] = energy.cpu() * settings.depth_mm
-        series.energy_std[part] = variance.sqrt().cpu() * settings.depth_mm
-    series.energy_std += 0 * series.energy
+        for name, values in found._asdict().items():
+            vars(series)[name][part] = values.cpu()
+    series.energy *= settings.depth_mm
+    series.energy_std *= settings.depth_mm
     # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
     nothing = contact.gross_area == 0
     series.energy[nothing] = series.energy_std[nothing] = 0.0
     return series
-
-
-def _shares(inside: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Area (n, M) by which each triangle counts in an integral over those that touch, ``inside`` (n, M).
-
-    Triangles that are not ``known`` are taken at the mean of the others; NaN where these are less than half of the
-    area, or where no triangle touches.
-    """
-    areas = areas.nan_to_num(0.0)
-    counted = (inside & known) * areas
-    touching, seen = (inside * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
-    return torch.where((seen > 0) & (seen >= touching / 2), counted * (touching / seen), torch.nan)
 
 
 def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: float) -> NDArray[np.float64]:
@@ -336,7 +301,7 @@ def _triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
         return np.zeros((0, 3), dtype=np.int32)
 
 
-def _tensor(inputs: Inputs, values: NDArray[np.float64]) -> Tensor:
+def _tensor(inputs: Inputs, values: NDArray[np.floating]) -> Tensor:
     return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(inputs.device)
 
 

@@ -1,0 +1,39 @@
+// Strain of triangles, frame by frame.
+#include <exception>
+
+#include "interface.h"
+#include "parallel.h"
+#include "triangle_strain_frame.h"
+#include "workspace.h"
+
+int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads) try {
+    using namespace fingerflow;
+    const std::int64_t points = given->point_count, count = given->triangle_count;
+    const Triangles triangles{count,
+                              points,
+                              given->corners,
+                              given->slopes,
+                              given->slopes + 3 * count,
+                              given->areas,
+                              given->flat,
+                              given->measure == 2 ? 0.0f : 0.5f,
+                              given->measure == 0 ? 0.5f : 0.0f,
+                              static_cast<float>(given->direct),
+                              static_cast<float>(given->between),
+                              static_cast<float>(given->shear)};
+    parallel_for(given->batch, threads, [&](std::int64_t number) {
+        const TriangleFrame frame{given->displacement + 2 * points * number,
+                                  given->covariance + 4 * points * number,
+                                  given->touching + count * number,
+                                  given->strain + 3 * count * number,
+                                  given->strain_std + 3 * count * number,
+                                  given->density + count * number,
+                                  given->energy + number,
+                                  given->energy_std + number};
+        const std::size_t bytes = static_cast<std::size_t>(triangle_memory(triangles)) * sizeof(float);
+        FINGERFLOW_PICK(strain_of_frame)(triangles, frame, static_cast<float*>(workspace(bytes)));
+    });
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}

@@ -1,0 +1,76 @@
+"""Strain and energy of triangles in many frames, beside the ops of a single gradient."""
+
+import pytest
+import torch
+
+from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.strain_uncertainty import strain_covariance
+from fingerflow.ops.triangle_strain import area_shares, triangle_strain
+from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_slopes
+
+# Two squares of 2 mm side by side, and a flat triangle.
+POINTS = torch.tensor([[[0.0, 0.0], [2, 0], [4, 0], [0, 2], [2, 2], [4, 2], [2, 0.01]]], dtype=torch.float64)
+TRIANGLES = torch.tensor([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [0, 2, 6]])
+
+
+def moved(batch: int) -> torch.Tensor:
+    return 0.1 * torch.randn(batch, 7, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
+def test_strain_density_and_energy_are_those_of_each_triangle(measure: str) -> None:
+    displacement = moved(3)
+    displacement[1, 5] = torch.nan
+    touching = torch.tensor([[True] * 5, [True] * 5, [True, True, False, False, True]])
+    exact = torch.zeros(3, 7, 2, 2, dtype=torch.float64)
+    found = triangle_strain(POINTS, TRIANGLES, displacement, exact, touching, measure=measure, young_modulus_mpa=2.0)
+    strain = green_lagrange(triangle_gradients(POINTS, TRIANGLES, displacement), measure)
+    density = strain_energy_density(strain, 2.0)
+    torch.testing.assert_close(found.strain, strain, equal_nan=True)
+    torch.testing.assert_close(found.density, density, equal_nan=True)
+    assert found.density[:, 4].isnan().all()
+    assert found.density[1].isnan().tolist() == [False, False, False, True, True]
+    shares = area_shares(touching, density.isfinite(), triangle_areas(POINTS, TRIANGLES))
+    torch.testing.assert_close(found.energy, (shares * density.nan_to_num(0.0)).sum(1))
+    assert (found.energy_std == 0).all()
+    assert (found.strain_std.nan_to_num(0.0) == 0).all()
+
+
+def test_deviations_are_those_of_many_copies() -> None:
+    """Small errors: 20,000 copies know a deviation to 0.5 %, and the mean of the energy to as much of it."""
+    draw = torch.Generator().manual_seed(2)
+    root = 1e-3 * torch.randn(7, 2, 2, generator=draw, dtype=torch.float64)
+    covariance = (root @ root.mT)[None]
+    copies = 20_000
+    errors = torch.randn(copies, 7, 2, generator=draw, dtype=torch.float64)[..., None, :] @ root.mT
+    touching = torch.ones(1, 5, dtype=torch.bool)
+    exact = moved(1)
+    stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, touching, measure="infinitesimal")
+    zero = torch.zeros_like(covariance)
+    true = triangle_strain(POINTS, TRIANGLES, exact, zero, touching, measure="infinitesimal")
+    found = triangle_strain(
+        POINTS,
+        TRIANGLES,
+        exact + errors[..., 0, :],
+        covariance.expand(copies, -1, -1, -1),
+        touching.expand(copies, -1),
+        measure="infinitesimal",
+    )
+    torch.testing.assert_close(found.strain.std(0)[:4], stated.strain_std[0, :4], rtol=0.02, atol=0)
+    assert float(found.energy.std()) == pytest.approx(float(stated.energy_std), rel=0.02)
+    assert float(found.energy.mean() - true.energy) == pytest.approx(0, abs=4 * float(stated.energy_std) / copies**0.5)
+    by_corners = strain_covariance(triangle_slopes(POINTS, TRIANGLES), covariance[:, TRIANGLES]).sum(2)
+    torch.testing.assert_close(stated.strain_std[0, :4] ** 2, by_corners[0, :4, :3])
+
+
+def test_nothing_touches_or_there_is_none() -> None:
+    found = triangle_strain(
+        POINTS, TRIANGLES, moved(2), torch.zeros(2, 7, 2, 2, dtype=torch.float64), torch.zeros(2, 5).bool()
+    )
+    assert found.energy.isnan().all()
+    assert found.energy_std.isnan().all()
+    none = triangle_strain(
+        POINTS, TRIANGLES[:0], moved(2), torch.zeros(2, 7, 2, 2, dtype=torch.float64), torch.zeros(2, 0).bool()
+    )
+    assert none.strain.shape == (2, 0, 3)
+    assert (none.energy == 0).all()
