@@ -7,6 +7,7 @@
 #include <cstddef>
 
 #include "floats.h"
+#include "lanes.h"
 #include "patches.h"
 #include "template_windows.h"
 #include "tracking_limits.h"
@@ -296,6 +297,7 @@ public:
             Vector guess{place.x + speed.x, place.y + speed.y};
             const std::int64_t image = step * all_.batch + batch;
             Look look = not_given(guess);
+            if (step + 1 < all_.steps) fetch(image + all_.batch, guess);
             if (is_finite(start) && is_finite(guess))
                 for (int round = 0; round < all_.rounds; ++round) {
                     look = this->look(image, guess);
@@ -353,6 +355,24 @@ private:
         all_.status[place] = static_cast<unsigned char>(look.status);
         all_.estimate[2 * place] = look.estimate.x;
         all_.estimate[2 * place + 1] = look.estimate.y;
+    }
+
+    // The pixels of the next frame, on their way while this one is looked at.
+    void fetch(std::int64_t image, Vector guess) const {
+        if (!is_finite(guess)) return;
+        const Frames& frames = all_.frames;
+        const int side = n_ + 2 * kBeyond + 2;
+        const auto half = static_cast<float>(side / 2);
+        const std::int64_t left = pixel_of(guess.x - half, frames.width, side), top = pixel_of(guess.y - half, frames.height, side);
+        if (left < 0 || top < 0 || left + side > frames.width || top + side > frames.height) return;
+        const auto rows = [&](const auto* data) {
+            const auto* row = data + image * frames.frame_stride + top * frames.row_stride + left;
+            for (int r = 0; r < side; ++r, row += frames.row_stride) {
+                FINGERFLOW_PREFETCH(row);
+                FINGERFLOW_PREFETCH(row + side - 1);
+            }
+        };
+        FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, rows)
     }
 
     Look look(std::int64_t image, Vector guess) {

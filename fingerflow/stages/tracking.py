@@ -137,9 +137,12 @@ class TrackingStage:
             start = self._templates.start
             deform = partial(self._deformation, start, lean=lean_of(self._templates), inverse_warp=self._inverse_warp)
             deformed = deform(found=found.points)
-            if _may_disagree(found, deformed.expected):
-                found = self._agreement(self._neighbours, start, found)
-                deformed = deform(found=found.points)
+            if len(suspect := _may_disagree(found, deformed.expected)):
+                some = Found._make(one[suspect] for one in found)
+                judged = self._agreement(self._neighbours, start, some)
+                if not torch.equal(judged.status, some.status):
+                    found = Found._make(one.index_copy(0, suspect, new) for one, new in zip(found, judged, strict=True))
+                    deformed = deform(found=found.points)
             found = found._replace(points=deformed.points)
             # One that is lost, or elsewhere, is looked for where its neighbours are.
             astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
@@ -259,12 +262,13 @@ class TrackingStage:
         return covered(excess, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
 
 
-def _may_disagree(found: Found, expected: Tensor) -> bool:
-    """Whether any point is far enough from where its neighbours expect it, or uncertain enough, to be looked at: what
-    `find_outliers` marks is further off, and mostly there is nothing."""
-    off = (found.points - expected).square().sum(-1)
-    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, found.variance))
-    return bool(((off > _FAR**2 * usual) | (found.variance > _UNSURE**2 * usual_variance)).any())
+def _may_disagree(found: Found, expected: Tensor) -> Tensor:
+    """Numbers (k,) of the frames in which a point is far enough from where its neighbours expect it, or uncertain
+    enough, to be looked at: what `find_outliers` marks is further off, and mostly there is nothing."""
+    variance = found.variance
+    off = (found.points - expected).square().sum(-1) / variance
+    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))
+    return ((off > _FAR**2 * usual) | (variance > _UNSURE**2 * usual_variance)).any(1).nonzero().squeeze(1)
 
 
 def _last_seen(points: Tensor, before: Tensor) -> Tensor:

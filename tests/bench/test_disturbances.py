@@ -8,26 +8,13 @@ import pytest
 from bench.rows import Row, number
 from bench.suites import disturbances
 
-#: What did not hold when this was written.
-_FAILS = {
-    "flicker of the contact view": "the threshold is a share of the light of the empty glass",
-    "flicker of the topography": "the tracker takes the light for constant by default",
-    "flicker of both": "both",
-}
-
 
 @cache
 def rows() -> Mapping[str, Row]:
     return {str(row["disturbance"]): row for row in disturbances.run(quick=True)}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(reason=_FAILS[name])) if name in _FAILS else name
-        for name in disturbances.DISTURBANCES
-    ],
-)
+@pytest.mark.parametrize("name", disturbances.DISTURBANCES)
 def test_nothing_wrong_and_nearly_as_good(name: str) -> None:
     """24 frames, in which skin moves by 0.8 px a frame: 0.033 px without a disturbance."""
     row = rows()[name]
