@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
-from fingerflow.ops.tracking_limits import NUMBERS
+from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
 _INTERFACE = 16  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
@@ -28,7 +28,6 @@ LARGEST_CORNER_WINDOW = 15
 CELLS = (1, 2, 4, 8)
 WIDEST_MOMENTS = (1 << 16) - 1
 COUNTED_DTYPES = (torch.uint8, torch.uint16)
-TABLE = 75  # numbers of a template's table
 
 _log = logging.getLogger(__name__)
 

@@ -8,11 +8,10 @@
 
 #include "floats.h"
 #include "patches.h"
+#include "tracking_limits.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
-
-constexpr int kBeyond = 2;  // px of a wide window around its window, and of a patch of coefficients that a shift of 1 px needs
 
 struct Vector {
     float x, y;

@@ -17,7 +17,7 @@ namespace FINGERFLOW_ISA {
 namespace {
 
 constexpr float kTiny = 1e-20f;
-constexpr int kShifts = 2 * kBeyond + 1, kSquare = kShifts * kShifts, kTable = 3 * kSquare;
+constexpr int kShifts = 2 * kBeyond + 1, kSquare = kShifts * kShifts;
 
 // --- preparation --------------------------------------------------------------------------------------------------------
 

@@ -34,7 +34,7 @@ def follow_templates(
     *,
     rounds: int,
     forward_backward_limit: float = 1.0,
-    mismatch_limit: float = 0.05,
+    mismatch_limit: float = limits.MISMATCH_SHARE,
 ) -> Followed:
     """Finds the templates of N points (B = 1) in K frames, one after the other.
 

@@ -32,25 +32,6 @@ def spline_coefficients(images: Tensor) -> Tensor:
     return (x[..., :-2] + 2 * x[..., 1:-1] + x[..., 2:]) / 16
 
 
-def spline_basis(x: Tensor, order: int) -> Tensor:
-    """The centred B-spline of ``order`` 1 or 3 at ``x`` (any shape, px); zero beyond ``(order + 1) / 2`` px."""
-    distance = x.abs()
-    if order == 1:
-        return (1 - distance).clamp_min(0)
-    # In truncated powers: b3(r) = ((2 - r)+^3 - 4 (1 - r)+^3) / 6.
-    return ((2 - distance).clamp_min(0) ** 3 - 4 * (1 - distance).clamp_min(0) ** 3) / 6
-
-
-def spline_basis_derivative(x: Tensor, order: int) -> Tensor:
-    """The derivative of :func:`spline_basis` (1/px); for order 1 the mean of both slopes at the knots."""
-    distance = x.abs()
-    if order == 1:
-        return -torch.sign(x) * ((distance < 1).to(x.dtype) + 0.5 * (distance == 1).to(x.dtype))
-    # The inner branch is free of sign(x), whose derivative would be lost at the knot that every integer position is.
-    outer = -torch.sign(x) * (2 - distance).clamp_min(0) ** 2 / 2
-    return torch.where(distance < 1, x * (1.5 * distance - 2), outer)
-
-
 def spline_weights(fraction: Tensor, order: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Weights of the ``order + 1`` coefficients around a position, for the value and for the derivative.
 

@@ -39,11 +39,10 @@ from fingerflow.ops.spline_windows import (
     taps_and_slopes,
 )
 from fingerflow.ops.tensors import components_first, finite, sum_rows
-from fingerflow.ops.tracking_limits import Number, TrackStatus
+from fingerflow.ops.tracking_limits import BEYOND, Number, TrackStatus
 from fingerflow.ops.windows import sample_windows
 
-_BEYOND = 2  # whole shifts of the table on either side, and so many samples more than the window around it
-_SHIFTS = 2 * _BEYOND + 1
+_SHIFTS = 2 * BEYOND + 1
 _QUARTIC = (
     (0, 2 / 24, -1 / 24, -2 / 24, 1 / 24),
     (0, -16 / 24, 16 / 24, 4 / 24, -4 / 24),
@@ -157,7 +156,7 @@ def prepare_templates(
         return _of_spline(spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding)
     known = finite(given).all(-1, keepdim=True)
     place = torch.where(known, given, 0.0)
-    sampled = _straight(image, place, window + 2 * _BEYOND)
+    sampled = _straight(image, place, window + 2 * BEYOND)
     return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
@@ -183,7 +182,7 @@ def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int
     place = torch.where(known, given, 0.0)
     batch, count = place.shape[:2]
     image_index = torch.arange(batch, device=place.device)[:, None].expand(batch, count).flatten()
-    wide = window + 2 * _BEYOND
+    wide = window + 2 * BEYOND
     sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), wide, 3, inverse.flatten(0, 1))
     return _from_samples(sampled, place, known, coefficients, **settings)
 
@@ -201,8 +200,8 @@ def _from_samples(
     """Templates of places (B, N, 2), known or not, from (P, wide, wide) values and (P, 2, wide, wide) slopes."""
     value, along = sampled
     batched = place.shape[:2]
-    window = value.shape[-1] - 2 * _BEYOND
-    inner = (..., slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
+    window = value.shape[-1] - 2 * BEYOND
+    inner = (..., slice(BEYOND, -BEYOND), slice(BEYOND, -BEYOND))
     level = value[inner].mean((1, 2), keepdim=True)
     value = value - level
     own, slope = value[inner].flatten(1), along[inner].flatten(2)
@@ -230,7 +229,7 @@ def find_templates(
     *,
     rounds: int = 1,
     forward_backward_limit: float = 1.0,
-    mismatch_limit: float = 0.05,
+    mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Found:
     """Finds templates in a frame, each near its prediction.

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops import tracking_limits as limits
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.search import search_windows
@@ -26,7 +27,6 @@ from fingerflow.ops.templates import (
 from fingerflow.ops.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.windows import sample_windows
 
-MISMATCH_LIMIT = 0.05
 ROUNDS = 5  # tables a point may use up before it counts as not found
 # Windows over which the deformation of a template is taken to be uniform: fewer follow shorter waves (`python -m bench
 # dic`).
@@ -63,15 +63,14 @@ def track_points(
     gain_offset: bool = True,
     search: int = 8,
     forward_backward_limit: float = 1.0,
-    mismatch_limit: float = MISMATCH_LIMIT,
+    mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
 ) -> Tracks:
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
     `prepare_templates` and `find_templates`, one after the other. A second pass deforms the templates by the gradient
-    of the motion that the first has found. Gradients flow to the
-    images and to ``points`` through ``points`` of the result (implicit differentiation, first order); error, covariance
-    and status carry none.
+    of the motion that the first has found. Gradients flow to the images and to ``points`` through ``points`` of the
+    result (implicit differentiation, first order); error, covariance and status carry none.
 
     Args:
         previous: (B, 1, H, W), 8 to 16 bit or floating.

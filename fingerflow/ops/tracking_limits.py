@@ -41,6 +41,13 @@ class Number(IntEnum):
 
 NUMBERS = 24
 
+# Whole shifts of a template's table on either side, and so many samples more than the window around it; its numbers.
+BEYOND = 2
+TABLE = 3 * (2 * BEYOND + 1) ** 2
+
+# Share of a template's variance, noise discounted, that a match may leave unexplained.
+MISMATCH_SHARE = 0.05
+
 # A window has texture in every direction if its weaker gradient energy is this many times what noise alone gives it.
 TEXTURE_TO_NOISE = 2.0
 # The same against the mean of both directions: rounding gives a grating a second one.
