@@ -145,7 +145,7 @@ WAITS = {
     "key with warps": _ONE_BY_ONE,
     "fields and medians": _BROUGHT,
     **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
-    **{f"{recipe} {name}": _ONE_BY_ONE for recipe in RECIPES for name in ("key", "renew")},
+    **{f"{recipe} renew": _ONE_BY_ONE for recipe in RECIPES},
 }
 NOT_COMPILED = {
     "exact contact": "the network of a median is planned while it is traced",

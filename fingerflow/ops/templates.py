@@ -43,13 +43,6 @@ from fingerflow.ops.tracking_limits import BEYOND, Number, TrackStatus
 from fingerflow.ops.windows import sample_windows
 
 _SHIFTS = 2 * BEYOND + 1
-_QUARTIC = (
-    (0, 2 / 24, -1 / 24, -2 / 24, 1 / 24),
-    (0, -16 / 24, 16 / 24, 4 / 24, -4 / 24),
-    (1, 0, -30 / 24, 0, 6 / 24),
-    (0, 16 / 24, 16 / 24, -4 / 24, -4 / 24),
-    (0, -2 / 24, -1 / 24, 2 / 24, 1 / 24),
-)
 _TINY = 1e-20
 ROUNDING = 1 / 12  # variance that whole grey levels have against the light
 
@@ -515,18 +508,23 @@ def _first_look(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, sh
     """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
     cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
     value, gradient = wanted[:, :1], wanted[:, 1:]
-    # By powers of the shift, the weights of the values at -2 to 2 for the quartic through them (Lagrange).
-    quartic = torch.tensor(_QUARTIC, dtype=table.dtype, device=table.device)
     for _ in range(limits.LOOK_STEPS):
-        square = shift * shift
-        powers = torch.stack((torch.ones_like(shift), shift, square, square * shift, square * square), dim=2)
-        x, y = (quartic @ powers).unbind(1)  # (B, 5, N)
+        x, y = _between(shift).unbind(1)  # (B, 5, N)
         weights = (y[:, :, None] * x[:, None]).flatten(1, 2)
         *at, own = sum_rows(cells * weights[:, None]).squeeze(2).split((2, 1), dim=1)
         ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
         shift = shift - _symmetric(inverse, at[0] - gradient / torch.where(free > 0, ratio, 1.0))
         shift = shift.clamp(-limits.LOOK_REACH, limits.LOOK_REACH)
     return shift
+
+
+def _between(shift: Tensor) -> Tensor:
+    """Weights (B, 2, 5, N) of the values at -2 to 2 for the quartic through them at shifts (B, 2, N) (Lagrange)."""
+    square = shift * shift
+    beyond, beside = square - 4, square - 1
+    inner, outer = beyond * shift / -6, beside * shift / 24
+    values = (outer * (shift - 2), inner * (shift - 1), beside * beyond / 4, inner * (shift + 1), outer * (shift + 2))
+    return torch.stack(values, dim=2)
 
 
 def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:

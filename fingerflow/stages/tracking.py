@@ -46,6 +46,7 @@ GIVES = frozenset(
 _CORNER_PX = 5  # a corner must be local; averaged over a tracking window few are left apart
 _FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
+_FASTEST_PX = 0.2  # that the edges of windows may change by until then
 
 
 @dataclass
@@ -197,7 +198,7 @@ class TrackingStage:
             much = much.index_fill(1, chosen, False)
         half, frames = self._settings.window_px // 2, self._followed - self._looked
         fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
-        self._at_once = 2 ** int(math.log2(min(max(RENEWAL_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE)))
+        self._at_once = 2 ** int(math.log2(min(max(_FASTEST_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE)))
         self._warp, self._looked = warp, self._followed
         changed = first_of(much, exactly=self._templates.pixels is None)[0] if much.any() else None
         self._to_renew = None if changed is None else (changed, warp[:, changed])
