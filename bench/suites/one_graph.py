@@ -1,11 +1,12 @@
 """The shipped press as `fingerflow simulate press` writes it: `process`, and each recipe of `export/` in the player.
 
 The player gets the scene as it is, and so measures the threshold while the contact grows, where `process` takes that of
-the frame with most of it; and it chooses points of its own, from the whole view. Differences are the largest of all
-frames with 5 mm2 of gross contact and more: areas as a share of those of `process`, the median divergence in 1e-3 (um
-a mm). `same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe: at
-another pace (`rate_hz`, none: as fast as it goes), or with two frames side by side. `error` is the largest difference
-of the median divergence to the truth, in the same unit; that of `process` stands in the first row.
+the frame with most of it; and it chooses points of its own, from `[stream] region`. Differences are the largest of all
+frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a share of those of
+`process`, the median divergence in 1e-3 (um a mm). `same` says whether every number of every frame equals, bit for bit,
+that of the first run of the recipe: at another pace (`rate_hz`, none: as fast as it goes), or with two frames side by
+side. `error` is the largest difference of the median divergence to the truth, in the same unit; that of `process`
+stands in the first row.
 """
 
 import tempfile
@@ -67,6 +68,7 @@ def run(quick: bool) -> list[Row]:
     return rows
 
 
-def _largest(differences: Any, counted: np.ndarray) -> float:
-    """Infinite where one is not known that counts."""
-    return float(np.nan_to_num(np.abs(np.asarray(differences)[counted]), nan=np.inf).max())
+def _largest(differences: Any, counted: np.ndarray) -> float | None:
+    """None where one is not known that counts."""
+    largest = float(np.abs(np.asarray(differences)[counted]).max())
+    return largest if np.isfinite(largest) else None
