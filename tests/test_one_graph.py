@@ -108,7 +108,6 @@ def test_points_are_equal(said: Said) -> None:
     # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
     for deviation in (said.onnx["position_std_px"].values[1:], said.live["deviation"][1:, :count]):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
-        print(np.mean(off > 0.01))
         assert np.mean(off > 0.01) < 0.05
 
 
