@@ -1155,8 +1155,10 @@ class Renewal:
             raise
         return True
 
-    def templates(self) -> dict[str, Array]:
-        """Arrays (1, rows, ...) by the names of what is held, when all pieces are done."""
+    def templates(self, prepared: Callable[[Array, Array], dict[str, Array]]) -> dict[str, Array]:
+        """Arrays (1, rows, ...) by the names of what is held, when all pieces are done: those left, by the caller."""
+        while self.prepare_piece(prepared):
+            pass
         done = [piece.result() for piece in self._pieces]
         return {name: np.concatenate([one[name] for one in done], axis=1) for name in done[0]}
 
@@ -1784,7 +1786,7 @@ class Player:
         due = self._renewals and index >= self._renewals[0].due
         if change is None and threshold is None and not due:
             return True
-        templates = self._renewed_templates() if due else {}
+        templates = self._renewals[0].work.templates(self._stepper.prepared) if due else {}
         if not self._order.wait_for_all():  # they read what changes now
             return False
         if threshold is not None:
@@ -1800,12 +1802,6 @@ class Player:
             self._change = None
             self._free.put(change.key)
         return True
-
-    def _renewed_templates(self) -> dict[str, Array]:
-        work = self._renewals[0].work
-        while work.prepare_piece(self._stepper.prepared):
-            pass
-        return work.templates()
 
     def _choose(self, index: int, change: _Change) -> None:
         """Takes new points where they are more than those that are followed."""
@@ -1853,7 +1849,7 @@ class Player:
 
     def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
         key = self.restarts + self.keys
-        under_way = [one.work.rows for one in self._renewals if one.key == key and one.due > index]
+        under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:
             self._renewals.append(_Renewing(index + 1 + _RENEWAL_FRAMES, key, work))

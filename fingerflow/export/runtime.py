@@ -141,22 +141,21 @@ class _Executed:
             # What goes through as it is would be an output that has the name of an input.
             same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
             leaves.through = [place is not None for place in same]
-            result = [leaf if place is None else place for leaf, place in zip(result, same, strict=True)]
-            count = sum(isinstance(one, Tensor) for one in result)
+            count = sum(isinstance(leaf, Tensor) and place is None for leaf, place in zip(result, same, strict=True))
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
-            self._sessions[key] = session, result, result_structure
+            # Of what is computed only that it is a tensor is kept, not its memory.
+            plain_leaves = [None if isinstance(leaf, Tensor) else (leaf,) for leaf in result]
+            self._sessions[key] = session, list(zip(plain_leaves, same, strict=True)), result_structure
         session, result, result_structure = self._sessions[key]
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
         known = {one.name for one in session.get_inputs()}  # what is not used is not among them
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
-        joined = [
-            torch.from_numpy(next(found))
-            if isinstance(one, Tensor)
-            else tensors[one]
-            if isinstance(one, int) and not isinstance(one, bool)
-            else one
-            for one in result
-        ]
+        joined = []
+        for value, place in result:
+            if place is not None:
+                joined.append(tensors[place])
+            else:
+                joined.append(torch.from_numpy(next(found)) if value is None else value[0])
         return tree.tree_unflatten(joined, result_structure)
 
 

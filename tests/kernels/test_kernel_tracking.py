@@ -289,7 +289,7 @@ def test_compiled_templates_are_found_portably() -> None:
         found = find_templates(kept, frames[1], starts())
     same(Tracks(*found[:4]), Tracks(*expected[:4]))
     without_memory = find_templates(
-        type(kept)(*[None if one is None else one.to("meta") for one in kept]),  # type: ignore[arg-type]
+        kept._make(None if one is None else one.to("meta") for one in kept),
         frames[1].to("meta"),
         starts().to("meta"),
     )
