@@ -19,7 +19,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
-_INTERFACE = 16  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 17  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31

@@ -32,7 +32,7 @@ FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::
 
 // Templates of points of images prepared, and found in frames, as fingerflow/ops/templates.py describes; all float32 and
 // contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
-// samples (P, 3, window, window), table (P, 75), numbers (P, 24); variance one an image or frame. Frames are (steps, batch):
+// samples (P, 3, window, window), table (P, 75), numbers (P, 34); variance one an image or frame. Frames are (steps, batch):
 // points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
 // those after the last frame; results are (steps, batch x points, ...).
 FINGERFLOW_EXPORT int fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,

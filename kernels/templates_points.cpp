@@ -177,10 +177,43 @@ private:
             numbers[kLean + i] = lean.x;
             numbers[kLean + 4 + i] = lean.y;
         }
+        bend(sum_of + 7, numbers);
         const Matrix spread = inverse * (energy_of_pixels() * inverse);
         numbers[kCovarianceXx] = spread.xx;
         numbers[kCovarianceXy] = spread.xy;
         numbers[kCovarianceYy] = spread.yy;
+    }
+
+    // What a deformation leaves in the residual: the products of the four ways in which it bends the window, less the parts that
+    // gain, offset and a shift take up. `pushing` are the eight sums of gx and gy times them.
+    void bend(const float* pushing, float* numbers) const {
+        Floats of[whole_floats(18)] = {};
+        for (int k = 0; k < steps(); k += kFloats) {
+            const Floats value = load(of_[0] + k), slope_x = load(slope_[0] + k), slope_y = load(slope_[1] + k);
+            const Floats right = load(right_ + k), down = load(down_ + k);
+            const Floats bent[4] = {slope_x * right, slope_x * down, slope_y * right, slope_y * down};
+            int at = 0;
+            FINGERFLOW_UNROLL
+            for (int i = 0; i < 4; ++i) {
+                of[10 + i] += bent[i];
+                of[14 + i] += bent[i] * value;
+                FINGERFLOW_UNROLL
+                for (int j = i; j < 4; ++j) of[at++] += bent[i] * bent[j];
+            }
+        }
+        float sum_of[whole_floats(18)];
+        sums(of, sum_of);
+        const float* const mean = sum_of + 10;
+        const float* const like = sum_of + 14;
+        const bool free = all_.gain_offset != 0;
+        const float some = energy_ < kTiny ? kTiny : energy_;
+        int at = 0;
+        for (int i = 0; i < 4; ++i)
+            for (int j = i; j < 4; ++j, ++at) {
+                const float taken = free ? mean[i] * mean[j] / count() + like[i] * like[j] / some : 0.0f;
+                const float shifted = pushing[i] * numbers[kLean + j] + pushing[4 + i] * numbers[kLean + 4 + j];
+                numbers[kBending + at] = (i == j ? 1.0f : 2.0f) * (sum_of[at] - taken - shifted);
+            }
     }
 
     // Sums of the products of what gx and gy are as weights of the pixels: [1 4 1] / 6 of the spline at a whole place, [1 2 1] / 4

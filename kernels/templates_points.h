@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), table (P, 75), numbers (P, 24).
+// As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), table (P, 75), numbers (P, 34).
 struct TemplatesToPrepare {
     Frames image;
     std::int64_t points_an_image;

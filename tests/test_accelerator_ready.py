@@ -25,6 +25,7 @@ from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph,
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.templates import Found
+from fingerflow.ops.tracking_limits import NUMBERS
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -91,7 +92,9 @@ def steps() -> dict[str, Step]:
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
         "agreement": step(AgreementGraph(), neighbours, alone_points(2), found_points),
-        "deformation": step(DeformationGraph(11), alone_points(2), points(2), alone_points(2, 4), alone_points(2, 2)),
+        "deformation": step(
+            DeformationGraph(11), alone_points(2), found_points, alone_points(NUMBERS), alone_points(2, 2)
+        ),
         "fields": step(FieldsGraph(30.0), points(2), points(2), points(2, 2)),
         "fields and medians": step(FieldsGraph(30.0), points(2), points(2), points(2, 2), ellipse),
     }

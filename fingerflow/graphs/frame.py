@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.graphs.fields import FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
-from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph, lean_of
+from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.plane_fit import Support
@@ -116,9 +116,10 @@ class FollowGraph(nn.Module):
         templates, inverse_warp = held.prepared.templates(), held.prepared.template_inverse_warp
         support = Support(held.neighbours_weights, held.neighbours_within)
         found = self.track(templates, topography_view, prediction)
-        deformed = self.deformation(templates.start, found.points, lean_of(templates), inverse_warp, support)
+        deformed = self.deformation(templates.start, found, templates.numbers, inverse_warp, support)
         stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)
-        return Followed(deformed.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale)
+        found = deformed.found
+        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale)
 
 
 class FrameResult(NamedTuple):

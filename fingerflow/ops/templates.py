@@ -55,7 +55,7 @@ class Templates(NamedTuple):
         samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
         table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row
             by row.
-        numbers: (B, N, 24), see :class:`~fingerflow.ops.tracking_limits.Number`.
+        numbers: (B, N, 34), see :class:`~fingerflow.ops.tracking_limits.Number`.
         pixels: (B, N, 3, m m), m = n + 6, the samples as weights of the pixels around a window at a whole pixel; None
             where the compiled twin has prepared them, which does without.
     """
@@ -199,9 +199,10 @@ def _from_samples(
     value = value - level
     own, slope = value[inner].flatten(1), along[inner].flatten(2)
     gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
-    numbers = _numbers(own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding)
+    numbers = _numbers(
+        own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
+    )
     numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(value.dtype)
-    numbers[:, Number.GAIN] = float(gain_offset)
     samples = torch.cat((own[:, None], gradient), dim=1)
     pixels = onto_pixels(samples.unflatten(2, (window, window)), window).flatten(2)
     numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = _covariance_of_noise(numbers, pixels)
@@ -360,7 +361,13 @@ def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
 
 
 def _numbers(
-    value: Tensor, slope: Tensor, gradient: Tensor, level: Tensor, variance: Tensor, rounding: float
+    value: Tensor,
+    slope: Tensor,
+    gradient: Tensor,
+    level: Tensor,
+    variance: Tensor,
+    rounding: float,
+    gain_offset: bool,
 ) -> Tensor:
     samples = value.shape[1]
     xx, xy, yy = ((gradient[:, i] * gradient[:, j]).sum(1) for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -376,9 +383,15 @@ def _numbers(
     side = round(samples**0.5)
     offset = torch.arange(side, dtype=value.dtype, device=value.device) - side // 2
     right, down = offset.repeat(side), offset.repeat_interleave(side)
-    # By i and m of E_im w_m: sum g_j slope_i w_m.
+    # By i and m of E_im w_m: what E adds to the window, slope_i w_m. A shift takes up a part, H^-1 sum g_j slope_i w_m,
+    # gain and offset another one; the rest stays in the residual.
     bent = torch.stack((slope[:, 0] * right, slope[:, 0] * down, slope[:, 1] * right, slope[:, 1] * down), dim=1)
-    lean = inverse @ gradient @ bent.transpose(1, 2)
+    if gain_offset:
+        bent = _without_gain_and_offset(value, bent)
+    pushing = gradient @ bent.transpose(1, 2)
+    lean = inverse @ pushing
+    bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean
+    bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair stands for two
     blank = gradient.sum(2) * level[:, None]
     constant = (gradient @ value[..., None]).squeeze(2)
     ones = torch.ones_like(level)
@@ -386,9 +399,10 @@ def _numbers(
         (
             torch.stack((inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], (value * value).sum(1), level), dim=1),
             *(blank, constant),
-            torch.stack((variance, textured.to(value.dtype), ones, ones), dim=1),
+            torch.stack((variance, textured.to(value.dtype), ones, ones * float(gain_offset)), dim=1),
             lean.flatten(1),
             ones[:, None].expand(-1, 3),
+            *(bending[:, k, k:] for k in range(4)),
         ),
         dim=1,
     )
@@ -492,7 +506,7 @@ def _look(
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
     lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
-    spread = numbers[:, Number.COVARIANCE_XX :]
+    spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
     estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
     return Found(

@@ -37,9 +37,10 @@ class Number(IntEnum):
     COVARIANCE_XX = 21  # of a position, px^2, for white noise of variance 1 in the pixels of one image
     COVARIANCE_XY = 22
     COVARIANCE_YY = 23
+    BENDING = 24  # ten: of what E leaves in the residual, grey levels^2, by xx xx, xx xy, ... yx yy, yy yy
 
 
-NUMBERS = 24
+NUMBERS = 34
 
 # Whole shifts of a template's table on either side, and so many samples more than the window around it; its numbers.
 BEYOND = 2

@@ -18,7 +18,6 @@ from fingerflow.graphs.track import (
     AgreementGraph,
     DeformationGraph,
     TrackGraph,
-    lean_of,
     merged,
 )
 from fingerflow.ops.cells import covered
@@ -136,15 +135,15 @@ class TrackingStage:
         found, self._place, self._speed = followed
         if self._settings.template == "keyframe":
             start = self._templates.start
-            deform = partial(self._deformation, start, lean=lean_of(self._templates), inverse_warp=self._inverse_warp)
-            deformed = deform(found=found.points)
+            deform = partial(self._deformation, start, numbers=self._templates.numbers, inverse_warp=self._inverse_warp)
+            deformed = deform(found=found)
             if len(suspect := _may_disagree(found, deformed.expected)):
                 some = Found._make(one[suspect] for one in found)
                 judged = self._agreement(self._neighbours, start, some)
                 if not torch.equal(judged.status, some.status):
                     found = Found._make(one.index_copy(0, suspect, new) for one, new in zip(found, judged, strict=True))
-                    deformed = deform(found=found.points)
-            found = found._replace(points=deformed.points)
+                    deformed = deform(found=found)
+            found = deformed.found
             # One that is lost, or elsewhere, is looked for where its neighbours are.
             astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
             self._place = torch.where(astray, deformed.expected[-1:], self._place)
