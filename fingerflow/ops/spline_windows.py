@@ -17,17 +17,19 @@ TAPS = 5
 def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> Tensor:
     """Pixels (P, side, side) of views (B, 1, H, W) around whole pixels (B, 2, N), x first; P = B N, side = size + 6.
 
-    Pixels beyond the border repeat the border.
+    Pixels beyond the border repeat the border; a window that would reach farther than they do is moved inwards.
     """
-    height, width = view.shape[-2:]
     side = size + 2 * MARGIN
-    steps = torch.arange(side, device=view.device, dtype=center.dtype) - side // 2
-    # Whole numbers before they are paired: there are a window's side as many of them after.
-    column = (center[:, 0, :, None] + steps).clamp(0, width - 1).to(torch.int64)
-    row = (center[:, 1, :, None] + steps).clamp(0, height - 1).to(torch.int64) * width
-    index = row[..., None] + column[..., None, :]
     # Bytes are gathered as they are, a quarter of the memory; torch gathers no uint16.
-    plane = view if view.dtype == torch.uint8 else view.to(dtype)
+    border = max(MARGIN + 2, side - min(view.shape[-2:]))  # found inside, a window may stand beside a pixel outside
+    plane = _bordered(view if view.dtype == torch.uint8 else view.to(dtype), border)
+    height, width = plane.shape[-2:]
+    column, row = (center + (border - side // 2)).split(1, dim=1)
+    first = row.clamp(0, height - side) * width + column.clamp(0, width - side)
+    # One number a window, and one a pixel of it: the sums of pairs of rows and columns take runtimes three times as long.
+    steps = torch.arange(side, device=view.device)
+    pixel = (steps[:, None] * width + steps).flatten()
+    index = first.to(torch.int64).transpose(1, 2) + pixel
     return plane.flatten(1).gather(1, index.flatten(1)).to(dtype).reshape(-1, side, side)
 
 
@@ -47,9 +49,9 @@ def along_y(weights: Tensor, size: int) -> Tensor:
     """(..., size, side): from the pixels of a column to the spline on a window, for taps (..., 5) of the shift in y."""
     side = size + 2 * MARGIN
     # Lines of a band that are a place longer than the matrix: laid end to end, each begins a place later in its row.
-    line = functional.pad(weights @ _smoothed(weights), (0, side + 1 - TAPS - 2))
-    repeated = line[..., None, :].expand(*line.shape[:-1], size, side + 1).flatten(-2)
-    return repeated[..., : size * side].unflatten(-1, (size, side))
+    line = functional.pad(_smoothed(weights), (0, side + 1 - TAPS - 2))
+    bands = line[:, None].expand(TAPS, size, side + 1).flatten(1)[:, : size * side]
+    return (weights @ bands).unflatten(-1, (size, side))
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:
@@ -81,3 +83,13 @@ def _distances(beside: Tensor) -> tuple[Tensor, Tensor]:
 
 def _values(u: Tensor, v: Tensor) -> Tensor:
     return (u * u * u - 4 * v * v * v) / 6
+
+
+def _bordered(view: Tensor, border: int) -> Tensor:
+    """A view (B, 1, H, W) of any number type with its border repeated (B, 1, H + 2 border, W + 2 border)."""
+    for dim in (2, 3):
+        ends = view.narrow(dim, 0, 1), view.narrow(dim, view.shape[dim] - 1, 1)
+        shape = [border if k == dim else -1 for k in range(4)]
+        before, after = (end.expand(shape) for end in ends)
+        view = torch.cat((before, view, after), dim=dim)
+    return view
