@@ -209,7 +209,7 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
     weighted = (turned[..., None] * inverse[:, :, None, None]).sum(-2) * (share / fit.mass).mT[..., None, None]
     at_centroid = (weighted * fit.centroid.mT[:, :, None, None]).sum(-1, keepdim=True)
     columns = torch.cat((weighted, at_centroid), dim=-1).flatten(2).mT  # (B, 30, Q)
-    sums = (columns @ fit.weights.mT).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
+    sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
     return (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
 
 

@@ -15,14 +15,15 @@ MINIMUM_POINTS = 5
 # cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points fall below it.
 MINIMUM_SPREAD = 0.1
 _TINY = 1e-20
+_ONE = 2.0**-60  # what counts as one: less than any number that is not 0 here, so that clamping makes it of them all
 
 
 class Support(NamedTuple):
     """What N points and Q queries say of fits, whatever the values; lengths in radii of the support.
 
     Attributes:
-        weights: (1 or B, N, Q), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
-        within: (1 or B, N, Q), 1 within it, else 0.
+        weights: (1 or B, Q, N), (1 - (r/R)^2)^2 of all points at all queries, 0 beyond the radius R.
+        within: (1 or B, Q, N), `_ONE` within it, else 0.
     """
 
     weights: Tensor
@@ -60,9 +61,9 @@ def support_of(places: Tensor, queries: Tensor) -> Support:
     norm, asked_norm = sum_rows(places * places), sum_rows(queries * queries)
     support = torch.cat((2 * places, -torch.ones_like(norm), 1 - norm), dim=1)
     asked = torch.cat((queries, asked_norm, torch.ones_like(asked_norm)), dim=1)
-    near = (support.mT @ asked).clamp_min(0)
-    # Times so much that 1 is exceeded wherever it is not 0: a third of the time of its sign.
-    return Support(near * near, (near * 1e30).clamp_max(1))
+    near = asked.mT @ support
+    inside = near.clamp_min(0)
+    return Support(inside * inside, inside.clamp_max(_ONE))
 
 
 def fit_planes(
@@ -90,7 +91,7 @@ def fit_planes(
     # 1, x, y, the products xx, xy, yy, u, v, ..., and ux, uy, vx, ...
     of_places = torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
     monomials = torch.cat((weight * of_places, moved, _mixed(moved, places)), dim=1)
-    count = _product(weight, within)
+    count = _product(weight, within) / _ONE
     sums = _product(monomials, weights)
     known = count > MINIMUM_POINTS - 0.5
     mass = torch.where(known, sums[:, :1], 1.0)
@@ -148,7 +149,11 @@ def _mixed(components: Tensor, pair: Tensor) -> Tensor:
 
 
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """(B, K, Q) of rows (B, K, N) and (1 or B, N, Q). One matrix for all frames is not copied for each of them."""
-    if matrix.shape[0] != 1 or rows.shape[0] == 1:
-        return rows @ matrix
-    return (rows.flatten(0, 1) @ matrix[0]).unflatten(0, rows.shape[:2])
+    """(B, K, Q) of rows (B, K, N) and (1 or B, Q, N).
+
+    One matrix for all frames is not copied for each of them. Standing first it is not packed anew either, which takes
+    half the time of a product of few rows; a single row is none.
+    """
+    if matrix.shape[0] == 1 and rows.shape[0] != 1:
+        return _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
+    return rows @ matrix.mT if rows.shape[1] == 1 else (matrix @ rows.mT).mT

@@ -26,7 +26,7 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
     first = row.clamp(0, height - side) * width + column.clamp(0, width - side)
-    # One number a window, and one a pixel of it: the sums of pairs of rows and columns take runtimes three times as long.
+    # One number a window and one a pixel of it: sums of pairs of rows and columns take runtimes three times as long.
     steps = torch.arange(side, device=view.device)
     pixel = (steps[:, None] * width + steps).flatten()
     index = first.to(torch.int64).transpose(1, 2) + pixel

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
@@ -424,15 +425,10 @@ def _whole(triangle: Tensor) -> Tensor:
 
 def _correlations(value: Tensor, samples: Tensor) -> Tensor:
     """(P, 75): gx, gy and values, of samples (P, 3, n, n), times the wide template (P, wide, wide) shifted."""
-    side = samples.shape[-1]
-    flat = samples.flatten(2)
-    lines = []
-    for row in range(_SHIFTS):
-        shifted = torch.stack(
-            [value[:, row : row + side, column : column + side].flatten(1) for column in range(_SHIFTS)], dim=2
-        )
-        lines.append(flat @ shifted)  # (P, 3, 5)
-    table = torch.stack(lines, dim=2)
+    points = samples.shape[0]
+    if points == 0:
+        return value.new_zeros(0, limits.TABLE)
+    table = functional.conv2d(value[None], samples.flatten(0, 1)[:, None], groups=points)[0].unflatten(0, (points, 3))
     return torch.cat((table[:, 1:], table[:, :1]), dim=1).flatten(1)
 
 
