@@ -19,7 +19,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
-_INTERFACE = 17  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 19  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -570,9 +570,9 @@ class _TriangleStrain(ctypes.Structure):
     _fields_ = (
         *(
             (name, ctypes.c_void_p)
-            for name in ("displacement", "covariance", "touching", "corners", "slopes", "areas", "flat")
+            for name in ("displacement", "covariance", "touching", "corners", "slopes", "products", "areas", "flat")
         ),
-        *((name, ctypes.c_void_p) for name in ("strain", "strain_std", "density", "energy", "energy_std")),
+        *((name, ctypes.c_void_p) for name in ("strain", "strain_std", "density", "energy", "forces", "own")),
         *((name, ctypes.c_int64) for name in ("batch", "point_count", "triangle_count", "measure")),
         *((name, ctypes.c_double) for name in ("direct", "between", "shear")),
     )
@@ -581,6 +581,7 @@ class _TriangleStrain(ctypes.Structure):
 def triangle_strain(
     triangles: Tensor,
     slopes: Tensor,
+    products: Tensor,
     areas: Tensor,
     flat: Tensor,
     displacement: Tensor,
@@ -589,12 +590,14 @@ def triangle_strain(
     *,
     measure: int,
     stiffness: tuple[float, float, float],
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Strain (B, M, 3), its deviation, density (B, M), energy and its deviation (B,) float64, as `ops.triangle_strain`
-    has them to rounding.
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Strain (B, M, 3), its deviation, density (B, M) and energy (B,) float64, as `ops.triangle_strain` has them to
+    rounding; the forces (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each adds
+    to the energy.
 
-    Triangles (M, 3) int64, slopes (M, 3, 2), areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2),
-    all float32; touching (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
+    Triangles (M, 3) int64, slopes (M, 3, 2), products (3, 3, M) xx, xy, yy of the corners' slopes with those of what
+    shares their errors, areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2), all float32;
+    touching (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
 
     Raises:
         TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
@@ -603,6 +606,7 @@ def triangle_strain(
     count = len(triangles)
     _check_like("triangles", triangles, torch.int64, (count, 3))
     _check_like("slopes", slopes, torch.float32, (count, 3, 2))
+    _check_like("products", products, torch.float32, (3, 3, count))
     _check_like("areas", areas, torch.float32, (count,))
     _check_like("flat", flat, torch.float32, (count,))
     _check_like("displacement", displacement, torch.float32, (batch, points, 2))
@@ -611,11 +615,11 @@ def triangle_strain(
     if measure not in (0, 1, 2) or (count and not 0 <= int(triangles.min()) <= int(triangles.max()) < points):
         raise ValueError(f"measure {measure} of 0 to 2; triangles of {points} points")
     corners = triangles.T.to(torch.int32)
-    tensors = (displacement, covariance, touching, corners, slopes.permute(2, 1, 0), areas, flat)
+    tensors = (displacement, covariance, touching, corners, slopes.permute(2, 1, 0), products, areas, flat)
     given = [tensor.contiguous() for tensor in tensors]
     strain, deviation, density = torch.empty(batch, count, 3), torch.empty(batch, count, 3), torch.empty(batch, count)
-    energy, energy_deviation = (torch.empty(batch, dtype=torch.float64) for _ in range(2))
-    results = (strain, deviation, density, energy, energy_deviation)
+    energy, own = (torch.empty(batch, dtype=torch.float64) for _ in range(2))
+    results = (strain, deviation, density, energy, torch.empty(batch, points, 2), own)
     pointers = (tensor.data_ptr() for tensor in (*given, *results))
     request = _TriangleStrain(*pointers, *(batch, points, count, measure), *stiffness)
     _call("fingerflow_strain_of_triangles", ctypes.addressof(request), torch.get_num_threads())

@@ -165,15 +165,19 @@ FINGERFLOW_EXPORT int fingerflow_medians_over_area(const fingerflow_area_medians
 
 // Strain of triangles and its energy, as fingerflow/ops/triangle_strain.py has them: displacement (batch, point_count, 2),
 // covariance (batch, point_count, 2, 2), touching (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
-// (2, 3, .) by x and y, areas and whether they are flat, NaN or 0. Measure as above; direct, between and shear are the
-// factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy. Results (batch, triangle_count, ...), energies (batch).
+// (2, 3, .) by x and y, their products xx, xy, yy with those of the errors that a corner shares (3, 3, .), areas and
+// whether they are flat, NaN or 0. Measure as above; direct, between and shear are the
+// factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy. Results (batch, triangle_count, ...), energy (batch),
+// forces (batch, point_count, 2), and the sum (batch) of the squares of what each point's error adds to the energy.
 struct fingerflow_triangle_strain {
     const float *displacement, *covariance;
     const unsigned char* touching;
     const std::int32_t* corners;
-    const float *slopes, *areas, *flat;
+    const float *slopes, *products, *areas, *flat;
     float *strain, *strain_std, *density;
-    double *energy, *energy_std;
+    double* energy;
+    float* forces;
+    double* own;
     std::int64_t batch, point_count, triangle_count, measure;
     double direct, between, shear;
 };

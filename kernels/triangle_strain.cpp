@@ -14,6 +14,7 @@ int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int 
                               given->corners,
                               given->slopes,
                               given->slopes + 3 * count,
+                              given->products,
                               given->areas,
                               given->flat,
                               given->measure == 2 ? 0.0f : 0.5f,
@@ -29,7 +30,8 @@ int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int 
                                   given->strain_std + 3 * count * number,
                                   given->density + count * number,
                                   given->energy + number,
-                                  given->energy_std + number};
+                                  given->forces + 2 * points * number,
+                                  given->own + number};
         const std::size_t bytes = static_cast<std::size_t>(triangle_memory(triangles)) * sizeof(float);
         FINGERFLOW_PICK(strain_of_frame)(triangles, frame, static_cast<float*>(workspace(bytes)));
     });

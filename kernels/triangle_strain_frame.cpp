@@ -81,7 +81,7 @@ void deform(const Triangles& of, const TriangleFrame& frame, const Planes& plane
 void deviate(const Triangles& of, const TriangleFrame& frame, const Planes& planes) {
     const std::int64_t count = of.count;
     const std::int32_t* FINGERFLOW_RESTRICT corners = of.corners;
-    const float *FINGERFLOW_RESTRICT x = of.along, *FINGERFLOW_RESTRICT y = of.down;
+    const float *FINGERFLOW_RESTRICT of_xx = of.products, *FINGERFLOW_RESTRICT of_xy = of_xx + 3 * count, *FINGERFLOW_RESTRICT of_yy = of_xy + 3 * count;
     const float *FINGERFLOW_RESTRICT uu = planes.uu, *FINGERFLOW_RESTRICT uv = planes.uv, *FINGERFLOW_RESTRICT vv = planes.vv;
     const float* FINGERFLOW_RESTRICT strain = frame.strain;
     float *FINGERFLOW_RESTRICT deviations = frame.strain_std, *FINGERFLOW_RESTRICT noise = planes.noise;
@@ -92,7 +92,7 @@ void deviate(const Triangles& of, const TriangleFrame& frame, const Planes& plan
         for (int corner = 0; corner < 3; ++corner) {
             const std::int64_t at = corner * count + t;
             const std::int32_t k = corners[at];
-            const float xx = x[at] * x[at], xy = x[at] * y[at], yy = y[at] * y[at];
+            const float xx = of_xx[at], xy = of_xy[at], yy = of_yy[at];
             const float one = xx * uu[k], other = yy * vv[k], both = (yy * uu[k] + 2 * xy * uv[k] + xx * vv[k]) / 4;
             exx += one;
             eyy += other;
@@ -120,7 +120,8 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
     }
     // Triangles that are not known count like the others; where they are most, nobody knows.
     if (!(seen > 0 && seen >= whole / 2)) {
-        *frame.energy = *frame.energy_std = static_cast<double>(NAN);
+        *frame.energy = *frame.own = static_cast<double>(NAN);
+        memset(frame.forces, 0, static_cast<std::size_t>(2 * of.points) * sizeof(float));
         return;
     }
     const auto share = static_cast<float>(whole / seen);
@@ -139,15 +140,15 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
         }
         energy += static_cast<double>(area * left);
     }
-    double linear = 0, own = 0;
+    double own = 0;
     for (std::int64_t k = 0; k < of.points; ++k) {
-        const float *const sum = planes.sums + 3 * k, x = sum[0], y = sum[1];
-        linear += static_cast<double>(known_or_zero(x * x * planes.uu[k] + 2 * x * y * planes.uv[k] + y * y * planes.vv[k]));
+        const float* const sum = planes.sums + 3 * k;
+        frame.forces[2 * k] = sum[0];
+        frame.forces[2 * k + 1] = sum[1];
         own += static_cast<double>(sum[2] * sum[2]);
     }
-    own *= 7.0 / 6;  // as in fingerflow/ops/triangle_strain.py
     *frame.energy = energy;
-    *frame.energy_std = sqrt(linear - own > own ? linear - own : own);
+    *frame.own = own;
 }
 
 }  // namespace FINGERFLOW_ISA

@@ -12,6 +12,7 @@ struct Triangles {
     std::int64_t count, points;
     const std::int32_t* corners;
     const float *along, *down;    // gradients of the functions that are 1 at a corner; 0 for a flat triangle
+    const float* products;        // (3, 3, triangles), xx, xy, yy of a corner's gradient with that of what shares its errors
     const float *areas, *flat;    // flat is NaN for a flat triangle, else 0
     float squared, mixed;         // factors of the squares in the strain, of the direct parts and of the shear
     float direct, between, shear; // of exx^2 + eyy^2, exx eyy and exy^2 in the energy
@@ -22,7 +23,9 @@ struct TriangleFrame {
     const float *displacement, *covariance;
     const unsigned char* touching;
     float *strain, *strain_std, *density;  // (triangles, 3), (triangles, 3), (triangles)
-    double *energy, *energy_std;
+    double* energy;
+    float* forces;  // (points, 2)
+    double* own;    // sum of the squares of what each point's error adds to the energy
 };
 
 // How many floats `memory` of a frame has to hold.

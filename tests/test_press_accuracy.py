@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.cli import simulate
+from fingerflow.graphs import FieldsGraph
+from fingerflow.ops import green_lagrange, triangle_gradients
 from fingerflow.synthetic import Press, Truth
 
 FRAMES = range(36, 300, 12)  # from 8 mm^2 on
@@ -78,10 +81,35 @@ def test_gross_contact_area_and_axes(result: xr.Dataset, truth: Truth) -> None:
 
 
 def test_stated_uncertainty_of_positions(result: xr.Dataset, truth: Truth) -> None:
-    """The errors are as large as stated to a quarter; the windows' smoothing makes the statement 15 % too large."""
+    """The errors are as large as stated to a quarter."""
     pixels = result["position_px"].values
     material = truth.material(truth.topography_positions(pixels[0]), 0)
     for k in (100, 200, 299):
         error = pixels[k] - truth.topography_pixels(truth.positions(material, k))
         ratio = np.sqrt(np.nanmean(error**2) / np.nanmean(result["position_std_px"].values[k] ** 2))
-        assert 0.75 < ratio < 1.15, k
+        assert 0.8 < ratio < 1.25, k
+
+
+def test_stated_uncertainty_of_displacements_and_fields(result: xr.Dataset, truth: Truth) -> None:
+    """Against what the same estimators say of true displacements at the places that were found, so that smoothing is no
+    part of the error. Strain is stated a fifth too large: triangles that are slim are so by their errors, too."""
+    material = truth.material(truth.topography_positions(result["position_px"].values[0]), 0)
+    reference = torch.from_numpy(result["reference_position"].values)[None]
+    triangles = torch.from_numpy(result["triangles"].values.astype(np.int64))
+    graph = FieldsGraph(1.6)
+    squares: dict[str, list[tuple[float, float]]] = {}
+    for k in range(60, 300, 24):
+        exact = truth.displacement(material, k)
+        exact[np.isnan(result["displacement"].values[k]).any(-1)] = np.nan
+        moved = torch.from_numpy(exact)[None]
+        fields = graph(reference, moved)
+        strain = green_lagrange(triangle_gradients(reference, triangles, moved))
+        expected = {"displacement": moved, "divergence": fields.divergence, "curl": fields.curl, "strain": strain}
+        for name, true in expected.items():
+            error, stated = result[name].values[k] - true[0].numpy(), result[f"{name}_std"].values[k]
+            stated = np.broadcast_to(stated[..., None] if error.ndim > stated.ndim else stated, error.shape)
+            known = np.isfinite(error) & np.isfinite(stated)
+            squares.setdefault(name, []).append(((error[known] ** 2).sum(), (stated[known] ** 2).sum()))
+    for name, pairs in squares.items():
+        errors, statements = np.sum(pairs, axis=0)
+        assert 0.8 < np.sqrt(errors / statements) < 1.25, name

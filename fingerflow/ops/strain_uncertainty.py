@@ -67,14 +67,13 @@ def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:
     """
     x, y = slopes.unbind(-1)
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    return torch.stack(strain_covariance_parts(x, y, uu, uv, vv), dim=-1)
+    return torch.stack(strain_covariance_parts(x * x, x * y, y * y, uu, uv, vv), dim=-1)
 
 
 def strain_covariance_parts(
-    x: Tensor, y: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
+    xx: Tensor, xy: Tensor, yy: Tensor, uu: Tensor, uv: Tensor, vv: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The four numbers of `strain_covariance`, each by itself, from a slope (x, y) and a covariance."""
-    xx, xy, yy = x * x, x * y, y * y
+    """The four numbers of `strain_covariance`, each by itself, from products of slopes and a covariance."""
     return xx * uu, yy * vv, (yy * uu + 2 * xy * uv + xx * vv) / 4, xy * uv
 
 

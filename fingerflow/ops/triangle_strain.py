@@ -11,6 +11,14 @@ from fingerflow.ops.strain_uncertainty import strain_covariance_parts
 from fingerflow.ops.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
 
 
+class SharedErrors(NamedTuple):
+    """Correlation of the errors of points that lie near each other."""
+
+    corners: Tensor  # (M, 3), of corners 0 and 1, 1 and 2, 2 and 0 of the triangles
+    pairs: Tensor  # (K, 2) int64, all points that have errors in common, each pair once
+    correlation: Tensor  # (K,) theirs
+
+
 class TriangleStrain(NamedTuple):
     """Of M triangles in B frames; NaN where not known."""
 
@@ -27,6 +35,7 @@ def triangle_strain(
     displacement: Tensor,
     covariance: Tensor,
     touching: Tensor,
+    shared: SharedErrors | None = None,
     *,
     measure: str = "green_lagrange",
     young_modulus_mpa: float = 1.0,
@@ -41,8 +50,9 @@ def triangle_strain(
         reference: (1, N, 2) reference positions, mm.
         triangles: (M, 3) indices of points, int64.
         displacement: (B, N, 2) mm, NaN where a point is not known.
-        covariance: (B, N, 2, 2) mm^2 of the displacement, independent from point to point.
+        covariance: (B, N, 2, 2) mm^2 of the displacement.
         touching: (B, M) bool, which triangles count in the energy.
+        shared: which errors are the same ones in part; none by default.
         measure: of strain, as in `green_lagrange`.
         young_modulus_mpa, poisson_ratio: of the solid, as in `strain_energy_density`.
     """
@@ -50,19 +60,24 @@ def triangle_strain(
     corners = triangles.T.flatten()
     usable = triangle_quality(reference, triangles)[0] >= MINIMUM_QUALITY
     slopes = torch.where(usable[:, None, None], triangle_slopes(reference, triangles)[0], 0.0)
+    # sum_ij x_i x_j C_ij with C_ij = r_ij (C_i + C_j) / 2 is a sum over corners, sum_i x_i (x_i + sum_j r_ij x_j) C_i.
+    joint = slopes if shared is None else slopes + _beside(slopes, shared.corners.to(slopes.dtype))
+    xx, yy = (slopes * joint).unbind(-1)
+    xy = (slopes * joint.flip(-1)).mean(-1)
+    products = torch.stack((xx, xy, yy)).mT  # (3, 3, M)
     along, down = slopes.permute(2, 1, 0)[..., None].unbind()  # (3, M, 1)
     flat = torch.where(usable, 0.0, torch.nan)[:, None].to(slopes.dtype)
 
     areas = triangle_areas(reference, triangles)
     compiled = kernels.serve(reference, displacement, covariance, touching)
     if compiled and displacement.dtype == torch.float32 and len(triangles):
-        return TriangleStrain(
-            *kernels.triangle_strain(
-                *(triangles, slopes, areas[0], flat[:, 0], displacement, covariance, touching),
-                measure=STRAIN_MEASURES.index(measure),
-                stiffness=stiffness(*solid),
-            )
+        strain_of, strain_std, held, energy, forces, own = kernels.triangle_strain(
+            *(triangles, slopes, products, areas[0], flat[:, 0], displacement, covariance, touching),
+            measure=STRAIN_MEASURES.index(measure),
+            stiffness=stiffness(*solid),
         )
+        deviation = _energy_deviation(forces[..., 0].T, forces[..., 1].T, covariance, own, shared)
+        return TriangleStrain(strain_of, strain_std, held, energy, deviation + 0 * energy)
 
     def at_corners(values: Tensor) -> Tensor:
         """(B, N) to (3, M, B)."""
@@ -85,25 +100,38 @@ def triangle_strain(
     counted = shares.nan_to_num(0.0)
 
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    errors = strain_covariance_parts(along, down, *(at_corners(part) for part in (uu, uv, vv)))  # (3, M, B) each
+    at_corner = (at_corners(part) for part in (uu, uv, vv))
+    errors = strain_covariance_parts(*products[..., None], *at_corner)  # (3, M, B) each
     added = counted * energy_form(*errors, *solid).nan_to_num(0.0)
     energy = (shares * density.nan_to_num(0.0)).sum(0, dtype=torch.float64) - added.sum((0, 1), dtype=torch.float64)
-    # To first order by the forces at the points; of the noise's own energy, by what each point adds to it: its
-    # displacement has two components, and a sixth more comes from being stiffly joined to its neighbours. The
-    # forces that are measured have noise too, which adds twice that variance on average.
     sxx, syy, sxy = (counted * part.nan_to_num(0.0) for part in stress_parts(*strain, *solid))
     x, y, own = (at_points(part) for part in (sxx * along + sxy * down, syy * down + sxy * along, added))
-    linear = x * x * uu.T + 2 * x * y * uv.T + y * y * vv.T
-    of_itself = 7 / 6 * (own * own).sum(0, dtype=torch.float64)
-    variance = torch.maximum(linear.nan_to_num(0.0).sum(0, dtype=torch.float64) - of_itself, of_itself)
     deviations = [error.sum(0).clamp_min(0).sqrt() + 0 * part for error, part in zip(errors[:3], strain, strict=True)]
     return TriangleStrain(
         torch.stack(strain).permute(2, 1, 0),
         torch.stack(deviations).permute(2, 1, 0),
         density.T,
         energy,
-        variance.sqrt() + 0 * energy,
+        _energy_deviation(x, y, covariance, (own * own).sum(0, dtype=torch.float64), shared) + 0 * energy,
     )
+
+
+def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
+    """(B,) of the energy, from the forces (N, B) at the points and the squares of what their errors add to it (B,),
+    summed.
+
+    To first order by the forces; of the noise's own energy, by what each point adds to it: its displacement has two
+    components, and a sixth more comes from being stiffly joined to its neighbours. The forces that are measured have
+    noise too, which adds twice that variance on average.
+    """
+    uu, uv, vv = (covariance[..., i, j].nan_to_num(0.0).T for i, j in ((0, 0), (0, 1), (1, 1)))
+    linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
+    if shared is not None:
+        deviation = ((uu + vv) / 2).clamp_min(0).sqrt()
+        (x1, y1), (x2, y2) = (((x * deviation)[one], (y * deviation)[one]) for one in shared.pairs.T)
+        linear = linear + 2 * (shared.correlation[:, None] * (x1 * x2 + y1 * y2)).sum(0, dtype=torch.float64)
+    of_itself = 7 / 6 * own
+    return torch.maximum(linear - of_itself, of_itself).sqrt()
 
 
 def area_shares(touching: Tensor, known: Tensor, areas: Tensor) -> Tensor:
@@ -116,3 +144,9 @@ def area_shares(touching: Tensor, known: Tensor, areas: Tensor) -> Tensor:
     counted = (touching & known) * areas
     whole, seen = (touching * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
     return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
+
+
+def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
+    """(M, 3, 2): slopes of the other two corners, each times the correlation with it (M, 3)."""
+    after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
+    return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError, cKDTree
 from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.triangle_strain import triangle_strain
+from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.stages.contact import ContactSeries
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.tracking import TrackSeries
@@ -67,6 +67,7 @@ class Displacement:
     Attributes:
         onset: (N,) first frame in which the contact covers the point, -1 for never, or if the point was lost then.
         reference: (N, 2) position at onset, mm.
+        reference_px: (N, 2) the same, px of the topographic view.
         displacement: (F, N, 2) mm.
         variance: (F, N) mm^2, of a component, by the noise of the pictures.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames.
@@ -77,6 +78,7 @@ class Displacement:
 
     onset: NDArray[np.int32]
     reference: NDArray[np.float64]
+    reference_px: NDArray[np.float64]
     displacement: NDArray[np.float64]
     variance: NDArray[np.float32]
     of_onset: NDArray[np.float64]
@@ -147,7 +149,8 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     variance = np.float32(scale**2) * _noise_since(tracks.deviation, onset, inputs.scene.tracking.template)
     variance[np.isnan(displacement).any(-1)] = np.nan
     of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, reference)
-    return Displacement(onset, reference, displacement, variance, of_onset, late, median_of_known(displacement))
+    pixels = np.where(never[:, None], np.nan, tracks.position[onset, numbers])
+    return Displacement(onset, reference, pixels, displacement, variance, of_onset, late, median_of_known(displacement))
 
 
 def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], template: str) -> NDArray[np.float32]:
@@ -250,6 +253,9 @@ def strains(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Stra
     onset = torch.from_numpy(np.where(moved.onset < 0, count, moved.onset)).to(inputs.device)
     corners = torch.from_numpy(triangles.astype(np.int64)).to(inputs.device)
     begins = onset[corners].amax(1) if len(corners) else onset[:0]  # the frame in which a triangle touches as a whole
+    shared = SharedErrors(
+        *(torch.from_numpy(one).to(inputs.device) for one in _shared_errors(inputs, moved, triangles))
+    )
     for first in range(0, count, _FRAMES):
         part = slice(first, min(first + _FRAMES, count))
         found = triangle_strain(
@@ -258,6 +264,7 @@ def strains(inputs: Inputs, moved: Displacement, contact: ContactSeries) -> Stra
             _tensor(inputs, moved.displacement[part]),
             _tensor(inputs, moved.covariance(part)),
             torch.arange(part.start, part.stop, device=inputs.device)[:, None] >= begins,
+            shared,
             measure=settings.strain,
             young_modulus_mpa=settings.young_modulus_mpa,
             poisson_ratio=settings.poisson_ratio,
@@ -288,6 +295,33 @@ def rate(values: NDArray[np.float64], times: NDArray[np.float64], window_s: floa
             if end - start >= length:
                 result[start:end, column] = savgol_filter(flat[start:end, column], length, 2, deriv=1, delta=step)
     return result.reshape(values.shape)
+
+
+def _shared_errors(
+    inputs: Inputs, moved: Displacement, triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
+    """`SharedErrors` of the triangles (M, 3).
+
+    Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
+    in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
+    displacement's noise is that of onset, which is another one where points touch in other frames. Errors of the time
+    of onset are independent: of neighbours on a press they correlate by less than 0.1.
+    """
+    window, onset = inputs.scene.tracking.window_px, moved.onset
+    noise = np.nansum(moved.variance, axis=0) / np.maximum(np.isfinite(moved.variance).sum(0), 1)
+    of_onset = np.trace(moved.of_onset, axis1=1, axis2=2) / 2
+    share = np.sqrt(noise / np.maximum(noise + of_onset, 1e-30))
+
+    def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
+        apart = np.abs(moved.reference_px[one] - moved.reference_px[other]) / window
+        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(onset[one] == onset[other], 1, 0.5)
+        return np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
+
+    known = np.flatnonzero(np.isfinite(moved.reference_px).all(-1))
+    near = cKDTree(moved.reference_px[known]).query_pairs(window, p=np.inf, output_type="ndarray")
+    pairs = known[near].astype(np.int64)
+    corners = np.stack([correlation(triangles[:, k], triangles[:, (k + 1) % 3]) for k in range(3)], axis=1)
+    return corners, pairs, correlation(*pairs.T)
 
 
 def _triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -137,17 +137,18 @@ void try_medians(std::int64_t points, std::int64_t positions, int threads) {
 void try_triangles(std::int64_t points, std::int64_t count, int threads) {
     const std::int64_t batch = 2;
     const auto displacement = noise<float>(batch * points * 2, 1), covariance = noise<float>(batch * points * 4, 2);
-    const auto slopes = noise<float>(6 * count, 3), areas = noise<float>(count, 4);
+    const auto slopes = noise<float>(6 * count, 3), areas = noise<float>(count, 4), products = noise<float>(9 * count, 5);
     const std::vector<float> flat(static_cast<std::size_t>(count));
     const std::vector<unsigned char> touching(static_cast<std::size_t>(batch * count), 1);
     std::vector<std::int32_t> corners(static_cast<std::size_t>(3 * count));
     for (std::size_t k = 0; k < corners.size(); ++k) corners[k] = static_cast<std::int32_t>(static_cast<std::int64_t>(7 * k) % points);
     std::vector<float> strain(static_cast<std::size_t>(batch * count * 3)), deviation(strain.size()), density(touching.size());
-    std::vector<double> energy(static_cast<std::size_t>(batch)), energy_deviation(energy.size());
+    std::vector<double> energy(static_cast<std::size_t>(batch)), own(energy.size());
+    std::vector<float> forces(static_cast<std::size_t>(batch * points * 2));
     for (std::int64_t measure : {0, 1, 2}) {
         const fingerflow_triangle_strain given{displacement.data(), covariance.data(), touching.data(), corners.data(), slopes.data(),
-                                               areas.data(), flat.data(), strain.data(), deviation.data(), density.data(),
-                                               energy.data(), energy_deviation.data(), batch, points, count, measure, 1, 1, 1};
+                                               products.data(), areas.data(), flat.data(), strain.data(), deviation.data(), density.data(),
+                                               energy.data(), forces.data(), own.data(), batch, points, count, measure, 1, 1, 1};
         expect(fingerflow_strain_of_triangles(&given, threads) == 0, "strain of triangles");
     }
 }

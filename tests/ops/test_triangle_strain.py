@@ -5,7 +5,7 @@ import torch
 
 from fingerflow.ops.strain import green_lagrange, strain_energy_density
 from fingerflow.ops.strain_uncertainty import strain_covariance
-from fingerflow.ops.triangle_strain import area_shares, triangle_strain
+from fingerflow.ops.triangle_strain import SharedErrors, area_shares, triangle_strain
 from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_slopes
 
 # Two squares of 2 mm side by side, and a flat triangle.
@@ -36,16 +36,23 @@ def test_strain_density_and_energy_are_those_of_each_triangle(measure: str) -> N
     assert (found.strain_std.nan_to_num(0.0) == 0).all()
 
 
-def test_deviations_are_those_of_many_copies() -> None:
-    """Small errors: 20,000 copies know a deviation to 0.5 %, and the mean of the energy to as much of it."""
+@pytest.mark.parametrize("together", [0.0, 0.6])
+def test_deviations_are_those_of_many_copies(together: float) -> None:
+    """Small errors, such as all points share in part: 20,000 copies know a deviation to 0.5 %, and the mean of the
+    energy to as much of it."""
     draw = torch.Generator().manual_seed(2)
-    root = 1e-3 * torch.randn(7, 2, 2, generator=draw, dtype=torch.float64)
+    # Errors in common enter the energy as if they were as large in every direction.
+    shape = torch.randn(7, 2, 2, generator=draw, dtype=torch.float64)
+    root = 1e-3 * (shape if together == 0 else torch.eye(2, dtype=torch.float64).expand(7, 2, 2))
     covariance = (root @ root.mT)[None]
     copies = 20_000
-    errors = torch.randn(copies, 7, 2, generator=draw, dtype=torch.float64)[..., None, :] @ root.mT
+    own, common = (torch.randn(copies, count, 2, generator=draw, dtype=torch.float64) for count in (7, 1))
+    errors = ((1 - together) ** 0.5 * own + together**0.5 * common)[..., None, :] @ root.mT
+    pairs = torch.combinations(torch.arange(7))
+    shared = SharedErrors(torch.full((5, 3), together), pairs, torch.full((len(pairs),), together))
     touching = torch.ones(1, 5, dtype=torch.bool)
     exact = moved(1)
-    stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, touching, measure="infinitesimal")
+    stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, touching, shared, measure="infinitesimal")
     zero = torch.zeros_like(covariance)
     true = triangle_strain(POINTS, TRIANGLES, exact, zero, touching, measure="infinitesimal")
     found = triangle_strain(
@@ -54,11 +61,14 @@ def test_deviations_are_those_of_many_copies() -> None:
         exact + errors[..., 0, :],
         covariance.expand(copies, -1, -1, -1),
         touching.expand(copies, -1),
+        shared,
         measure="infinitesimal",
     )
     torch.testing.assert_close(found.strain.std(0)[:4], stated.strain_std[0, :4], rtol=0.02, atol=0)
     assert float(found.energy.std()) == pytest.approx(float(stated.energy_std), rel=0.02)
     assert float(found.energy.mean() - true.energy) == pytest.approx(0, abs=4 * float(stated.energy_std) / copies**0.5)
+    if together:
+        return
     by_corners = strain_covariance(triangle_slopes(POINTS, TRIANGLES), covariance[:, TRIANGLES]).sum(2)
     torch.testing.assert_close(stated.strain_std[0, :4] ** 2, by_corners[0, :4, :3])
 
