@@ -127,9 +127,12 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
     uu, uv, vv = (covariance[..., i, j].nan_to_num(0.0).T for i, j in ((0, 0), (0, 1), (1, 1)))
     linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
     if shared is not None:
-        deviation = ((uu + vv) / 2).clamp_min(0).sqrt()
-        (x1, y1), (x2, y2) = (((x * deviation)[one], (y * deviation)[one]) for one in shared.pairs.T)
-        linear = linear + 2 * (shared.correlation[:, None] * (x1 * x2 + y1 * y2)).sum(0, dtype=torch.float64)
+        forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
+        beside = torch.sparse_coo_tensor(
+            shared.pairs.T, shared.correlation.to(x.dtype), (len(x), len(x)), check_invariants=True
+        )
+        of_others = torch.stack([torch.sparse.mm(beside, one) for one in forces])
+        linear = linear + 2 * (forces * of_others).sum((0, 1), dtype=torch.float64)
     of_itself = 7 / 6 * own
     return torch.maximum(linear - of_itself, of_itself).sqrt()
 
