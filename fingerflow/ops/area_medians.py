@@ -14,8 +14,9 @@ from fingerflow.ops.strain_uncertainty import field_sensitivity
 from fingerflow.ops.tensors import finite, sum_rows
 
 POSITIONS = 800  # in an ellipse, whatever its size; 8,000 move the median divergence of a press by 0.3 um/mm RMS
-# A straight border of a dense cloud has its centroid 0.15 gauge lengths away. Farther out a fit would extrapolate.
-_FARTHEST_CENTROID = 0.16  # gauge lengths
+# The border of a dense cloud has its centroid 0.15 gauge lengths away where it is straight, 0.16 where it is that of a
+# contact of a gauge length in radius; of a cloud that is not dense it scatters. Farther out a fit would extrapolate.
+_FARTHEST_CENTROID = 0.175  # gauge lengths
 _LEAST_SHARE = 0.9  # of the area over which the fields must be known for their medians to mean anything
 _LEAST_RATIO = 0.1  # of areas before and after: less is no skin, but an edge that folds
 _REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
