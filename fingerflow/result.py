@@ -131,7 +131,7 @@ def _displacement(outcome: Outcome) -> None:
         return
     onset = np.where(moved.onset < 0, -1, moved.onset + outcome.inputs.scene.recording.first_frame)
     outcome.add(
-        "onset_frame", ("point",), onset, "1", "first frame in which the contact covers the point, -1 for never"
+        "onset_frame", ("point",), onset, "1", "first frame in which the contact comes to cover the point, -1 for never"
     )
     outcome.add("reference_position", ("point", "xy"), moved.reference, "mm", "position at onset")
     outcome.add("displacement", ("frame", "point", "xy"), moved.displacement, "mm", "displacement since onset")

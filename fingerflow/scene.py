@@ -207,7 +207,11 @@ class FieldSettings(_Table):
 
 
 class StreamSettings(_Table):
-    """[stream]: what the player of an exported bundle reads beside the rest; `process` does not use it."""
+    """[stream]: what the player of an exported bundle reads beside the rest.
+
+    ``region`` is the part of the topography view in which skin is expected to touch, as it lies in the first frame.
+    Points are chosen there, by `process` too: so they are the same.
+    """
 
     output: Path | None = None
     region: ViewSettings | None = None
@@ -228,6 +232,17 @@ class Scene(_Table):
     tracking: TrackingSettings = TrackingSettings()
     fields: FieldSettings = FieldSettings()
     stream: StreamSettings = StreamSettings()
+
+    @model_validator(mode="after")
+    def _region_lies_in_its_view(self) -> Self:
+        region, view = self.stream.region, self.views.topography
+        if region is not None and view is not None:
+            height, width = view.shape
+            if region.rows[1] > height or region.columns[1] > width:
+                raise _Clash(
+                    ("stream", "region"), f"it ends beyond the topography view of {height} x {width} px; give less"
+                )
+        return self
 
     @model_validator(mode="after")
     def _calibration_fits_the_views(self) -> Self:
@@ -411,7 +426,7 @@ def scene_text(
     """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
 
     ``calibration`` is the content of the table [calibration], in TOML; ``region`` the part of the topography view where
-    a stream chooses points.
+    points are chosen.
     """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
     trigger = "# trigger_frame = 12" if trigger_frame is None else f"trigger_frame = {trigger_frame}"
@@ -473,6 +488,6 @@ poisson_ratio = 0.4
 depth_mm = 2.0                # of skin that the strain energy is integrated over
 rate_window_s = 0.05
 
-{live}[stream]                      # of an exported bundle in its player
+{live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
 """

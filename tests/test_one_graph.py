@@ -1,7 +1,7 @@
 """One press three times: `process`, `process --engine onnx`, and an exported bundle in the player say the same.
 
-All three get the same points and threshold, which the player would otherwise choose and measure itself while frames
-come. Tolerances are those of `export/README.md`.
+Each chooses its points itself, in the region that the scene states; the threshold is given, which the player would
+otherwise measure while frames come. Tolerances are those of `export/README.md`.
 """
 
 from typing import Any, NamedTuple
@@ -54,16 +54,12 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
     write_recording(folder / "press", press)
     scene_file = folder / "press" / "scene.toml"
     text = scene_file.read_text()
-    scene_file.write_text(text[: text.index("[contact]")] + SETTINGS)
+    scene_file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :])
     scene = fingerflow.load_scene(scene_file)
     recorded = [fingerflow.process(scene, engine=engine) for engine in ("torch", "onnx")]
     (folder / "recipe.toml").write_text(RECIPE)
-    chosen = np.full((1, POINTS, 2), np.nan, np.float32)
-    first = recorded[0]["position_px"].values[0]
-    chosen[0, : len(first)] = first
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
-        patch.setattr(player.Stepper, "choose", lambda *_: chosen)
         export_bundle(folder / "recipe.toml", folder / "bundle")
         options = ["--output", str(folder / "live"), "--page", "off", "--provider", "cpu", "--no-spin"]
         assert player.main([str(folder / "bundle"), "--scene", str(scene_file), *options]) == 0
@@ -83,6 +79,13 @@ def test_integers_are_equal(said: Said, name: str) -> None:
     np.testing.assert_array_equal(said.onnx[name], said.torch[name])
     if name == "status":
         np.testing.assert_array_equal(said.live["status"][:, : said.torch.sizes["point"]], said.torch["status"])
+
+
+def test_the_same_points_are_chosen(said: Said) -> None:
+    chosen = said.torch["position_px"].values[0]
+    assert len(chosen) > 0.9 * POINTS
+    np.testing.assert_array_equal(said.onnx["position_px"].values[0], chosen)
+    np.testing.assert_array_equal(said.live["points"][0, : len(chosen)], chosen)
 
 
 def test_areas_are_equal(said: Said) -> None:
@@ -112,12 +115,12 @@ def test_points_are_equal(said: Said) -> None:
 
 
 def test_fields_are_equal(said: Said) -> None:
-    """Within 0.2 um a mm over the contact; at a point, whose fit has fewer neighbours, within 2."""
+    """Within 0.4 um a mm over the contact; at a point, whose fit has fewer neighbours, within 2."""
     count = said.torch.sizes["point"]
     reference = said.torch["median_divergence"].values
     assert np.isfinite(reference).sum() > 30
     for other in (said.onnx["median_divergence"].values, said.live["median_divergence"]):
-        np.testing.assert_allclose(other, reference, rtol=0, atol=2e-4)  # and unknown in the same frames
+        np.testing.assert_allclose(other, reference, rtol=0, atol=4e-4)  # and unknown in the same frames
     for name in ("divergence", "curl"):
         for other in (said.onnx[name].values, said.live[name][:, :count]):
             np.testing.assert_allclose(other, said.torch[name], rtol=0, atol=2e-3)

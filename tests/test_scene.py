@@ -229,6 +229,12 @@ def test_a_calibration_of_other_views_is_refused(folder: Path) -> None:
         assert "fingerflow calibrate --topography 0 512 0" in message
 
 
+def test_a_region_beyond_its_view_is_refused(folder: Path) -> None:
+    assert load_scene(write(folder, region=View((0, 512), (0, 640)))).stream.region is not None
+    for region in (View((0, 513), (0, 640)), View((0, 512), (0, 641))):
+        assert "ends beyond the topography view of 512 x 640 px" in message_of(write(folder, region=region))
+
+
 def test_a_broken_calibration_file_is_named(folder: Path) -> None:
     (folder / "calibration.toml").write_text("mm_per_px = 0\n")
     message = message_of(write(folder, calibration=FILE))

@@ -1,12 +1,12 @@
 """The shipped press as `fingerflow simulate press` writes it: `process`, and each recipe of `export/` in the player.
 
 The player gets the scene as it is, and so measures the threshold while the contact grows, where `process` takes that of
-the frame with most of it; and it chooses points of its own, from `[stream] region`. Differences are the largest of all
-frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a share of those of
-`process`, the median divergence in 1e-3 (um a mm). `same` says whether every number of every frame equals, bit for bit,
-that of the first run of the recipe: at another pace (`rate_hz`, none: as fast as it goes), or with two frames side by
-side. `error` is the largest difference of the median divergence to the truth, in the same unit; that of `process`
-stands in the first row.
+the frame with most of it. Both choose points in `[stream] region`, as many as their settings say. Differences are the
+largest of all frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a
+share of those of `process`, the median divergence in 1e-3 (um a mm), and `rms` the root mean square of the latter.
+`same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe: at another
+pace (`rate_hz`, none: as fast as it goes), or with two frames side by side. `error` is the largest difference of the
+median divergence to the truth, in the same unit; that of `process` stands in the first row.
 """
 
 import tempfile
@@ -57,6 +57,7 @@ def run(quick: bool) -> list[Row]:
                                 records["gross_area_mm2"] / result["gross_contact_area"] - 1, counted
                             ),
                             "divergence": _largest(divergence - ours, counted),
+                            "rms": _rms(divergence - ours, counted),
                             "error": _largest(divergence - truth, counted),
                             "same": all(
                                 records[name].tobytes() == first[name].tobytes()
@@ -70,5 +71,12 @@ def run(quick: bool) -> list[Row]:
 
 def _largest(differences: Any, counted: np.ndarray) -> float | None:
     """None where one is not known that counts."""
-    largest = float(np.abs(np.asarray(differences)[counted]).max())
-    return largest if np.isfinite(largest) else None
+    return _known(np.abs(np.asarray(differences)[counted]).max())
+
+
+def _rms(differences: Any, counted: np.ndarray) -> float | None:
+    return _known(np.sqrt(np.mean(np.asarray(differences)[counted] ** 2)))
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

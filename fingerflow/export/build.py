@@ -106,13 +106,12 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
     touching = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.lattice_px)
     follow = FollowGraph(tracking.window_px, tracking.forward_backward_limit_px)
     key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset), follow.deformation)
-    border = tracking.window_px // 2 + 3
     shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
     described = {
         "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
         "contact": (_Measured(touching), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
         "detect": (
-            DetectGraph(tracking.points, tracking.min_distance_px, border, kind),
+            DetectGraph(tracking.points, tracking.min_distance_px, tracking.window_px, kind),
             ("topography_view", "mask"),
             ("points", "response"),
         ),

@@ -1,59 +1,77 @@
 """Points worth tracking, found without a search."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from fingerflow.ops.cells import widest
 from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.tensors import finite
 
-_BOX = 5  # px, of the structure tensor: a corner must be local (as `stages.tracking` has it)
+_BOX = 5  # px, of the structure tensor: a corner must be local: averaged over a tracking window few are left apart
 _QUALITY = 0.01  # least share of the strongest response
 _NOISE = 12 / 64 * (1 + 18 / _BOX)  # response of pure noise of variance 1 that no window reaches (`ops.corners`)
+_TINY = 1e-30
 
 
 class DetectGraph(nn.Module):
-    """The strongest local maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994).
+    """Local maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994), spread evenly.
 
-    `ops.detect_corners` takes the strongest first and drops what lies too near, one after the other. Here a corner is
-    the largest of a square around it, of a side of that distance: half as far apart where they crowd, and as far on
-    average.
+    The strongest alone crowd where skin has texture, and leave holes in which no field is known. So those are taken
+    that have no stronger one in the largest square around them, the stronger first among equals (adaptive non-maximal
+    suppression, Brown, Szeliski & Winder 2005). Of fewer points all are among more.
 
     Args:
         points: N, the number of corners.
-        min_distance_px: side of that square.
-        border_px: without corners, at each side.
+        min_distance_px: side of the square in which a corner is the largest at least.
+        window_px: side of the window with which the points are tracked: it stays in the view.
     """
 
     def __init__(
-        self, points: int, min_distance_px: float = 6.0, border_px: int = 13, precision: torch.dtype = torch.float32
+        self, points: int, min_distance_px: float = 6.0, window_px: int = 25, precision: torch.dtype = torch.float32
     ) -> None:
         super().__init__()
         self.points = points
         self.beside = max(1, round(min_distance_px / 2))
-        self.border_px = border_px
+        self.border_px = window_px // 2 + 3
         self.precision = precision
 
     def forward(self, topography_view: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 1, H, W) view and bool mask. Returns points (B, N, 2) px, NaN beyond those that were found, and their
-        response (B, N)."""
+        """(B, 1, H, W) view and bool mask. Returns points (B, N, 2) px, those with the largest response first and
+        NaN beyond those that were found, and their response (B, N)."""
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
         response = _response(view)
         noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
         if not topography_view.is_floating_point():
             noise = noise + 1 / 12  # of rounding
-        edge = self.border_px
+        edge = min(self.border_px, (min(height, width) - 1) // 2)
+        count = min(self.points, height * width)
         inside = functional.pad(response[..., edge : height - edge, edge : width - edge], (edge,) * 4)
-        inside = torch.where(mask, inside, 0.0)
-        limit = torch.maximum(_QUALITY * inside.amax((2, 3), keepdim=True), _NOISE * noise)
-        largest = functional.max_pool2d(inside, 2 * self.beside + 1, 1, self.beside)
-        corner = torch.where((inside >= largest) & (inside > limit), inside, 0.0)
-        strongest = corner.flatten(1).topk(self.points, dim=1)
-        row = (strongest.indices // width).to(self.precision)
-        column = (strongest.indices % width).to(self.precision)
-        missing = strongest.values <= 0
+        inside = torch.where(finite(inside), inside, 0.0)
+        # At the mask's edge a slope would be the largest.
+        inside = torch.where(mask & (inside >= widest(inside)), inside, 0.0)
+        strongest = inside.amax((2, 3), keepdim=True)
+        limit = torch.maximum(_QUALITY * strongest, _NOISE * noise)
+        corners = torch.where(inside > limit, inside, 0.0)
+        largest = functional.max_pool2d(corners, 2 * self.beside + 1, 1, self.beside)
+        alone = torch.zeros_like(corners)  # px to a stronger one, less what is asked for at least
+        # N squares of a larger side do not fit into the view.
+        for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
+            alone = alone + (corners >= largest).to(alone.dtype)
+            largest = widest(largest)
+        corners = torch.where(alone > 0, corners, 0.0)
+        rank = torch.where(corners > 0, alone + corners / strongest.clamp_min(_TINY), 0.0)
+        chosen = rank.flatten(1).topk(count, dim=1).indices
+        falling = corners.flatten(1).gather(1, chosen).topk(count, dim=1)
+        place = chosen.gather(1, falling.indices)
+        row = (place // width).to(self.precision)
+        column = (place % width).to(self.precision)
+        missing = falling.values <= 0
         points = torch.stack((column, row), dim=2).masked_fill(missing[..., None], torch.nan)
-        return points, strongest.values.masked_fill(missing, torch.nan)
+        return points, falling.values.masked_fill(missing, torch.nan)
 
 
 def _response(view: Tensor) -> Tensor:

@@ -15,6 +15,8 @@ from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates
 
+LASTING = 3  # frames in a row that the contact covers a point to count as its onset
+
 
 class Prepared(NamedTuple):
     """`Templates` of (B, N) points, and the inverse (B, N, 2, 2) of the deformation with which they were prepared."""
@@ -177,7 +179,8 @@ class SinceOnset(NamedTuple):
     """Fields of B frames since the onset of contact of each point, and what the next frame needs to know.
 
     `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known;
-    `next_reached` (B, N) uint8, whether it ever did.
+    `next_reached` (B, N) uint8, for how many frames in a row the contact has covered it; `LASTING` once it did for so
+    many.
     """
 
     next_reference: Tensor
@@ -192,6 +195,8 @@ class SinceOnsetGraph(nn.Module):
     """Onset of contact of each point, and the fields that count from there, on the glass.
 
     A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
+    A touch of fewer than `LASTING` frames is forgotten: whether the border grazes a point is chance, and the skin moves
+    on until it comes to stay.
     """
 
     def __init__(self, gauge_length_mm: float = 1.6) -> None:
@@ -212,9 +217,10 @@ class SinceOnsetGraph(nn.Module):
     ) -> SinceOnset:
         """Points, covered and the ellipse of the gross contact of `FrameGraph`; reference and reached as the frame
         before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view."""
-        arriving = torch.minimum(covered, 1 - reached)
-        onset = torch.where(arriving[..., None] > 0, points, reference)
         kind = points.dtype
+        before = reached.to(kind)
+        lasts = torch.where(before < LASTING, covered.to(kind) * (before + 1), before)[..., None]
+        onset = torch.where(lasts == 1, points, torch.where(lasts > 0, reference, torch.nan))
         scale = mm_per_px.to(kind)
         turn = topography_to_contact[:, :2].to(kind) * scale
         # Displacements by themselves: of two positions on the glass the digits would be lost.
@@ -225,7 +231,7 @@ class SinceOnsetGraph(nn.Module):
         assert fields.median is not None
         return SinceOnset(
             onset,
-            torch.maximum(reached, covered),
+            lasts[..., 0].to(torch.uint8),
             fields.divergence,
             fields.curl,
             fields.strain,

@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
+from fingerflow.graphs.frame import LASTING
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.stages.contact import ContactSeries
@@ -65,10 +66,11 @@ class Displacement:
     """Displacement since the onset of contact, mm; NaN before it and for points that never touch.
 
     Attributes:
-        onset: (N,) first frame in which the contact covers the point, -1 for never, or if the point was lost then.
+        onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
+            then.
         reference: (N, 2) position at onset, mm.
         reference_px: (N, 2) the same, px of the topographic view.
-        displacement: (F, N, 2) mm.
+        displacement: (F, N, 2) mm; in a touch that does not stay, before the onset, since that touch.
         variance: (F, N) mm^2, of a component, by the noise of the pictures.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames.
         late: (N, 2) mm, how far skin moves in half a frame at onset: the first frame with contact comes so much after
@@ -134,23 +136,44 @@ def glass_positions(inputs: Inputs, pixels: NDArray[np.float64]) -> NDArray[np.f
 
 
 def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) -> Displacement:
-    """Displacement of each point from where it was when the contact first covered it."""
+    """Displacement of each point from where it was when the contact came to cover it."""
     position = glass_positions(inputs, tracks.position)
     numbers = np.arange(position.shape[1])
-    onset = np.where(covered.any(0), covered.argmax(0), -1).astype(np.int32)
+    lasting = _lasting(covered)
+    onset = np.where(lasting.any(0), lasting.argmax(0), -1).astype(np.int32)
     # A point that was lost when the contact reached it has no known place of onset: a later one would be taken for it.
     known = (onset >= 0) & np.isfinite(position[onset, numbers]).all(-1)
     onset = np.where(known, onset, -1).astype(np.int32)
     never = onset < 0
     reference = np.where(never[:, None], np.nan, position[onset, numbers])
     displacement = position - reference
-    displacement[np.arange(len(position))[:, None] < onset] = np.nan
+    early = np.arange(len(position))[:, None] < onset
+    displacement[early] = np.nan
+    # Whether a touch stays is not known while it lasts: a short one counts by itself, as in a stream.
+    frame, point = np.nonzero(covered & early)
+    displacement[frame, point] = position[frame, point] - position[_begin_of_touch(covered)[frame, point], point]
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
     variance = np.float32(scale**2) * _noise_since(tracks.deviation, onset, inputs.scene.tracking.template)
     variance[np.isnan(displacement).any(-1)] = np.nan
     of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, reference)
     pixels = np.where(never[:, None], np.nan, tracks.position[onset, numbers])
     return Displacement(onset, reference, pixels, displacement, variance, of_onset, late, median_of_known(displacement))
+
+
+def _lasting(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(F, N): covered in this frame and in as many of the next as make an onset (`SinceOnsetGraph`), or to the end."""
+    result = covered.copy()
+    for later in range(1, min(LASTING, len(covered))):
+        result[:-later] &= covered[later:]
+    return result
+
+
+def _begin_of_touch(covered: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(F, N): the last frame in which the contact came to cover a point; 0 before."""
+    came = covered.copy()
+    came[1:] &= ~covered[:-1]
+    result: NDArray[np.intp] = np.maximum.accumulate(np.where(came, np.arange(len(covered))[:, None], 0), axis=0)
+    return result
 
 
 def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], template: str) -> NDArray[np.float32]:

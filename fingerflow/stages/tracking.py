@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
+from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import (
     RENEWAL_PX,
@@ -21,7 +22,6 @@ from fingerflow.graphs.track import (
     merged,
 )
 from fingerflow.ops.cells import covered
-from fingerflow.ops.corners import detect_corners
 from fingerflow.ops.dense_region import cell_of
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
@@ -42,7 +42,6 @@ GIVES = frozenset(
         "forward_backward_median",
     }
 )
-_CORNER_PX = 5  # a corner must be local; averaged over a tracking window few are left apart
 _FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
 _FASTEST_PX = 0.2  # that the edges of windows may change by until then
@@ -66,7 +65,7 @@ class TrackingStage:
     """
 
     def __init__(self, inputs: Inputs, region: Tensor) -> None:
-        """``region`` (1, 1, h, w) bool: where to look for points, px of the contact view."""
+        """``region`` (1, 1, h, w) bool, px of the contact view: where to look for points if the scene says nothing."""
         view = inputs.scene.views.topography
         if view is None:
             raise FingerflowError(
@@ -76,6 +75,9 @@ class TrackingStage:
         self._inputs = inputs
         self._view = view
         self._settings = inputs.scene.tracking
+        self._detect = inputs.engine(
+            DetectGraph(self._settings.points, self._settings.min_distance_px, self._settings.window_px)
+        )
         self._keys = inputs.engine(KeyGraph(self._settings.window_px, self._settings.gain_offset))
         self._track = inputs.engine(TrackGraph(self._settings.forward_backward_limit_px))
         self._agreement = inputs.engine(AgreementGraph())
@@ -214,24 +216,13 @@ class TrackingStage:
 
     def _begin(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
-        settings = self._settings
-        region = cv2.warpAffine(
-            self._region[0, 0].cpu().numpy().astype(np.uint8),
-            self._inputs.topography_to_contact,
-            (image.shape[3], image.shape[2]),
-            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        )
-        mask = torch.from_numpy(region).to(image.device)[None, None] > 0
-        border = settings.window_px // 2 + 2
-        corners = detect_corners(
-            image, settings.points, settings.min_distance_px, mask, window=_CORNER_PX, border=border
-        )
-        points = corners.points[:, corners.valid[0]]
+        found, _ = self._detect(image, self._where(image))
+        points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
                 f"{self._inputs.recording.path}: {points.shape[1]} points with texture were found in the "
-                f"contact region of the "
-                "topographic view, at least 3 are needed. Check [views.topography], the calibration and the focus."
+                f"contact region of the topographic view, at least 3 are needed. Check [views.topography], "
+                f"[stream] region, the calibration and the focus."
             )
         count = (len(self._inputs.recording), points.shape[1])
         self.series = TrackSeries(
@@ -247,6 +238,22 @@ class TrackingStage:
         self._prepare(image, points)
         exact = torch.zeros_like(points[..., 0])
         return Found(points, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8), points)
+
+    def _where(self, image: Tensor) -> Tensor:
+        """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both
+        have the same points; else, and where the last frame comes first, all that touches at some time."""
+        stated = self._inputs.scene.stream.region
+        if stated is not None and self._settings.direction == "forward":
+            mask = torch.zeros_like(image, dtype=torch.bool)
+            stated.view().crop(mask)[...] = True
+            return mask
+        region = cv2.warpAffine(
+            self._region[0, 0].cpu().numpy().astype(np.uint8),
+            self._inputs.topography_to_contact,
+            (image.shape[3], image.shape[2]),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        )
+        return torch.from_numpy(region).to(image.device)[None, None] > 0
 
     def _prepare(self, image: Tensor, points: Tensor) -> None:
         # A copy: the image is a part of a batch of frames, which it would keep in memory.

@@ -17,7 +17,7 @@ SETTINGS: dict[str, Any] = {
     "least_spread": 0.1,
     "farthest": 0.3,
     "least_ratio": 0.1,
-    "least_share": 0.9,
+    "least_share": 0.85,
     "reach": 2.0,
     "even": 0.4,
 }
