@@ -133,7 +133,13 @@ def _displacement(outcome: Outcome) -> None:
     outcome.add(
         "onset_frame", ("point",), onset, "1", "first frame in which the contact comes to cover the point, -1 for never"
     )
-    outcome.add("reference_position", ("point", "xy"), moved.reference, "mm", "position at onset")
+    outcome.add(
+        "reference_position",
+        ("point", "xy"),
+        moved.reference,
+        "mm",
+        "position at onset; of points that are touched in passing alone, where they were then",
+    )
     outcome.add("displacement", ("frame", "point", "xy"), moved.displacement, "mm", "displacement since onset")
     outcome.add(
         "displacement_std", ("frame", "point"), moved.deviation(), "mm", "standard deviation of a component since onset"

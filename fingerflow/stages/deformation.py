@@ -68,7 +68,7 @@ class Displacement:
     Attributes:
         onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
             then.
-        reference: (N, 2) position at onset, mm.
+        reference: (N, 2) position at onset, mm; of points that are touched in passing alone, where they were then.
         reference_px: (N, 2) the same, px of the topographic view.
         displacement: (F, N, 2) mm; in a touch that does not stay, before the onset, since that touch.
         variance: (F, N) mm^2, of a component, by the noise of the pictures.
@@ -140,24 +140,23 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     position = glass_positions(inputs, tracks.position)
     numbers = np.arange(position.shape[1])
     lasting = _lasting(covered)
-    onset = np.where(lasting.any(0), lasting.argmax(0), -1).astype(np.int32)
+    stays, touched = (np.any(one, axis=0, keepdims=True)[0] for one in (lasting, covered))
+    came = np.where(stays, lasting.argmax(0), covered.argmax(0))
+    place = np.where(touched[:, None], position[came, numbers], np.nan)
     # A point that was lost when the contact reached it has no known place of onset: a later one would be taken for it.
-    known = (onset >= 0) & np.isfinite(position[onset, numbers]).all(-1)
-    onset = np.where(known, onset, -1).astype(np.int32)
-    never = onset < 0
-    reference = np.where(never[:, None], np.nan, position[onset, numbers])
-    displacement = position - reference
-    early = np.arange(len(position))[:, None] < onset
-    displacement[early] = np.nan
+    onset = np.where(stays & np.isfinite(place).all(-1), came, -1).astype(np.int32)
+    displacement = position - place
+    before = (np.arange(len(position))[:, None] < came) | ~stays
+    displacement[before] = np.nan
     # Whether a touch stays is not known while it lasts: a short one counts by itself, as in a stream.
-    frame, point = np.nonzero(covered & early)
+    frame, point = np.nonzero(covered & before)
     displacement[frame, point] = position[frame, point] - position[_begin_of_touch(covered)[frame, point], point]
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
     variance = np.float32(scale**2) * _noise_since(tracks.deviation, onset, inputs.scene.tracking.template)
     variance[np.isnan(displacement).any(-1)] = np.nan
-    of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, reference)
-    pixels = np.where(never[:, None], np.nan, tracks.position[onset, numbers])
-    return Displacement(onset, reference, pixels, displacement, variance, of_onset, late, median_of_known(displacement))
+    of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, place)
+    pixels = np.where(touched[:, None], tracks.position[came, numbers], np.nan)
+    return Displacement(onset, place, pixels, displacement, variance, of_onset, late, median_of_known(displacement))
 
 
 def _lasting(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
