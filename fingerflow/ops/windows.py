@@ -95,16 +95,19 @@ def _sample_piece(
     height, width = shape[-2:]
     half = size // 2
     offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
-    # (P, size, size) positions; the window's rows are y, its columns x.
-    x = points[:, 0, None, None] + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
-    y = points[:, 1, None, None] + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
+    # (P, size, size) positions from the pixel nearest to the point: in the frame they have two digits less. The
+    # rows of a window are y, its columns x.
+    center = points.detach().round()[..., None, None]
+    (at_x, at_y), (pixel_x, pixel_y) = (points[..., None, None] - center).unbind(1), center.unbind(1)
+    x = at_x + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
+    y = at_y + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
     first, last = (1 - order) // 2, (order + 1) // 2
     # Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
-    whole_x = x.detach().floor().clamp(-first, width - 1 - last)
-    whole_y = y.detach().floor().clamp(-first, height - 1 - last)
-    # Far beyond the frame a cubic would grow until nothing is finite.
-    weights_x, slopes_x = spline_weights((x - whole_x).clamp(-order, 2 * order), order)
-    weights_y, slopes_y = spline_weights((y - whole_y).clamp(-order, 2 * order), order)
+    whole_x = (x.detach().floor() + pixel_x).clamp(-first, width - 1 - last)
+    whole_y = (y.detach().floor() + pixel_y).clamp(-first, height - 1 - last)
+    # Beyond the frame, where a cubic would grow, the border is repeated.
+    weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(first, last), order)
+    weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(first, last), order)
     index = (whole_y.long() + first + image_index[:, None, None] * height) * width + (whole_x.long() + first)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
     for k in range(order + 1):
