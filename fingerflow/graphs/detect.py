@@ -56,7 +56,9 @@ class DetectGraph(nn.Module):
         strongest = inside.amax((2, 3), keepdim=True)
         limit = torch.maximum(_QUALITY * strongest, _NOISE * noise)
         corners = torch.where(inside > limit, inside, 0.0)
-        largest = functional.max_pool2d(corners, 2 * self.beside + 1, 1, self.beside)
+        largest = corners
+        for _ in range(self.beside):
+            largest = widest(largest)
         alone = torch.zeros_like(corners)  # px to a stronger one, less what is asked for at least
         # N squares of a larger side do not fit into the view.
         for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
@@ -80,8 +82,17 @@ def _response(view: Tensor) -> Tensor:
     smooth_y = (view[..., :-2, :] + 2 * view[..., 1:-1, :] + view[..., 2:, :]) / 4
     x = (smooth_y[..., 2:] - smooth_y[..., :-2]) / 2
     y = (smooth_x[..., 2:, :] - smooth_x[..., :-2, :]) / 2
-    xx, xy, yy = (functional.avg_pool2d(product, _BOX, 1) for product in (x * x, x * y, y * y))
+    xx, xy, yy = (_box(product) for product in (x * x, x * y, y * y))
     half = (xx - yy) / 2
     smaller = (xx + yy) / 2 - (half * half + xy * xy).sqrt()
     edge = 1 + _BOX // 2
     return functional.pad(smaller.clamp_min(0), (edge,) * 4)
+
+
+def _box(values: Tensor) -> Tensor:
+    """Means over squares of _BOX px that lie in (B, 1, h, w); torch's own pooling takes several times as long."""
+    for dim in (2, 3):
+        size = values.shape[dim] - _BOX + 1
+        first, *others = (values.narrow(dim, k, size) for k in range(_BOX))
+        values = sum(others, first) / _BOX
+    return values
