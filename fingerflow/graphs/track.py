@@ -14,9 +14,9 @@ from fingerflow.ops.tensors import sum_rows
 from fingerflow.ops.tracking_limits import Number, TrackStatus
 
 # px that a deformation may shift the edge of a window before its template is prepared anew. What leans, and what the
-# residual owes to it, is taken off: on a press positions are as exact as at 0.1 px (0.0283 px in the last frame), for
-# half of the templates. At 0.3 px, too; but errors are up to 1.3 times those that are stated.
-RENEWAL_PX = 0.2
+# residual owes to it, is taken off: on a press positions are as exact at 0.2 px, for half of the templates. But which
+# templates exceed the limit turns on a digit, and then two engines differ by up to 0.009 px, not 3e-5 as here.
+RENEWAL_PX = 0.1
 WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
 _TINY = 1e-20
 
