@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tensors import finite
@@ -57,13 +58,13 @@ class DetectGraph(nn.Module):
         limit = torch.maximum(_QUALITY * strongest, _NOISE * noise)
         corners = torch.where(inside > limit, inside, 0.0)
         largest = corners
-        for _ in range(self.beside):
+        for _ in range(self.beside - 1):
             largest = widest(largest)
         alone = torch.zeros_like(corners)  # px to a stronger one, less what is asked for at least
         # N squares of a larger side do not fit into the view.
         for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
-            alone = alone + (corners >= largest).to(alone.dtype)
             largest = widest(largest)
+            alone = alone + (corners >= largest).to(alone.dtype)
         corners = torch.where(alone > 0, corners, 0.0)
         rank = torch.where(corners > 0, alone + corners / strongest.clamp_min(_TINY), 0.0)
         chosen = rank.flatten(1).topk(count, dim=1).indices
@@ -82,17 +83,8 @@ def _response(view: Tensor) -> Tensor:
     smooth_y = (view[..., :-2, :] + 2 * view[..., 1:-1, :] + view[..., 2:, :]) / 4
     x = (smooth_y[..., 2:] - smooth_y[..., :-2]) / 2
     y = (smooth_x[..., 2:, :] - smooth_x[..., :-2, :]) / 2
-    xx, xy, yy = (_box(product) for product in (x * x, x * y, y * y))
+    xx, xy, yy = (box_sum(product, _BOX) / _BOX**2 for product in (x * x, x * y, y * y))
     half = (xx - yy) / 2
     smaller = (xx + yy) / 2 - (half * half + xy * xy).sqrt()
     edge = 1 + _BOX // 2
     return functional.pad(smaller.clamp_min(0), (edge,) * 4)
-
-
-def _box(values: Tensor) -> Tensor:
-    """Means over squares of _BOX px that lie in (B, 1, h, w); torch's own pooling takes several times as long."""
-    for dim in (2, 3):
-        size = values.shape[dim] - _BOX + 1
-        first, *others = (values.narrow(dim, k, size) for k in range(_BOX))
-        values = sum(others, first) / _BOX
-    return values

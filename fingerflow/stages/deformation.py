@@ -140,7 +140,7 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     position = glass_positions(inputs, tracks.position)
     numbers = np.arange(position.shape[1])
     lasting = _lasting(covered)
-    stays, touched = (np.any(one, axis=0, keepdims=True)[0] for one in (lasting, covered))
+    stays, touched = np.any(lasting, axis=0), np.any(covered, axis=0)
     came = np.where(stays, lasting.argmax(0), covered.argmax(0))
     place = np.where(touched[:, None], position[came, numbers], np.nan)
     # A point that was lost when the contact reached it has no known place of onset: a later one would be taken for it.
