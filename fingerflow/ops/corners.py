@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from fingerflow import kernels
 from fingerflow.ops.box_sum import box_sum
+from fingerflow.ops.cells import widest
 from fingerflow.ops.noise import estimate_noise
 
 _GRADIENT_SCALE = 8  # of Sobel's gradient in whole numbers
@@ -98,7 +99,7 @@ def detect_corners(
     spread = _noise_deviation(frame) if noise is None else torch.full_like(response[:, 0, 0, 0], noise)
     known = torch.where(allowed & response.isfinite(), response, 0.0)
     floor = torch.maximum(quality * known.amax((1, 2, 3)), _above_noise(window) * spread.square())
-    peak = known == _largest_around(known)
+    peak = known == widest(known)
     candidate = peak & (known > floor[:, None, None, None]) & (known > _ROUNDING * larger)
     return _strongest_apart(known, candidate, count, min_distance)
 
@@ -161,13 +162,6 @@ def _gradient(values: Tensor) -> tuple[Tensor, Tensor]:
     smooth_y = padded[..., :-2, :] + 2 * padded[..., 1:-1, :] + padded[..., 2:, :]
     smooth_x = padded[..., :-2] + 2 * padded[..., 1:-1] + padded[..., 2:]
     return smooth_y[..., 2:] - smooth_y[..., :-2], smooth_x[..., 2:, :] - smooth_x[..., :-2, :]
-
-
-def _largest_around(response: Tensor) -> Tensor:
-    """Largest value of the 3 x 3 neighbourhood; nothing outside the frame is negative, so zero stands for it."""
-    padded = functional.pad(response, (1, 1, 1, 1))
-    rows = torch.maximum(torch.maximum(padded[..., :-2, :], padded[..., 1:-1, :]), padded[..., 2:, :])
-    return torch.maximum(torch.maximum(rows[..., :-2], rows[..., 1:-1]), rows[..., 2:])
 
 
 def _above_noise(window: int) -> float:
