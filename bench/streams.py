@@ -1,4 +1,4 @@
-"""The player of a bundle as a program of its own, as a lab PC runs it: without torch in its memory."""
+"""The player of a bundle as a program of its own, as a lab PC runs it."""
 
 import json
 import subprocess
@@ -26,6 +26,7 @@ def exported(recipe: str) -> Iterator[Path]:
 def play(
     bundle: Path,
     *arguments: str,
+    provider: str = "cpu",
     watch: Callable[[int], None] = lambda pid: None,
     scene: Path | None = None,
     results: Path | None = None,
@@ -40,7 +41,7 @@ def play(
         source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
         command = [sys.executable, str(bundle / "player.py"), *source, "--page", "off"]
         options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
-        options += ["--provider", "cpu"]
+        options += ["--provider", provider]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,

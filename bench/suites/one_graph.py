@@ -4,8 +4,9 @@ The player gets the scene as it is, and so measures the threshold while the cont
 the frame with most of it. Both choose points in `[stream] region`, as many as their settings say. Differences are the
 largest of all frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a
 share of those of `process`, the median divergence in 1e-3 (um a mm), and `rms` the root mean square of the latter.
-`same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe: at another
-pace (`rate_hz`, none: as fast as it goes), or with two frames side by side. `error` is the largest difference of the
+`same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe and provider: at another
+pace (`rate_hz`, none: as fast as it goes), or with two frames side by side; by the compiled kernels, in place of ONNX
+Runtime, sums are rounded otherwise. `error` is the largest difference of the
 median divergence to the truth, in the same unit; that of `process` stands in the first row.
 """
 
@@ -27,7 +28,7 @@ _CLOCK = ("time", "latency")
 
 
 def run(quick: bool) -> list[Row]:
-    """A row for `process`, and three a recipe."""
+    """A row for `process`, and five a recipe."""
     press = Press(n_frames=60 if quick else 300)
     with tempfile.TemporaryDirectory() as folder:
         write_recording(Path(folder) / "press", press)
@@ -39,17 +40,25 @@ def run(quick: bool) -> list[Row]:
         rows: list[Row] = [{"by": "process", "error": _largest(ours - truth, counted)}]
         for recipe in sorted(RECIPES.glob("*.toml")):
             with exported(recipe.read_text(encoding="utf-8")) as bundle:
-                first: Any = None
-                for pace, parallel in ((None, 1), (None, 2), (100, 2)):
-                    results = Path(folder) / f"{recipe.stem}-{pace}-{parallel}"
-                    given = () if pace is None else ("--rate", str(pace))
-                    play(bundle, "--parallel-frames", str(parallel), *given, scene=scene, results=results)
+                firsts: dict[str, Any] = {}
+                runs = (
+                    ("cpu", None, 1),
+                    ("cpu", None, 2),
+                    ("cpu", 100, 2),
+                    ("compiled", None, 1),
+                    ("compiled", 100, 2),
+                )
+                for provider, pace, parallel in runs:
+                    results = Path(folder) / f"{recipe.stem}-{provider}-{pace}-{parallel}"
+                    given = ("--parallel-frames", str(parallel), *(() if pace is None else ("--rate", str(pace))))
+                    play(bundle, *given, provider=provider, scene=scene, results=results)
                     records = read_results(results).records
-                    first = records if first is None else first
+                    first = firsts.setdefault(provider, records)
                     divergence = 1e3 * records["median_divergence"]
                     rows.append(
                         {
                             "by": recipe.stem,
+                            "provider": provider,
                             "side_by_side": parallel,
                             "rate_hz": pace,
                             "real_area": _largest(records["real_area_mm2"] / result["real_contact_area"] - 1, counted),

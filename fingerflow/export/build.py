@@ -1,5 +1,6 @@
 """The graphs of a recipe: module, and name, type and unit of everything that goes in and out."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,7 +38,7 @@ UNITS = {
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
     **dict.fromkeys(("mask", "touching", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"),
     **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
-    **dict.fromkeys(("key_coefficients", "key_noise"), "counts"),
+    **dict.fromkeys(("key_image", "key_noise"), "counts"),
     **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
     "mm_per_px": "mm/px",
     "angle": "rad",
@@ -62,19 +63,23 @@ OF_FRAME = (*Prepared._fields, *(name for name in Held._fields if name != "prepa
 
 
 class _Flat(nn.Module):
-    """A module whose last argument may be `Held`, with one argument a tensor, and some of its outputs."""
+    """A module whose last argument may be `Held`, with one argument a tensor that is given, and some of its outputs."""
 
-    def __init__(self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], held: bool) -> None:
+    def __init__(
+        self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], given: tuple[str, ...]
+    ) -> None:
         super().__init__()
         self.module = module
         self.kept = [names.index(name) for name in kept]
-        self.held = held
+        self.plain = [place for place, name in enumerate(given) if name not in OF_FRAME]
+        self.held = [given.index(name) if name in given else None for name in OF_FRAME]
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        arguments: tuple[Any, ...] = tensors
-        if self.held:
-            plain, own = len(tensors) - len(OF_FRAME), len(tensors) - len(OF_FRAME) + len(Prepared._fields)
-            arguments = (*tensors[:plain], Held(Prepared(*tensors[plain:own]), *tensors[own:]))
+        arguments: tuple[Any, ...] = tuple(tensors[place] for place in self.plain)
+        if len(arguments) < len(tensors):
+            held: list[Any] = [None if place is None else tensors[place] for place in self.held]
+            own = len(Prepared._fields)
+            arguments = (*arguments, Held(Prepared(*held[:own]), *held[own:]))
         results = tree.tree_leaves(self.module(*arguments))
         return tuple(results[place] for place in self.kept)
 
@@ -95,11 +100,14 @@ class _Measured(nn.Module):
         return (*(contact[name] for name in _MEASURED), threshold)
 
 
-def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
+def build(
+    recipe: Recipe, precision: torch.dtype | None = None, without: Collection[str] = ()
+) -> dict[GraphName, Graph]:
     """The graphs that a recipe asks for, in the order in which they can run.
 
     Args:
         precision: in place of the recipe's.
+        without: inputs and outputs that are left out.
     """
     kind = precision or _TYPES[recipe.export.precision]
     contact, tracking = recipe.contact, recipe.tracking
@@ -139,12 +147,10 @@ def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphNam
             SinceOnset._fields,
         ),
     }
-    return {
-        name: Graph(
-            _Flat(module, outputs, shown if name == "frame" else outputs, name in ("track", "frame")).eval(),
-            inputs,
-            shown if name == "frame" else outputs,
-        )
-        for name, (module, inputs, outputs) in described.items()
-        if name in recipe.export.graphs
-    }
+    graphs = {}
+    for name, (module, inputs, outputs) in described.items():
+        if name in recipe.export.graphs:
+            given = tuple(one for one in inputs if one not in without)
+            kept = tuple(one for one in (shown if name == "frame" else outputs) if one not in without)
+            graphs[name] = Graph(_Flat(module, outputs, kept, given).eval(), given, kept)
+    return graphs

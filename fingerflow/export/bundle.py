@@ -87,11 +87,11 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
         batched = {0: torch.export.Dim.DYNAMIC}
         shapes = (tuple({} if one == "topography_to_contact" else batched for one in graph.inputs),)
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
-    model.producer_name, model.producer_version = "fingerflow", _version()
+    model.producer_name, model.producer_version = "fingerflow", version()
     model.graph.name = f"fingerflow.{name}"
     digest = hashlib.sha256(model.SerializeToString(deterministic=True)).hexdigest()
     facts = {
-        "version": _version(),
+        "version": version(),
         "graph": name,
         "recipe": recipe.model_dump_json(),
         "units": json.dumps({one: UNITS[one] for one in (*graph.inputs, *graph.outputs)}),
@@ -107,7 +107,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
     """Adds the player, what a technician reads, and bundle.json."""
-    about = {"format": FORMAT, "fingerflow": _version(), "recipe": recipe.model_dump(), "graphs": models}
+    about = {"format": FORMAT, "fingerflow": version(), "recipe": recipe.model_dump(), "graphs": models}
     (folder / "bundle.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
     (folder / "player.py").write_bytes((package / "player.py").read_bytes())
@@ -115,7 +115,8 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
         (folder / name).write_bytes((package / "bundle" / name).read_bytes())
 
 
-def _version() -> str:
+def version() -> str:
+    """Of the installed package."""
     try:
         return importlib.metadata.version("fingerflow-engine")
     except importlib.metadata.PackageNotFoundError:

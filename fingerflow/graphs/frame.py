@@ -12,8 +12,7 @@ from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.plane_fit import Support
-from fingerflow.ops.spline import spline_coefficients
-from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates
+from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates, renewable
 
 LASTING = 3  # frames in a row that the contact covers a point to count as its onset
 
@@ -25,14 +24,13 @@ class Prepared(NamedTuple):
     template_samples: Tensor
     template_table: Tensor
     template_numbers: Tensor
-    template_pixels: Tensor
+    template_pixels: Tensor | None
     template_inverse_warp: Tensor
 
     @classmethod
     def of(cls, templates: Templates, inverse_warp: Tensor) -> "Prepared":
-        """Of the portable form, which is exported."""
-        assert templates.pixels is not None
-        return cls(*templates[:4], templates.pixels, inverse_warp)
+        """Those of `ops.templates`."""
+        return cls(*templates, inverse_warp)
 
     def templates(self) -> Templates:
         """Those of `ops.templates`."""
@@ -43,14 +41,18 @@ class Held(NamedTuple):
     """What a frame needs to know of the key frame: the templates, and the `Support` of their neighbours, (B, N, N)."""
 
     prepared: Prepared
-    neighbours_weights: Tensor
-    neighbours_within: Tensor
+    neighbours_weights: Tensor | None
+    neighbours_within: Tensor | None
+
+
+COMPILED_DO_WITHOUT = ("template_pixels", "neighbours_weights", "neighbours_within")  # of `Held`: None there
 
 
 class KeyView(NamedTuple):
-    """What is needed of the key frame to prepare templates anew: its spline (B, 1, H, W) and its noise (B,)."""
+    """What is needed of the key frame to prepare templates anew: `ops.templates.renewable` of it (B, 1, H, W), and its
+    noise (B,)."""
 
-    key_coefficients: Tensor
+    key_image: Tensor
     key_noise: Tensor
 
 
@@ -64,14 +66,12 @@ class HeldGraph(nn.Module):
 
     def forward(self, topography_view: Tensor, points: Tensor) -> tuple[Held, KeyView]:
         """(B, 1, H, W), and (B, N, 2) px, NaN where there is none."""
-        coefficients = spline_coefficients(topography_view)
-        noise = estimate_noise(topography_view).to(coefficients.dtype)
+        noise = estimate_noise(topography_view)
         templates = self.key(topography_view, points, noise)
         kind = templates.samples.dtype
         straight = torch.eye(2, dtype=kind, device=points.device).expand(*points.shape, 2)
-        support = self.deformation.support(templates.start)
-        assert support is not None  # of the portable form
-        return Held(Prepared.of(templates, straight), *support), KeyView(coefficients, noise)
+        support = self.deformation.support(templates.start) or (None, None)
+        return Held(Prepared.of(templates, straight), *support), KeyView(renewable(topography_view), noise.to(kind))
 
 
 class RenewGraph(nn.Module):
@@ -83,12 +83,10 @@ class RenewGraph(nn.Module):
         self.window = window
         self.gain_offset = gain_offset
 
-    def forward(self, key_coefficients: Tensor, key_noise: Tensor, points: Tensor, warp: Tensor) -> Prepared:
+    def forward(self, key_image: Tensor, key_noise: Tensor, points: Tensor, warp: Tensor) -> Prepared:
         """`KeyView`, (B, N, 2) px and the deformation gradient (B, N, 2, 2)."""
-        templates = renew_templates(
-            key_coefficients, key_noise, points, self.window, warp, gain_offset=self.gain_offset
-        )
-        return Prepared.of(templates, inverse_2x2(warp.to(key_coefficients.dtype)))
+        templates = renew_templates(key_image, key_noise, points, self.window, warp, gain_offset=self.gain_offset)
+        return Prepared.of(templates, inverse_2x2(warp.to(templates.samples.dtype)))
 
 
 class Followed(NamedTuple):
@@ -116,7 +114,8 @@ class FollowGraph(nn.Module):
     def forward(self, topography_view: Tensor, prediction: Tensor, held: Held) -> Followed:
         """(B, 1, H, W), (B, N, 2) px, and what `HeldGraph` gave."""
         templates, inverse_warp = held.prepared.templates(), held.prepared.template_inverse_warp
-        support = Support(held.neighbours_weights, held.neighbours_within)
+        weights, within = held.neighbours_weights, held.neighbours_within
+        support = None if weights is None or within is None else Support(weights, within)
         found = self.track(templates, topography_view, prediction)
         deformed = self.deformation(templates.start, found, templates.numbers, inverse_warp, support)
         stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)

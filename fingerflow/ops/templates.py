@@ -154,19 +154,30 @@ def prepare_templates(
     return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
+def renewable(image: Tensor) -> Tensor:
+    """What `renew_templates` needs to know of a key frame (B, 1, H, W): its spline, or the frame itself where the
+    compiled twin takes it."""
+    return image if kernels.serve(image) and image.dtype in kernels.FRAME_KINDS else spline_coefficients(image)
+
+
 def renew_templates(
-    coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
+    held: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """`prepare_templates` of whole grey levels where the key frame's spline and noise are known, in the portable form.
+    """`prepare_templates` of whole grey levels where it is known what a key frame is `renewable` from, and its noise.
 
     Args:
-        coefficients: (B, 1, H, W) of `spline_coefficients`.
+        held: (B, 1, H, W) as `renewable` gave it.
         noise: (B,) standard deviation of white noise, grey levels.
         points, window, warp, gain_offset: as for `prepare_templates`.
     """
-    kind = coefficients.dtype
-    settings = {"gain_offset": gain_offset, "variance": noise.to(kind).square(), "rounding": ROUNDING}
-    return _of_spline(coefficients, points.to(kind), inverse_2x2(warp.to(kind)), window, **settings)
+    kind = torch.float64 if held.dtype == torch.float64 else torch.float32
+    given, inverse, variance = points.to(kind), inverse_2x2(warp.to(kind)), noise.to(kind).square()
+    if kernels.serve(held, given, inverse, variance) and held.dtype in kernels.FRAME_KINDS:
+        return Templates(
+            *kernels.prepare_templates(held, given, inverse, variance, window, gain_offset, ROUNDING), pixels=None
+        )
+    settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
+    return _of_spline(held, given, inverse, window, **settings)
 
 
 def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:

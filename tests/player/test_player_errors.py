@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -266,6 +267,20 @@ def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], sai
     assert ended.code == 2
     assert said in ended.said
     assert ended.results is None
+
+
+def test_compiled_kernels_need_the_package(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fingerflow.export.compiled", None)
+    ended = stream.run("--source", "synthetic", "--provider", "compiled")
+    assert ended.code == 2
+    assert "is the package fingerflow-engine, which is not installed here" in ended.said
+    assert ended.results is None
+
+
+def test_compiled_kernels_need_a_bundle_of_the_package(stream: Stream) -> None:
+    ended = stream.run("--source", "synthetic", "--provider", "compiled")
+    assert ended.code == 2
+    assert "provider 'compiled': the recipe of bundle.json is not valid" in ended.said
 
 
 def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:
