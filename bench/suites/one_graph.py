@@ -4,10 +4,10 @@ The player gets the scene as it is, and so measures the threshold while the cont
 the frame with most of it. Both choose points in `[stream] region`, as many as their settings say. Differences are the
 largest of all frames with 5 mm2 of gross contact and more, nothing where one is not known in one of them: areas as a
 share of those of `process`, the median divergence in 1e-3 (um a mm), and `rms` the root mean square of the latter.
-`same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe and provider: at another
-pace (`rate_hz`, none: as fast as it goes), or with two frames side by side; by the compiled kernels, in place of ONNX
-Runtime, sums are rounded otherwise. `error` is the largest difference of the
-median divergence to the truth, in the same unit; that of `process` stands in the first row.
+`same` says whether every number of every frame equals, bit for bit, that of the first run of the recipe by the same
+provider: at another pace (`rate_hz`, none: as fast as it goes), or with two frames side by side. By the compiled
+kernels, in place of ONNX Runtime, sums are rounded otherwise. `error` is the largest difference of the median
+divergence to the truth, in the same unit; that of `process` stands in the first row.
 """
 
 import tempfile
@@ -23,6 +23,7 @@ from fingerflow.player import read_results
 from fingerflow.synthetic import Press, write_recording
 
 RECIPES = Path(__file__).parents[2] / "export"
+RUNS = (("cpu", None, 1), ("cpu", None, 2), ("cpu", 100, 2), ("compiled", None, 1), ("compiled", 100, 2))
 _LEAST_AREA = 5.0  # mm2
 _CLOCK = ("time", "latency")
 

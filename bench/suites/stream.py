@@ -1,14 +1,15 @@
 """The player on a synthetic camera: two 512 x 640 views, on the processor, every frame computed and written.
 
-Each recipe of `export/` is played by ONNX Runtime without torch (`cpu`) and by the kernels of the package (`compiled`), as
-fast as it goes, one frame after the other and two side by side (the option `--parallel-frames 2`), and then for 60 s at
-two thirds of the better of these rates, or 300 a second, as a camera would give the frames.
+Each recipe of `export/` is played by ONNX Runtime without torch (`cpu`) and by the kernels of the package (`compiled`),
+as fast as it goes, one frame after the other and two side by side (the option `--parallel-frames 2`), and then for 60 s
+at two thirds of the better of these rates, or 300 a second, as a camera would give the frames.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
 waiting. `stalled` is what the machine takes from programs that only read the clock, in gaps of more than 1 ms, mean of
 3 s before and after: on cores that do other work latencies mean little.
 """
 
 from pathlib import Path
+from typing import Any
 
 from bench.rows import Row
 from bench.stalls import stalled_ms_per_s
@@ -24,21 +25,20 @@ def run(quick: bool) -> list[Row]:
     for path in sorted(RECIPES.glob("*.toml")):
         with exported(path.read_text(encoding="utf-8")) as bundle:
             for provider in ("cpu", "compiled"):
-                free = [_row(bundle, path.stem, provider, parallel, None, quick) for parallel in (1, 2)]
-                best = max(free, key=lambda row: row["rate_hz"])
-                pace = min(CAMERA, round(best["rate_hz"] * 2 / 3))
-                rows += [*free, _row(bundle, path.stem, provider, best["side_by_side"], pace, quick)]
+                of = {"recipe": path.stem, "provider": provider}
+                free = {parallel: _played(bundle, provider, parallel, None, quick) for parallel in (1, 2)}
+                best = max(free, key=lambda parallel: free[parallel]["rate_hz"])
+                pace = min(CAMERA, round(free[best]["rate_hz"] * 2 / 3))
+                rows += [of | row for row in (*free.values(), _played(bundle, provider, best, pace, quick))]
     return rows
 
 
-def _row(bundle: Path, recipe: str, provider: str, parallel: int, pace: int | None, quick: bool) -> Row:
+def _played(bundle: Path, provider: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
     count = (2 if quick else 60 if pace else 10) * (pace or 60)
     given = () if pace is None else ("--rate", str(pace))
     before = stalled_ms_per_s()
     summary = play(bundle, "--frames", str(count), "--parallel-frames", str(parallel), *given, provider=provider)
     return {
-        "recipe": recipe,
-        "provider": provider,
         "side_by_side": parallel,
         "asked_hz": pace,
         "rate_hz": summary["rate_hz"],
