@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fingerflow.ops.corners import detect_corners as detect_corners
+    from fingerflow.ops.flow import dense_flow as dense_flow
+    from fingerflow.ops.gridding import scattered_to_grid as scattered_to_grid
     from fingerflow.ops.illumination import normalize_illumination as normalize_illumination
     from fingerflow.ops.local_fit import local_gradients as local_gradients
     from fingerflow.ops.median import median_filter as median_filter
     from fingerflow.ops.otsu import otsu_threshold as otsu_threshold
-    from fingerflow.ops.scattered_to_grid import scattered_to_grid as scattered_to_grid
     from fingerflow.ops.strain import curl as curl
     from fingerflow.ops.strain import divergence as divergence
     from fingerflow.ops.strain import green_lagrange as green_lagrange
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "curl": "strain",
+    "dense_flow": "flow",
     "detect_corners": "corners",
     "divergence": "strain",
     "green_lagrange": "strain",
@@ -26,7 +28,7 @@ _HOMES = {
     "median_filter": "median",
     "normalize_illumination": "illumination",
     "otsu_threshold": "otsu",
-    "scattered_to_grid": "scattered_to_grid",
+    "scattered_to_grid": "gridding",
     "strain_energy_density": "strain",
     "track_points": "tracking",
     "triangle_gradients": "triangles",
@@ -40,3 +42,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(f"fingerflow.ops.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'fingerflow.ops' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__
