@@ -23,7 +23,8 @@ def pressure(
     Raises:
         ValueError: a semi-axis is not positive.
     """
-    return _peak(normal_force, semi_axes) * (1 - _ellipse(x, y, semi_axes)).clamp(min=0)
+    share = (1 - _ellipse(x, y, semi_axes)).clamp(min=0)
+    return _peak(normal_force, semi_axes) * share
 
 
 def traction(
