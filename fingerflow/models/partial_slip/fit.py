@@ -200,10 +200,11 @@ def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray
 
     Chosen by the load, because a choice by the noisy area itself would keep the frames that err to one side.
     """
-    partly = (area > 0.5) & (area < 0.9)
+    partly = (area > 0.5) & (area < 1 - 5 * noise[0])
+    if not partly.any():
+        return partly
     # T/N = 2 mu_s (1 - d^2) near d^2 = 1.
-    softness = np.median(load[partly] / (1 - area[partly])) if partly.any() else 0.0
-    return load > 3 * noise[0] * softness
+    return load > 3 * noise[0] * np.median(load[partly] / (1 - area[partly]))
 
 
 def _block_weights(frames: int, resamples: int, seed: int) -> Values:
