@@ -15,6 +15,7 @@ STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t, the distribution of 
 
 _FEWEST = 10  # frames
 _ROUNDS = 15  # of reweighting
+_STREAM = 0xF17  # beside the seed: data simulated with the same seed must not share its random numbers
 _EXACT = 1e-9  # noise below which numbers count as exact
 _WIDEST = 1.0  # interval of mu_k / mu_s that still says something
 
@@ -210,7 +211,7 @@ def shrinking(area: Values, load: Values, noise: tuple[float, float]) -> NDArray
 def _block_weights(frames: int, resamples: int, seed: int) -> Values:
     """How often each of R bootstrap samples of circular blocks has each frame, (R, F)."""
     length = math.ceil(frames ** (1 / 3))
-    starts = np.random.default_rng(seed).integers(0, frames, (resamples, math.ceil(frames / length)))
+    starts = np.random.default_rng([seed, _STREAM]).integers(0, frames, (resamples, math.ceil(frames / length)))
     chosen = ((starts[..., None] + np.arange(length)) % frames).reshape(resamples, -1)[:, :frames]
     counts = np.zeros((resamples, frames))
     np.add.at(counts, (np.arange(resamples)[:, None], chosen), 1)
