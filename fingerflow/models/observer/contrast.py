@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
-from fingerflow.models.observer.bootstrap import Samples, bca_interval, samples_of
+from fingerflow.models.observer.bootstrap import bca_interval, samples_of
 from fingerflow.models.observer.estimate import UNKNOWN, Estimate
 from fingerflow.models.observer.weighted import auc_statistic
 
@@ -105,9 +105,7 @@ def compare_auc(
     for one, other in zip(first, second, strict=True):
         pair = tuple(np.asarray(values, dtype=np.float64).reshape(-1) for values in (one, other))
         if pair[0].size != pair[1].size:
-            raise ValueError(
-                f"{pair[0].size} and {pair[1].size} trials of a kind: give both metrics of the same trials"
-            )
+            raise ValueError(f"{pair[0].size} and {pair[1].size} trials of a kind: give both metrics of the same ones")
         both = np.isfinite(pair[0]) & np.isfinite(pair[1])
         kinds.append((np.where(both, pair[0], np.nan), np.where(both, pair[1], np.nan)))
     (one_correct, other_correct), (one_incorrect, other_incorrect) = kinds
@@ -124,9 +122,5 @@ def compare_auc(
     def difference(correct: Values, incorrect: Values) -> Values:
         return first_area(correct, incorrect) - second_area(correct, incorrect)
 
-    return estimate(_whole(difference, samples), *bca_interval(difference, samples, level, resamples, seed))
-
-
-def _whole(statistic: object, samples: Samples) -> float:
-    assert callable(statistic)
-    return float(statistic(*(np.ones((1, size)) for size in samples.sizes))[0])
+    whole = float(difference(*(np.ones((1, size)) for size in samples.sizes))[0])
+    return estimate(whole, *bca_interval(difference, samples, level, resamples, seed))

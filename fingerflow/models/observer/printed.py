@@ -1,4 +1,4 @@
-"""The ideal observer exactly as Willemet et al. 2021 describe it, to compare with; use `d_prime` and `auc` otherwise."""
+"""The ideal observer as Willemet et al. 2021 describe it, to compare with; use `d_prime` and `auc` otherwise."""
 
 import math
 from dataclasses import dataclass
@@ -79,15 +79,12 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
     every = np.concatenate([first, second])
     scale = float(np.quantile(every, 0.9)) if every.size else math.nan
     trials = (first.size, second.size)
-    if min(trials) == 0 or not scale > 0:
-        reason = (
-            f"the 0.9 quantile is {scale:g}: it must be above 0 to normalise by" if min(trials) else "one kind only"
+    if min(trials) == 0:
+        return _nothing(
+            scale, trials, missing, f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
         )
-        nothing, none = Gaussian(math.nan, math.nan, math.nan), np.empty(0)
-        return PrintedObserver(
-            scale, none, none, none, nothing, nothing, *[math.nan], none, none, none, math.nan, math.nan, trials,
-            missing, reason,
-        )  # fmt: skip
+    if not scale > 0:
+        return _nothing(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
     first, second, every = first / scale, second / scale, every / scale
     bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
     counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
@@ -113,6 +110,12 @@ def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.7
         missing=missing,
         reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
     )
+
+
+def _nothing(scale: float, trials: tuple[int, int], missing: int, reason: str) -> PrintedObserver:
+    gaussian, none, nan = Gaussian(math.nan, math.nan, math.nan), np.empty(0), math.nan
+    curve = (none, none, none)
+    return PrintedObserver(scale, *curve, gaussian, gaussian, nan, *curve, nan, nan, trials, missing, reason)
 
 
 def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:

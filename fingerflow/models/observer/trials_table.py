@@ -18,7 +18,7 @@ OF_MOTION = ("global_displacement", "force_angle")
 
 @dataclass(frozen=True)
 class Trials:
-    """T trials: `participant`, `trial`, `condition` (T,), whether the `answer` was correct (T,), `metrics` by name (T,).
+    """T trials: `participant`, `trial`, `condition`, whether the `answer` was correct, `metrics` by name, (T,) each.
 
     `left_out` counts the trials whose metrics a rule has set to NaN, and `rule` says which.
     """
@@ -67,17 +67,18 @@ def read_trials(table: Mapping[str, ArrayLike]) -> Trials:
     answer = columns["answer"]
     known = np.isin(answer, (0, 1))  # True and False among them
     if not known.all():
-        raise FingerflowError(f"an answer is {answer[~known][0]!r}: give True where it was correct, False where not")
-    keys = list(
-        zip(columns["participant"].tolist(), columns["trial"].tolist(), columns["condition"].tolist(), strict=True)
-    )
+        raise FingerflowError(
+            f"an answer is {answer[~known].tolist()[0]!r}: give True where it was correct, False where not"
+        )
+    who, which, condition = (columns[name] for name in COLUMNS[:3])
+    keys = list(zip(who.tolist(), which.tolist(), condition.tolist(), strict=True))
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
         raise FingerflowError(
-            f"participant {twice[0]}, trial {twice[1]}, condition {twice[2]} stands twice in the table"
+            f"trial {twice[1]} of participant {twice[0]}, condition {twice[2]}, is in the table twice: leave one out"
         )
     metrics = {name: _numbers(name, column) for name, column in columns.items() if name not in COLUMNS}
-    return Trials(*(columns[name] for name in COLUMNS[:3]), answer.astype(bool), metrics)
+    return Trials(who, which, condition, answer.astype(bool), metrics)
 
 
 def leave_out_moved(trials: Trials, limit_mm: float = 0.2) -> Trials:
@@ -103,9 +104,7 @@ def _numbers(name: str, column: NDArray[Any]) -> Values:
     try:
         values = column.astype(np.float64)
     except (TypeError, ValueError):
-        raise FingerflowError(
-            f"metric {name!r} is not of numbers: leave the column out, or mark gaps with NaN"
-        ) from None
+        raise FingerflowError(f"metric {name!r} is not of numbers: leave it out, or mark its gaps with NaN") from None
     if np.isinf(values).any():
         raise FingerflowError(f"metric {name!r} is infinite in trial {np.flatnonzero(np.isinf(values))[0]}: give NaN")
     return values
