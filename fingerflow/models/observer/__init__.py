@@ -16,6 +16,7 @@ from fingerflow.models.observer.relations import (
     pearson,
     spearman,
 )
+from fingerflow.models.observer.summary import MetricSummary, observe
 from fingerflow.models.observer.trials_table import Trials, leave_out_moved, read_trials
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Detection",
     "Estimate",
     "Groups",
+    "MetricSummary",
     "MixedModel",
     "PermutationTest",
     "PrintedObserver",
@@ -37,6 +39,7 @@ __all__ = [
     "fit_psychometric",
     "leave_out_moved",
     "mixed_model",
+    "observe",
     "one_way_anova",
     "participant_groups",
     "pearson",

@@ -25,7 +25,7 @@ class FrictionFit:
     """`fit_friction`'s answer; what the data do not determine is NaN, and `reason` says why.
 
     Attributes:
-        mu_s, mu_k: coefficients of static and kinetic friction.
+        mu_s, mu_k: coefficients of static and kinetic friction; mu_k is not below 0.
         ratio: mu_k / mu_s.
         critical_area: d^2_critic = (mu_s - mu_k) / (2 mu_s - mu_k); 0 where mu_k >= mu_s.
         mu_s_interval, mu_k_interval, ratio_interval, critical_area_interval: percentile intervals of the bootstrap.
@@ -220,7 +220,7 @@ def _block_weights(frames: int, resamples: int, seed: int) -> Values:
 
 def _derived(coefficients: Values) -> Values:
     """mu_s, mu_k, their ratio and the critical area, (R, 4)."""
-    mu_s, mu_k = coefficients.T
+    mu_s, mu_k = coefficients[:, 0], np.maximum(coefficients[:, 1], 0)
     ratio = mu_k / mu_s
     # NaN would drop the resamples without a critical area from its interval: they say 0.
     critical = np.where(ratio < 1, (1 - ratio) / np.where(ratio < 1, 2 - ratio, 1), 0)

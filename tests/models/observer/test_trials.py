@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from fingerflow.errors import FingerflowError
-from fingerflow.models.observer import d_prime, detection, leave_out_moved, printed_observer, read_trials
+from fingerflow.models.observer import d_prime, detection, leave_out_moved, observe, printed_observer, read_trials
 
 
 def table(**columns: Any) -> dict[str, Any]:
@@ -138,3 +138,32 @@ def test_the_printed_observer_without_trials_to_fit() -> None:
     assert printed_observer([1.0, np.nan, 1.2], [0.5, 0.9]).missing == 1
     with pytest.raises(ValueError, match="infinite"):
         printed_observer([np.inf], [1.0])
+
+
+def test_every_metric_beside_the_others() -> None:
+    draw = np.random.default_rng(2)
+    who, answer = np.repeat(np.arange(12), 30), draw.random(360) < 0.7
+    trials = read_trials(
+        {
+            "participant": who,
+            "trial": np.arange(360),
+            "condition": np.zeros(360),
+            "answer": answer,
+            "divergence": 12 + 5 * answer + 4 * draw.standard_normal(360),
+            "force_rate": 5 + draw.standard_normal(360),
+            "global_displacement": 0.1 * np.abs(draw.standard_normal(360)),
+        }
+    )
+    left = leave_out_moved(trials)
+    found = observe(left, resamples=300, seed=4)
+    assert list(found) == ["divergence", "force_rate", "global_displacement"]
+    assert (
+        found["divergence"].d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
+    )
+    assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
+    assert found["divergence"].permutation.p < 0.01 < found["force_rate"].permutation.p
+    assert found["divergence"].criterion.value == pytest.approx(found["divergence"].printed.criterion, abs=1.5)
+    assert found["divergence"].auc.participants == 12
+    assert found["divergence"].auc.seed == 4
+    assert found["global_displacement"].auc.missing == 0
+    assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]
