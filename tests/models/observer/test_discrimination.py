@@ -110,6 +110,19 @@ def test_d_prime_of_nothing_starts_at_zero() -> None:
     assert estimate.value < estimate.interval[1]
 
 
+def test_many_trials_have_the_textbook_interval() -> None:
+    """Hanley & McNeil's standard error of the area, binormal, and the large-sample one of d'."""
+    draw = np.random.default_rng(11)
+    first, second = draw.standard_normal(6000) + 1, draw.standard_normal(4000)
+    low, high = d_prime(first, second, resamples=400).interval
+    assert high - low == pytest.approx(2 * 1.96 * math.sqrt(1 / 6000 + 1 / 4000 + 1 / (4 * 9998)), rel=0.12)
+    area = float(ndtr(1 / math.sqrt(2)))
+    first_pair, second_pair = area / (2 - area), 2 * area**2 / (1 + area)
+    variance = area * (1 - area) + 5999 * (first_pair - area**2) + 3999 * (second_pair - area**2)
+    low, high = auc(first, second, resamples=400).interval
+    assert high - low == pytest.approx(2 * 1.96 * math.sqrt(variance / 24e6), rel=0.12)
+
+
 def test_neither_unit_nor_origin_matter() -> None:
     first, second, who = drawn(6, 1.0)
     here = d_prime(first, second, participants=who)
