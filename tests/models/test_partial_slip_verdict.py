@@ -65,6 +65,18 @@ def test_where_the_limits_come_from() -> None:
     assert printed_curve == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize(("last", "outcome"), [(0.35, "vanishes abruptly"), (0.15, "diminishes")])
+def test_an_area_that_falls_in_a_straight_line(last: float, outcome: str) -> None:
+    """Not the model's curve. Down to 0.15 alone it cannot be told from fading by what is inside the corridor."""
+    time = np.arange(0, 4, 1 / 60)
+    load = 0.6 * np.minimum(time / 3, 1)
+    area = np.where(time < 3, 1 - (1 - last) * time / 3, last * np.clip(1 - (time - 3) / 0.2, 0, 1))
+    verdict = judge_trial(area, load, time)
+    assert verdict.corridor_area == pytest.approx(last + 0.05 * (1 - last), abs=0.02)
+    assert verdict.outcome == outcome
+    assert verdict.printed_outcome == "vanishes abruptly"
+
+
 def test_a_trial_that_fades_far_below_both_limits() -> None:
     verdict = judged(simulate_trial(0.5, 1.5, seed=5))
     assert verdict.outcome == "diminishes"

@@ -81,7 +81,9 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
     coefficients, d^2 = 1 - T/(mu N), enters the corridor; but that curve is misprinted (see
     `equal_friction_stuck_area`): an area that fades is still (0.05)^(1/2) = 0.224 there. By the same reasoning the
     model's own d^2 there is c + 0.224 (1 - c), where c is the critical one. So the rule here solves for c, and a
-    minimal area exists if c > 0.05. The rule as printed stands in `printed_outcome`.
+    minimal area exists if c > 0.05: if the d^2 in the corridor is above 0.262. The rule as printed stands in
+    `printed_outcome`. Skin whose area does not bend down towards the loss as the model's does, and vanishes from less
+    than 0.262, is judged to fade here and to vanish abruptly there: such a trial deserves a look.
 
     Args:
         stuck_area: (F,) d^2 a frame: stuck area over contact area. NaN where it was not measured.
