@@ -1,0 +1,51 @@
+"""The ideal observer: how well a metric of a trial tells what participants felt (Willemet et al. 2021, supplement)."""
+
+from fingerflow.models.observer.contrast import PermutationTest, compare_auc, permutation_test
+from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime, z_roc_slope
+from fingerflow.models.observer.estimate import Estimate
+from fingerflow.models.observer.groups import Groups, participant_groups
+from fingerflow.models.observer.printed import PrintedObserver, printed_observer
+from fingerflow.models.observer.psychometric import PsychometricFit, fit_psychometric
+from fingerflow.models.observer.rates import Detection, detection
+from fingerflow.models.observer.relations import (
+    Anova,
+    Correlation,
+    MixedModel,
+    mixed_model,
+    one_way_anova,
+    pearson,
+    spearman,
+)
+from fingerflow.models.observer.summary import MetricSummary, observe
+from fingerflow.models.observer.trials_table import Trials, leave_out_moved, read_trials
+
+__all__ = [
+    "Anova",
+    "Correlation",
+    "Detection",
+    "Estimate",
+    "Groups",
+    "MetricSummary",
+    "MixedModel",
+    "PermutationTest",
+    "PrintedObserver",
+    "PsychometricFit",
+    "Trials",
+    "auc",
+    "compare_auc",
+    "criterion_for_hits",
+    "d_prime",
+    "detection",
+    "fit_psychometric",
+    "leave_out_moved",
+    "mixed_model",
+    "observe",
+    "one_way_anova",
+    "participant_groups",
+    "pearson",
+    "permutation_test",
+    "printed_observer",
+    "read_trials",
+    "spearman",
+    "z_roc_slope",
+]

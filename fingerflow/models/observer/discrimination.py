@@ -1,0 +1,167 @@
+"""How well a metric tells correct from incorrect trials: d', the area under the ROC, and the slope of the z-ROC."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.models.observer.bootstrap import Samples, Statistic, bca_interval, samples_of
+from fingerflow.models.observer.estimate import UNKNOWN, Estimate, Interval
+from fingerflow.models.observer.weighted import auc_statistic, deviation, mean
+
+Values = NDArray[np.float64]
+Participants = tuple[ArrayLike, ArrayLike] | None
+
+
+def d_prime(
+    correct: ArrayLike,
+    incorrect: ArrayLike,
+    *,
+    participants: Participants = None,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> Estimate:
+    """Sensitivity d' = |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2) (Willemet et al. 2021, ideal observer).
+
+    From the trials themselves, variances with n - 1; the paper takes both from Gaussians fitted to a histogram
+    (`printed_observer`). The interval is that of the signed difference, folded: it starts at 0 where the sign is open.
+
+    Args:
+        correct, incorrect: (n,) the metric in the trials of either kind, any unit; NaN is left out and counted.
+        participants: who made the trials of either kind, (n,) each. Their trials go together, so whole participants are
+            drawn in the bootstrap; without this each trial counts as independent, which it seldom is.
+        level: of the interval.
+        resamples, seed: of the bootstrap; intervals by BCa, see `bca_interval`.
+
+    Returns:
+        `Estimate`. NaN with the reason for fewer than two trials of a kind, or a metric that does not vary.
+
+    Raises:
+        ValueError: infinite values, participants that do not fit, level or resamples out of range.
+    """
+
+    def of(values: list[Values]) -> Statistic:
+        return lambda first, second: _signed_d_prime(values, first, second)
+
+    estimate = _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
+    low, high = estimate.interval
+    folded = (0.0 if low <= 0 <= high else min(abs(low), abs(high)), max(abs(low), abs(high)))
+    interval = estimate.interval if math.isnan(low) else folded
+    return Estimate(**{**vars(estimate), "value": abs(estimate.value), "interval": interval})
+
+
+def auc(
+    correct: ArrayLike,
+    incorrect: ArrayLike,
+    *,
+    participants: Participants = None,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> Estimate:
+    """Area under the ROC: how often a correct trial has the larger metric than an incorrect one, ties by halves.
+
+    1/2 says nothing, below 1/2 correct trials have the smaller metric. Arguments and errors as in `d_prime`. NaN with
+    the reason without a trial of either kind; no interval where the two kinds do not overlap, because every resample
+    then gives the same area.
+    """
+    return _estimate(
+        (correct, incorrect), lambda values: auc_statistic(*values), 1, participants, level, resamples, seed
+    )
+
+
+def z_roc_slope(
+    correct: ArrayLike,
+    incorrect: ArrayLike,
+    *,
+    participants: Participants = None,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> Estimate:
+    """Slope of the ROC in normal deviates, z(hits) against z(false alarms), for Gaussians: s_2 / s_1.
+
+    1 for equal variances; otherwise d' is a mean over unequal spreads, and no one number describes the ROC.
+    Arguments and errors as in `d_prime`.
+    """
+
+    def of(values: list[Values]) -> Statistic:
+        return lambda first, second: deviation(values[1], second) / deviation(values[0], first)
+
+    return _estimate((correct, incorrect), of, 2, participants, level, resamples, seed)
+
+
+def criterion_for_hits(
+    correct: ArrayLike,
+    hits: float = 0.75,
+    *,
+    participants: ArrayLike | None = None,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> Estimate:
+    """The criterion that the metric exceeds in a given share of the correct trials, 75 % in Willemet et al. 2021.
+
+    In the metric's own unit; between trials by linear interpolation, no distribution assumed.
+
+    Raises:
+        ValueError: hits is not between 0 and 1, or as in `d_prime`.
+    """
+    if not 0 < hits < 1:
+        raise ValueError(f"the share of hits is {hits:g}: give one between 0 and 1, as 0.75")
+
+    def of(values: list[Values]) -> Statistic:
+        return lambda weights: _weighted_quantile(values[0], weights, 1 - hits)
+
+    who = None if participants is None else (participants,)
+    return _estimate((correct,), of, 2, who, level, resamples, seed)
+
+
+def _estimate(
+    kinds: tuple[ArrayLike, ...],
+    statistic: Callable[[list[Values]], Statistic],
+    fewest: int,
+    participants: tuple[ArrayLike, ...] | None,
+    level: float,
+    resamples: int,
+    seed: int,
+) -> Estimate:
+    arrays = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in kinds]
+    values, samples, missing = samples_of(arrays, participants)
+    value, interval, reason = _value_and_interval(statistic(values), samples, fewest, level, resamples, seed)
+    return Estimate(value, interval, level, resamples, seed, samples.sizes, missing, samples.participants, reason)
+
+
+def _value_and_interval(
+    statistic: Statistic, samples: Samples, fewest: int, level: float, resamples: int, seed: int
+) -> tuple[float, Interval, str]:
+    if min(samples.sizes) < fewest:
+        found = " and ".join(map(str, samples.sizes))
+        return math.nan, UNKNOWN, f"{found} trials of the kinds compared: {fewest} of each are needed"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = float(statistic(*(np.ones((1, size)) for size in samples.sizes))[0])
+    if not math.isfinite(value):
+        return math.nan, UNKNOWN, "the metric does not vary within the trials of a kind"
+    interval, reason = bca_interval(statistic, samples, level, resamples, seed)
+    return value, interval, reason
+
+
+def _signed_d_prime(values: list[Values], first: Values, second: Values) -> Values:
+    variance = (deviation(values[0], first) ** 2 + deviation(values[1], second) ** 2) / 2
+    return (mean(values[0], first) - mean(values[1], second)) / np.sqrt(variance)
+
+
+def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
+    """Quantile of values drawn `weights` times, (R,); without weights NumPy's linear one."""
+    order = np.argsort(values, kind="stable")
+    ranked, counts = values[order], weights[:, order].cumsum(1)
+    place = share * (counts[:, -1] - 1)
+    lower = np.floor(place)
+    # The k-th of the drawn values is the first one whose count passes k.
+    ends = (
+        ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, np.minimum(lower + 1, counts[:, -1] - 1))
+    )
+    low, high = ends
+    return low + (place - lower) * (high - low)

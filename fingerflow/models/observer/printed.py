@@ -1,0 +1,136 @@
+"""The ideal observer as Willemet et al. 2021 describe it, to compare with; use `d_prime` and `auc` otherwise."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import curve_fit
+from scipy.special import ndtri
+
+Values = NDArray[np.float64]
+
+BIN = 0.05  # of the normalised metric
+_STEP = 0.001  # of the criterion
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """`amplitude` trials a bin, `mean` and `deviation` of the normalised metric; NaN where no Gaussian fits."""
+
+    amplitude: float
+    mean: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class PrintedObserver:
+    """What the supplement reports for a metric.
+
+    Attributes:
+        scale: 0.9 quantile of the metric over all trials, by which it is normalised.
+        bins: (K + 1,) edges of the normalised metric; `counts_correct` and `counts_incorrect` (K,) trials between them.
+        correct, incorrect: Gaussians fitted to those counts.
+        d_prime: |mu_1 - mu_2| / ((s_1^2 + s_2^2) / 2)^(1/2).
+        criteria, hits, false_alarms: (C,) the ROC: shares of the trials above each criterion, in the normalised metric.
+        auc: area under it, by trapezia.
+        criterion: the metric, in its own unit, that 75 % of the Gaussian of the correct trials exceed.
+        trials: correct and incorrect ones, and `missing`, how many were NaN.
+        reason: why a number is NaN; empty otherwise.
+    """
+
+    scale: float
+    bins: Values
+    counts_correct: Values
+    counts_incorrect: Values
+    correct: Gaussian
+    incorrect: Gaussian
+    d_prime: float
+    criteria: Values
+    hits: Values
+    false_alarms: Values
+    auc: float
+    criterion: float
+    trials: tuple[int, int]
+    missing: int
+    reason: str
+
+
+def printed_observer(correct: ArrayLike, incorrect: ArrayLike, hits: float = 0.75) -> PrintedObserver:
+    """Normalise by the 0.9 quantile, count in bins of 0.05, fit Gaussians, take d', sweep the criterion.
+
+    The paper lets the criterion range from 0 to 1. A tenth of the trials is above 1, and a signed metric has trials
+    below 0: such a curve does not reach its ends. Here the criterion ranges over all trials.
+
+    Args:
+        correct, incorrect: (n,) the metric, any unit; NaN is left out and counted.
+        hits: share of correct trials above `criterion`.
+
+    Raises:
+        ValueError: infinite values, or hits that are not between 0 and 1.
+    """
+    if not 0 < hits < 1:
+        raise ValueError(f"the share of hits is {hits:g}: give one between 0 and 1, as 0.75")
+    both = [np.asarray(kind, dtype=np.float64).reshape(-1) for kind in (correct, incorrect)]
+    if any(np.isinf(kind).any() for kind in both):
+        raise ValueError("a metric is infinite: mark what was not measured with NaN")
+    missing = sum(int(np.isnan(kind).sum()) for kind in both)
+    first, second = (kind[np.isfinite(kind)] for kind in both)
+    every = np.concatenate([first, second])
+    scale = float(np.quantile(every, 0.9)) if every.size else math.nan
+    trials = (first.size, second.size)
+    if min(trials) == 0:
+        return _nothing(
+            scale, trials, missing, f"{trials[0]} correct and {trials[1]} incorrect trials: both are needed"
+        )
+    if not scale > 0:
+        return _nothing(scale, trials, missing, f"the 0.9 quantile is {scale:g}: one above 0 is needed")
+    first, second, every = first / scale, second / scale, every / scale
+    bins = BIN * np.arange(math.floor(every.min() / BIN), math.floor(every.max() / BIN) + 2)
+    counts = [np.histogram(kind, bins)[0].astype(np.float64) for kind in (first, second)]
+    gaussians = [_fit_gaussian(bins, count) for count in counts]
+    variance = (gaussians[0].deviation ** 2 + gaussians[1].deviation ** 2) / 2
+    sensitivity = abs(gaussians[0].mean - gaussians[1].mean) / math.sqrt(variance) if variance > 0 else math.nan
+    criteria = np.arange(min(every.min(), 0) - _STEP, max(every.max(), 1) + 2 * _STEP, _STEP)
+    above = [1 - np.searchsorted(np.sort(kind), criteria, side="right") / kind.size for kind in (first, second)]
+    return PrintedObserver(
+        scale=scale,
+        bins=bins,
+        counts_correct=counts[0],
+        counts_incorrect=counts[1],
+        correct=gaussians[0],
+        incorrect=gaussians[1],
+        d_prime=sensitivity,
+        criteria=criteria,
+        hits=above[0],
+        false_alarms=above[1],
+        auc=float(np.trapezoid(above[0][::-1], above[1][::-1])),
+        criterion=scale * (gaussians[0].mean + gaussians[0].deviation * float(ndtri(1 - hits))),
+        trials=trials,
+        missing=missing,
+        reason="" if math.isfinite(sensitivity) else "no Gaussian fits the counts of a kind: too few filled bins",
+    )
+
+
+def _nothing(scale: float, trials: tuple[int, int], missing: int, reason: str) -> PrintedObserver:
+    gaussian, none, nan = Gaussian(math.nan, math.nan, math.nan), np.empty(0), math.nan
+    curve = (none, none, none)
+    return PrintedObserver(scale, *curve, gaussian, gaussian, nan, *curve, nan, nan, trials, missing, reason)
+
+
+def _fit_gaussian(bins: Values, counts: Values) -> Gaussian:
+    """Least squares on the counts a bin, as the figure S11 A shows it."""
+    centres = (bins[:-1] + bins[1:]) / 2
+    if np.count_nonzero(counts) < 3:
+        return Gaussian(math.nan, math.nan, math.nan)
+    middle = float(np.average(centres, weights=counts))
+    spread = max(float(np.sqrt(np.average((centres - middle) ** 2, weights=counts))), BIN / 2)
+
+    def curve(x: Values, amplitude: float, mean: float, deviation: float) -> Values:
+        return amplitude * np.exp(-(((x - mean) / deviation) ** 2) / 2)
+
+    try:
+        found, _ = curve_fit(curve, centres, counts, p0=(counts.max(), middle, spread), maxfev=2000)
+    except RuntimeError:  # no convergence
+        return Gaussian(math.nan, math.nan, math.nan)
+    return Gaussian(float(found[0]), float(found[1]), abs(float(found[2])))

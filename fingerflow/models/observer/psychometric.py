@@ -1,0 +1,263 @@
+"""The psychometric curve: the share of answers against the stimulus, with lapses, guesses and unsteady participants."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq, minimize
+from scipy.special import betaln, expit, logit, logsumexp, ndtr, ndtri, rel_entr, xlog1py, xlogy
+from scipy.stats import chi2
+
+from fingerflow.models.observer.estimate import UNKNOWN, Interval
+
+Values = NDArray[np.float64]
+
+_FEWEST_STIMULI = 3
+_LARGEST_RATE = 0.5  # of lapses and of guesses that are fitted
+_RATE_PRIOR = (1.0, 10.0)  # Beta (Schuett et al. 2016): lapses and guesses are likely few
+# Overdispersion is integrated over its square root, up to (0.8)^2, all alike: the Beta(1, 10) of the same authors makes
+# intervals of few blocks too short (measured: 0.77 of them hold the truth instead of 0.95, with 0.05 in the data).
+_SPREADS: Values = ((np.arange(24) + 0.5) / 30) ** 2
+# In ranges of the stimuli: beyond the first a limit counts as infinite, beyond the second a slope as a step.
+_FURTHEST, _STEEPEST = 50.0, 200.0
+_STARTS = 4  # places of the grid that the search starts from
+_LOGIT = 15.0  # rates of 1e-7
+
+
+@dataclass(frozen=True)
+class PsychometricFit:
+    """`fit_psychometric`'s answer; NaN where the data do not determine it.
+
+    Attributes:
+        threshold: the stimulus at which the share of answers is `share`, and its `interval` at `level`, which contains
+            it; a limit the data do not set is infinite.
+        width: standard deviation of the Gaussian core, in the stimulus' unit; negative for a falling curve.
+        guess, lapse: share of answers that the curve starts from, and that it falls short of 1 by.
+        overdispersion: 0 where answers are independent, towards 1 where a block of trials goes one way.
+        deviance: -2 log likelihood of independent answers, over that of the shares as measured.
+        trials: how many answers, and `stimuli`, at how many stimuli.
+        share, level: as asked for.
+        reason: why a number is NaN; empty otherwise.
+    """
+
+    threshold: float
+    interval: Interval
+    width: float
+    guess: float
+    lapse: float
+    overdispersion: float
+    deviance: float
+    trials: int
+    stimuli: int
+    share: float
+    level: float
+    reason: str
+
+    def __call__(self, stimulus: ArrayLike) -> Values:
+        """The share of answers at a stimulus."""
+        x = np.asarray(stimulus, dtype=np.float64)
+        middle = self.threshold - self.width * _core(self.share, self.guess, self.lapse)
+        return np.asarray(self.guess + (1 - self.guess - self.lapse) * ndtr((x - middle) / self.width))
+
+
+def fit_psychometric(
+    stimulus: ArrayLike,
+    answers: ArrayLike,
+    trials: ArrayLike,
+    share: float = 0.75,
+    guess: float | None = None,
+    level: float = 0.95,
+) -> PsychometricFit:
+    """Fit P(x) = guess + (1 - guess - lapse) Phi((x - middle) / width) to counts of answers.
+
+    Counts follow a beta-binomial distribution: the blocks of trials at one stimulus differ by more than chance, because
+    attention does. The fit is the largest posterior, with weak priors on lapse and guess, the overdispersion
+    integrated out. The interval of the threshold holds every threshold whose profile of that posterior is within
+    chi^2 / 2 of the largest, so it contains the estimate.
+
+    Args:
+        stimulus: (K,) of each block of trials; a stimulus may come in several blocks.
+        answers: (K,) how many answers of the kind that counts, as "the comparison is more slippery".
+        trials: (K,) how many trials, 1 at least.
+        share: of answers at the threshold.
+        guess: fixed, as 0.5 for the choice between two equal alternatives; fitted where None.
+        level: of the interval.
+
+    Returns:
+        `PsychometricFit`; NaN with the reason where there are fewer than three stimuli or the answers do not change.
+
+    Raises:
+        ValueError: counts that are no counts, lengths that differ, or share, guess or level out of range.
+    """
+    x, yes, number = _checked(stimulus, answers, trials)
+    lowest = 0.0 if guess is None else guess
+    if not 0 <= lowest < share < 1:
+        raise ValueError(f"the share is {share:g} and guesses {lowest:g}: give a share between the guesses and 1")
+    if not 0 < level < 1:
+        raise ValueError(f"the level is {level:g}: give one between 0 and 1, as 0.95")
+    stimuli = np.unique(x).size
+
+    def nothing(reason: str) -> PsychometricFit:
+        nan = math.nan
+        return PsychometricFit(nan, UNKNOWN, nan, nan, nan, nan, nan, int(number.sum()), stimuli, share, level, reason)
+
+    if stimuli < _FEWEST_STIMULI:
+        return nothing(f"{stimuli} stimuli: {_FEWEST_STIMULI} are needed")
+    if yes.sum() in (0, number.sum()):
+        return nothing(f"all answers are the same: {int(yes.sum())} of {int(number.sum())} are of the kind that counts")
+    posterior = _Posterior(x, yes, number, share, guess)
+    best = posterior.best()
+    threshold, width, fitted_guess, lapse = posterior.parameters(best)
+    if not posterior.rises(best):
+        return nothing("the answers do not change with the stimulus: no width is better than an infinite one")
+    allowed = posterior(best) + float(chi2.ppf(level, 1)) / 2
+    profile = posterior.profile(best)
+    low, high = (_limit(profile, best[0], allowed, side) for side in (-1, 1))
+    unit, origin = posterior.unit, posterior.origin
+    return PsychometricFit(
+        threshold=threshold,
+        interval=(origin + unit * low, origin + unit * high),
+        width=width,
+        guess=fitted_guess,
+        lapse=lapse,
+        overdispersion=posterior.overdispersion(best),
+        deviance=posterior.deviance(best),
+        trials=int(number.sum()),
+        stimuli=stimuli,
+        share=share,
+        level=level,
+        reason="",
+    )
+
+
+class _Posterior:
+    """Minus its logarithm, over (threshold, slope, lapse and, where fitted, guess), overdispersion integrated out.
+
+    At its mode the overdispersion of a few blocks is mostly 0, and intervals at that mode are too short. Stimuli are
+    scaled to about unit range; the slope 1 / width may have either sign; the rates are in logits.
+    """
+
+    def __init__(self, x: Values, yes: Values, number: Values, share: float, guess: float | None) -> None:
+        self.origin, self.unit = float(np.median(x)), float(np.ptp(x))
+        self.x, self.yes, self.number = (x - self.origin) / self.unit, yes, number
+        self.share, self.fixed = share, guess
+
+    def __call__(self, values: Values) -> float:
+        _, _, guess, lapse = self._natural(values)
+        if not guess < self.share < 1 - lapse:
+            return 1e10
+        prior = _log_beta(lapse, *_RATE_PRIOR) + (_log_beta(guess, *_RATE_PRIOR) if self.fixed is None else 0.0)
+        return -float(logsumexp(self._over_spreads(values)) + prior)
+
+    def overdispersion(self, values: Values) -> float:
+        """Its mean, given the others."""
+        log = self._over_spreads(values)
+        return float(_SPREADS @ np.exp(log - logsumexp(log)))
+
+    def _over_spreads(self, values: Values) -> Values:
+        """Log posterior at each overdispersion, up to the prior of the rates."""
+        expected = self._expected(values)
+        # Beta-binomial with mean p and a + b = 1 / spread - 1; what does not depend on the parameters is left out.
+        total = 1 / _SPREADS[:, None] - 1
+        first, second = expected * total, (1 - expected) * total
+        likelihood = betaln(self.yes + first, self.number - self.yes + second) - betaln(first, second)
+        return np.asarray(likelihood.sum(1))
+
+    def _expected(self, values: Values) -> Values:
+        threshold, slope, guess, lapse = self._natural(values)
+        core = ndtr((self.x - threshold) * slope + _core(self.share, guess, lapse))
+        return np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
+
+    def deviance(self, values: Values) -> float:
+        """Of binomial counts: about the number of blocks less that of parameters where answers are independent."""
+        expected = self._expected(values)
+        terms = rel_entr(self.yes, self.number * expected)
+        terms = terms + rel_entr(self.number - self.yes, self.number * (1 - expected))
+        return 2 * float(terms.sum())
+
+    def best(self) -> Values:
+        """The largest posterior. It may have more than one peak: the search starts from the best places of a grid."""
+        middles = np.linspace(self.x.min() - 0.5, self.x.max() + 0.5, 9)
+        starts = [start for middle in middles for start in self._starts(middle)]
+        return min((self._minimised(start, 0) for start in sorted(starts, key=self)[:_STARTS]), key=self)
+
+    def _starts(self, middle: float, threshold: float | None = None) -> list[Values]:
+        """Curves of any slope, either with their middle at a place or with the threshold at one."""
+        rates = [logit(0.04)] * (2 if self.fixed is None else 1)
+        guess = 0.02 if self.fixed is None else self.fixed
+        core = _core(self.share, guess, 0.02)
+        return [
+            np.array([middle + core / slope if threshold is None else threshold, slope, *rates])
+            for size in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+            for slope in (size, -size)
+        ]
+
+    def rises(self, values: Values) -> bool:
+        """Whether the curve leaves its mean share by more than a hundredth over the stimuli, up or down."""
+        threshold, slope, guess, lapse = self._natural(values)
+        core = ndtr((np.array([self.x.min(), self.x.max()]) - threshold) * slope + _core(self.share, guess, lapse))
+        return bool(abs((1 - guess - lapse) * np.diff(core)[0]) > 0.01)
+
+    def parameters(self, values: Values) -> tuple[float, float, float, float]:
+        """Threshold, width, guess and lapse in the units of the data."""
+        threshold, slope, guess, lapse = self._natural(values)
+        return self.origin + self.unit * threshold, self.unit / slope, guess, lapse
+
+    def profile(self, best: Values) -> Callable[[float], float]:
+        """Minus the log posterior at a threshold with the other parameters at their best, started from neighbours."""
+        known = {float(best[0]): (self(best), best[1:])}
+
+        def at(threshold: float) -> float:
+            if threshold not in known:
+                neighbour = known[min(known, key=lambda other: abs(other - threshold))][1]
+                starts = np.append(threshold, neighbour), min(self._starts(0.0, threshold), key=self)
+                rest = [self._minimised(start, 1)[1:] for start in starts]
+                found = [(self(np.append(threshold, some)), some) for some in rest]
+                known[threshold] = min(found, key=lambda pair: pair[0])
+            return known[threshold][0]
+
+        return at
+
+    def _minimised(self, start: Values, fixed: int) -> Values:
+        """The values with the largest posterior near a start; the first ones may be fixed."""
+        limits = (_FURTHEST, _STEEPEST, *[_LOGIT] * (start.size - 2))
+
+        def rest(values: Values) -> float:
+            return self(np.append(start[:fixed], values))
+
+        found = minimize(rest, start[fixed:], method="L-BFGS-B", bounds=[(-limit, limit) for limit in limits[fixed:]])
+        return np.append(start[:fixed], found.x)
+
+    def _natural(self, values: Values) -> tuple[float, float, float, float]:
+        lapse = _LARGEST_RATE * expit(values[2])
+        guess = _LARGEST_RATE * expit(values[3]) if self.fixed is None else self.fixed
+        return float(values[0]), float(values[1]), float(guess), float(lapse)
+
+
+def _limit(profile: Callable[[float], float], best: float, allowed: float, side: int) -> float:
+    """Where the profile crosses what is allowed, outwards from the best threshold."""
+    inner, reach = best, 0.05
+    while profile(best + side * reach) < allowed:
+        inner, reach = best + side * reach, 2 * reach
+        if reach > _FURTHEST:
+            return side * math.inf
+    return float(brentq(lambda threshold: profile(threshold) - allowed, inner, best + side * reach, xtol=2e-3))
+
+
+def _core(share: float, guess: float, lapse: float) -> float:
+    return float(ndtri((share - guess) / (1 - guess - lapse)))
+
+
+def _log_beta(value: float, first: float, second: float) -> float:
+    return float(xlogy(first - 1, value) + xlog1py(second - 1, -value))
+
+
+def _checked(*arrays: ArrayLike) -> tuple[Values, Values, Values]:
+    x, yes, number = (np.asarray(values, dtype=np.float64).reshape(-1) for values in arrays)
+    if not x.size == yes.size == number.size:
+        raise ValueError(f"{x.size} stimuli, {yes.size} counts of answers and {number.size} of trials: give one each")
+    if not (np.isfinite(x).all() and ((yes >= 0) & (yes <= number) & (number >= 1)).all()):
+        raise ValueError("answers go from 0 to the trials, trials from 1, and stimuli are finite: leave out the others")
+    return x, yes, number

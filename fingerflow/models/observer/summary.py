@@ -1,0 +1,64 @@
+"""Every metric of a table of trials, beside the others: which one predicts what participants answer?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+from fingerflow.models.observer.contrast import PermutationTest, permutation_test
+from fingerflow.models.observer.discrimination import auc, criterion_for_hits, d_prime, z_roc_slope
+from fingerflow.models.observer.estimate import Estimate
+from fingerflow.models.observer.printed import PrintedObserver, printed_observer
+from fingerflow.models.observer.trials_table import Trials
+
+
+class Settings(TypedDict):
+    level: float
+    resamples: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class MetricSummary:
+    """One metric: its estimates with intervals by participant, and `printed`, the numbers as the paper takes them."""
+
+    d_prime: Estimate
+    auc: Estimate
+    criterion: Estimate
+    z_roc_slope: Estimate
+    permutation: PermutationTest
+    printed: PrintedObserver
+
+
+def observe(
+    trials: Trials,
+    metrics: Sequence[str] | None = None,
+    hits: float = 0.75,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> dict[str, MetricSummary]:
+    """The ideal observer of Willemet et al. 2021 (figure S11 and its table) for each metric.
+
+    Args:
+        trials: of `read_trials`, after `leave_out_moved` where trials of fingers that slid are to be left out.
+        metrics: names; all where None.
+        hits: share of correct trials above the criterion.
+        level, resamples, seed: of the intervals, drawn by participant, and of the permutations.
+
+    Raises:
+        FingerflowError: a metric that the table does not have.
+    """
+    who = trials.participants()
+    found = {}
+    for name in trials.metrics if metrics is None else metrics:
+        correct, incorrect = trials.split(name)
+        settings: Settings = {"level": level, "resamples": resamples, "seed": seed}
+        found[name] = MetricSummary(
+            d_prime=d_prime(correct, incorrect, participants=who, **settings),
+            auc=auc(correct, incorrect, participants=who, **settings),
+            criterion=criterion_for_hits(correct, hits, participants=who[0], **settings),
+            z_roc_slope=z_roc_slope(correct, incorrect, participants=who, **settings),
+            permutation=permutation_test(correct, incorrect, participants=who, permutations=resamples, seed=seed),
+            printed=printed_observer(correct, incorrect, hits),
+        )
+    return found

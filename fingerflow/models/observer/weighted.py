@@ -1,0 +1,42 @@
+"""Statistics of trials that were drawn a number of times each: R resamples at once."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+
+def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Values], Values]:
+    """From weights (R, n_1) and (R, n_2) to the area under the ROC (R,); NaN where a kind was not drawn."""
+    values = np.concatenate([correct, incorrect])
+    order = np.argsort(values, kind="stable")
+    starts = np.flatnonzero(np.diff(values[order], prepend=-np.inf) > 0)
+    is_correct = order < correct.size
+
+    def area(first: Values, second: Values) -> Values:
+        ranked = np.concatenate([first, second], axis=1)[:, order]
+        hits = np.where(is_correct, ranked, 0)
+        misses = ranked - hits
+        if starts.size < values.size:  # equal values are one step of the curve
+            hits, misses = (np.add.reduceat(some, starts, axis=1) for some in (hits, misses))
+        below = misses.cumsum(1) - misses / 2
+        return (hits * below).sum(1) / (hits.sum(1) * misses.sum(1))
+
+    return area
+
+
+def mean(values: Values, weights: Values) -> Values:
+    return weights @ values / weights.sum(1)
+
+
+def deviation(values: Values, weights: Values) -> Values:
+    """Standard deviation with n - 1; NaN where fewer than two trials were drawn or none differs."""
+    # About the whole sample's mean: sums of squares of far values would lose their digits.
+    centred = values - values.mean()
+    count = weights.sum(1)
+    middle = weights @ centred / count
+    variance = (weights @ centred**2 - count * middle**2) / (count - 1)
+    rounding = 1e-13 * (np.abs(centred).max() ** 2 + np.finfo(np.float64).tiny)
+    return np.sqrt(np.where(variance > rounding, variance, np.nan))

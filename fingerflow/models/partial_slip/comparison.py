@@ -1,0 +1,115 @@
+"""Which of the four curves d^2(T/N) does a trial follow?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.models.partial_slip.curve_families import EQUAL_FRICTION, PARTIAL_SLIP, TADA
+from fingerflow.models.partial_slip.fit import (
+    STUDENT_FREEDOM,
+    finite_frames,
+    fit_family,
+    frame_noise,
+    shrinking,
+    student_scale,
+)
+
+Values = NDArray[np.float64]
+
+COULOMB = "Coulomb"
+_FEWEST = 10  # frames
+_CANDIDATES = 401  # coefficients of friction tried for Coulomb's curve
+
+
+@dataclass(frozen=True)
+class CurveScore:
+    """One curve beside the others.
+
+    Attributes:
+        coefficients: of friction, by name.
+        aicc: Akaike's criterion, corrected for few frames; only differences mean something.
+        weight: share of the evidence among the curves, exp(-difference to the best / 2) normalised.
+    """
+
+    coefficients: dict[str, float]
+    aicc: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class CurveComparison:
+    """`compare_curves`'s answer: `scores` by curve, the `best` of them, and how many `frames` say so.
+
+    Without enough frames `scores` is empty, `best` is "" and `reason` says why.
+    """
+
+    scores: dict[str, CurveScore]
+    best: str
+    frames: int
+    reason: str
+
+
+def compare_curves(stuck_area: ArrayLike, load_ratio: ArrayLike) -> CurveComparison:
+    """Compare partial slip (mu_s, mu_k), equal friction, Tada and Coulomb (mu each) by AICc on the same frames.
+
+    Each curve is fitted to the frames of slow loading as in `fit_friction`, errors under Student's t with 4 degrees of
+    freedom whose scale is one more parameter. Coulomb's curve has a corner: there a frame's distance is the smaller
+    of those to its two legs, d^2 = 1 and T/N = mu. Frames count as independent: where their errors go together the
+    weights are too sure.
+
+    Args:
+        stuck_area: (F,) d^2; frames with a NaN are left out.
+        load_ratio: (F,) T/N, of the frames before the collapse alone.
+
+    Raises:
+        ValueError: the arrays differ in length.
+    """
+    area, load = finite_frames(stuck_area, load_ratio)
+    if area.size < _FEWEST:
+        return CurveComparison({}, "", area.size, f"{area.size} frames with d² and T/N, {_FEWEST} are needed")
+    noise = frame_noise(area), frame_noise(load)
+    used = shrinking(area, load, noise)
+    frames = int(used.sum())
+    if frames < _FEWEST:
+        return CurveComparison({}, "", frames, f"the area shrinks in {frames} frames, {_FEWEST} are needed")
+    area, load = area[used], load[used]
+
+    found: dict[str, tuple[dict[str, float], float]] = {}
+    for family in (PARTIAL_SLIP, EQUAL_FRICTION, TADA):
+        coefficients, squared = fit_family(family, area, load, noise, np.ones((1, frames)))
+        named = dict(zip(family.coefficients, map(float, coefficients[0]), strict=True))
+        found[family.name] = named, _aicc(squared[0], len(named))
+    coulomb, squared = _fit_coulomb(area, load, noise)
+    found[COULOMB] = {"mu": coulomb}, _aicc(squared, 1)
+
+    criteria = np.array([aicc for _, aicc in found.values()])
+    weights = np.exp(-(criteria - criteria.min()) / 2)
+    scores = {
+        name: CurveScore(named, float(aicc), float(weight))
+        for (name, (named, aicc)), weight in zip(found.items(), weights / weights.sum(), strict=True)
+    }
+    return CurveComparison(scores, max(scores, key=lambda name: scores[name].weight), frames, "")
+
+
+def _fit_coulomb(area: Values, load: Values, noise: tuple[float, float]) -> tuple[float, Values]:
+    candidates = np.linspace(load.min(), load.max(), _CANDIDATES)
+    area_noise, load_noise = (max(value, 1e-9) for value in noise)
+    below = load < candidates[:, None]
+    to_full_adhesion = np.where(below, (1 - area) / area_noise, np.inf)
+    squared = np.minimum(to_full_adhesion, np.abs(load - candidates[:, None]) / load_noise) ** 2
+    best = int(np.argmin([_deviance(row) for row in squared]))
+    return float(candidates[best]), squared[best]
+
+
+def _aicc(squared: Values, coefficients: int) -> float:
+    parameters = coefficients + 1  # the scale
+    frames = squared.size
+    return _deviance(squared) + 2 * parameters + 2 * parameters * (parameters + 1) / (frames - parameters - 1)
+
+
+def _deviance(squared: Values) -> float:
+    """-2 log likelihood under Student's t with the best scale, up to what all curves share."""
+    scale = student_scale(squared)
+    terms = np.log(scale) + (STUDENT_FREEDOM + 1) * np.log1p(squared / (STUDENT_FREEDOM * scale))
+    return float(terms.sum())

@@ -1,0 +1,49 @@
+"""T/N as a function of d^2, linear in the coefficients of friction: the form in which the curves are fitted.
+
+d^2(T/N) has an infinite slope where the area vanishes; its inverse is smooth, single-valued and a sum of known
+functions of d^2 with the coefficients of friction as factors.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+Functions = Callable[[Values], Values]
+
+
+@dataclass(frozen=True)
+class CurveFamily:
+    """Functions of d^2 (F,), each (F, P) for P coefficients: T/N a coefficient, its first and its second derivative."""
+
+    name: str
+    coefficients: tuple[str, ...]
+    load: Functions
+    slope: Functions
+    curvature: Functions
+
+
+PARTIAL_SLIP = CurveFamily(
+    "partial slip",
+    ("mu_s", "mu_k"),
+    lambda s: np.stack([2 * s * (1 - s), (1 - s) ** 2], -1),
+    lambda s: np.stack([2 - 4 * s, 2 * s - 2], -1),
+    lambda s: np.stack([np.full_like(s, -4.0), np.full_like(s, 2.0)], -1),
+)
+EQUAL_FRICTION = CurveFamily(
+    "equal friction",
+    ("mu",),
+    lambda s: 1 - s[..., None] ** 2,
+    lambda s: -2 * s[..., None],
+    lambda s: np.full_like(s, -2.0)[..., None],
+)
+TADA = CurveFamily(
+    "Tada",
+    ("mu",),
+    lambda s: 1 - np.maximum(s, 0)[..., None] ** 1.5,
+    lambda s: -1.5 * np.sqrt(np.maximum(s, 0))[..., None],
+    # Infinite where the area vanishes; bounded by its value at an area that is lost in noise anyway.
+    lambda s: -0.75 / np.sqrt(np.maximum(s, 0.05))[..., None],
+)

@@ -1,0 +1,118 @@
+"""How the stuck part of a fingertip contact shrinks under a tangential load.
+
+Terekhov & Hayward 2011, equations 3 to 5. N is the normal and T the tangential force, mu_s and mu_k the coefficients of
+static and kinetic friction, d^2 the stuck area over the contact area.
+"""
+
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+# Rounding of a load that was itself computed: the discriminant below comes out this many units off, relative to mu_s^2.
+_ROUNDING = 16 * torch.finfo(torch.float64).eps
+
+
+def load_ratio(stuck_area: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
+    """T/N that a contact carries whose part d^2 is stuck (equations 3 and 4 of Terekhov & Hayward 2011).
+
+        T/N = 2 mu_s d^2 (1 - d^2) + mu_k (1 - d^2)^2
+
+    Args:
+        stuck_area: d^2, from 0 to 1; other values give NaN.
+        mu_s, mu_k: positive and not negative; all three broadcast.
+
+    Returns:
+        float64 tensor of the broadcast shape, differentiable. Below `critical_stuck_area` it is the unstable branch,
+        which no slow loading visits.
+
+    Raises:
+        ValueError: mu_s is not positive or mu_k is negative.
+    """
+    area, static, kinetic = _arguments(stuck_area, mu_s, mu_k)
+    slipping = 1 - area
+    load = slipping * (2 * static * area + kinetic * slipping)
+    return torch.where((area >= 0) & (area <= 1), load, torch.nan)
+
+
+def stuck_area(load_ratio: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
+    """d^2, the stuck area over the contact area, at a load T/N: equation 5 solved on the branch that loading follows.
+
+    Args:
+        load_ratio: T/N; NaN comes out where it is negative or above `critical_load_ratio`.
+        mu_s, mu_k: positive and not negative; all three broadcast.
+
+    Returns:
+        float64 tensor of the broadcast shape: 1 without load, falling to `critical_stuck_area` at the critical load
+        where mu_k < mu_s, and to 0 where mu_k >= mu_s. Differentiable; the gradient of a NaN is 0. At the critical
+        load the slope is infinite: a load's own rounding of 1e-16 stands for 1e-8 of the area, so a load that differs
+        from the critical one by no more than rounding is the critical one, and the gradient there is that of
+        1 - (T/N) / mu_s, finite so that a fit which comes across it goes on.
+
+    Raises:
+        ValueError: mu_s is not positive or mu_k is negative.
+    """
+    load, static, kinetic = _arguments(load_ratio, mu_s, mu_k)
+    # Equation 5 in the slipping share 1 - d^2: (2 mu_s - mu_k) x^2 - 2 mu_s x + T/N = 0. Its smaller root, written
+    # with the square root below, subtracts nothing, and stays right where 2 mu_s = mu_k makes the equation linear
+    # and where mu_k > 2 mu_s turns the parabola over.
+    discriminant = static.square() - (2 * static - kinetic) * load
+    at_fold = (kinetic < static) & (discriminant.abs() <= _ROUNDING * static.square())
+    fades = kinetic >= static
+    within = torch.where(fades, load <= kinetic * (1 + _ROUNDING), (discriminant > 0) | at_fold) & (load >= 0)
+    inside = within & ~at_fold & (discriminant > 0)
+    root = torch.where(inside, torch.where(inside, discriminant, 1).sqrt(), 0)
+    area = (1 - load / (static + root)).clamp(min=0)
+    return torch.where(within, area, torch.nan)
+
+
+def critical_stuck_area(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
+    """d^2 at which the stuck area vanishes at once: (mu_s - mu_k) / (2 mu_s - mu_k), from 0 to 1/2.
+
+    Such a minimal area needs mu_s > mu_k (the paper's abstract has the inequality the other way round; its section 1
+    and equation 5 do not). It is 0 for mu_s = mu_k and NaN, there is none, for mu_s < mu_k.
+
+    Raises:
+        ValueError: mu_s is not positive or mu_k is negative.
+    """
+    static, kinetic = _friction(mu_s, mu_k)
+    exists = kinetic <= static
+    curvature = torch.where(exists, 2 * static - kinetic, 1)
+    return torch.where(exists, (static - kinetic) / curvature, torch.nan)
+
+
+def critical_load_ratio(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> Tensor:
+    """The largest T/N that a partly stuck contact carries: mu_s^2 / (2 mu_s - mu_k) for mu_k < mu_s, else mu_k.
+
+    Raises:
+        ValueError: mu_s is not positive or mu_k is negative.
+    """
+    static, kinetic = _friction(mu_s, mu_k)
+    folds = kinetic < static
+    return torch.where(folds, static.square() / torch.where(folds, 2 * static - kinetic, 1), kinetic)
+
+
+def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
+    """mu_k / mu_s from the d^2 at which the stuck area vanishes: (1 - 2 d^2) / (1 - d^2).
+
+    Solved from d^2 = (mu_s - mu_k) / (2 mu_s - mu_k). The paper prints (1 - d^2) / (2 - d^2), which is no solution of
+    it: that would make mu_k half of mu_s where the area fades to nothing, which is where they are equal.
+
+    Args:
+        critical_stuck_area: d^2 from 0 to 1/2, where mu_k = 0; other values give NaN.
+    """
+    area = torch.as_tensor(critical_stuck_area, dtype=torch.float64)
+    possible = (area >= 0) & (area <= 0.5)
+    return torch.where(possible, (1 - 2 * area) / torch.where(possible, 1 - area, 1), torch.nan)
+
+
+def _arguments(first: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, ...]:
+    return torch.broadcast_tensors(torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k))
+
+
+def _friction(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, Tensor]:
+    static, kinetic = (torch.as_tensor(value, dtype=torch.float64) for value in (mu_s, mu_k))
+    if (static <= 0).any():
+        raise ValueError(f"mu_s is {static.min().item():g}: a coefficient of static friction is above 0")
+    if (kinetic < 0).any():
+        raise ValueError(f"mu_k is {kinetic.min().item():g}: a coefficient of kinetic friction is 0 or more")
+    return static, kinetic

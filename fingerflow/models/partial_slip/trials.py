@@ -1,0 +1,79 @@
+"""Trials of tangential loading with known friction: what a camera and a force sensor would have measured."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.models.partial_slip.evolution import critical_load_ratio, critical_stuck_area, stuck_area
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SimulatedTrial:
+    """Measured `time` (s), `load_ratio` T/N and `stuck_area` d^2 a frame, and the truth behind them.
+
+    `true_stuck_area` is without noise; `critical_stuck_area` is 0 where mu_k >= mu_s.
+    """
+
+    time: Values
+    load_ratio: Values
+    stuck_area: Values
+    true_stuck_area: Values
+    mu_s: float
+    mu_k: float
+    critical_stuck_area: float
+    collapse_ms: float
+
+
+def simulate_trial(
+    mu_s: float,
+    mu_k: float,
+    seed: int,
+    frame_rate: float = 60.0,
+    loading_s: float = 3.0,
+    collapse_ms: float = 200.0,
+    area_noise: float = 0.01,
+    load_noise: float = 0.005,
+    oscillation: float = 0.01,
+    reached: float = 1.0,
+) -> SimulatedTrial:
+    """A slow ramp of T/N, the stuck area after equation 5, its collapse at constant T/N, and a second of full slip.
+
+    Args:
+        mu_s, mu_k: coefficients of static and kinetic friction.
+        seed: of the noise and of the phase of the oscillation.
+        frame_rate: frames/s.
+        loading_s: s from no load to the critical one.
+        collapse_ms: ms from the critical area to none, where mu_k < mu_s; 130 to 310 in the paper.
+        area_noise: standard deviation of d^2; a measured area is from 0 to 1.
+        load_noise: standard deviation of T/N, white, in parts of the critical load.
+        oscillation: amplitude of a swing of T/N at 3 Hz, in parts of itself. The stuck area follows the largest T/N
+            so far: skin that slipped does not stick again.
+        reached: part of the critical load at which loading stops; below 1 there is no full slip.
+    """
+    noise = np.random.default_rng(seed)
+    largest = float(critical_load_ratio(mu_s, mu_k))
+    critical = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
+    time = np.arange(0, loading_s + 1 + collapse_ms / 1000, 1 / frame_rate)
+    swing = 1 + oscillation * np.sin(2 * np.pi * (3 * time + noise.random()))
+    load = largest * np.minimum(time / loading_s, reached) * swing
+    highest = np.maximum.accumulate(load)
+    area = stuck_area(highest, mu_s, mu_k).numpy()
+    lost = highest >= largest
+    if lost.any():
+        since = time - time[lost][0]
+        collapse = collapse_ms / 1000 if critical > 0 else 1e-9
+        area = np.where(lost, critical * np.clip(1 - since / collapse, 0, 1), area)
+        load = np.where(lost, largest * swing, load)
+    return SimulatedTrial(
+        time=time,
+        load_ratio=load + load_noise * largest * noise.standard_normal(time.size),
+        stuck_area=np.clip(area + area_noise * noise.standard_normal(time.size), 0, 1),
+        true_stuck_area=area,
+        mu_s=mu_s,
+        mu_k=mu_k,
+        critical_stuck_area=critical,
+        collapse_ms=collapse_ms,
+    )

@@ -1,0 +1,117 @@
+"""The figures S11 to S13 of Willemet et al. 2021, each drawn into given axes: ideal observer, groups, curl."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
+
+from fingerflow.models.observer import (
+    Correlation,
+    Estimate,
+    Groups,
+    PrintedObserver,
+    PsychometricFit,
+)
+from fingerflow.report.axes_style import GREEN, GREY, INK, RED, finished
+
+
+def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
+    """Figure S11 A: trials a bin of the normalised metric, correct and incorrect, with the Gaussians fitted to them."""
+    middles = (observer.bins[:-1] + observer.bins[1:]) / 2
+    for counts, fitted, colour, name in (
+        (observer.counts_correct, observer.correct, GREEN, "correct"),
+        (observer.counts_incorrect, observer.incorrect, RED, "incorrect"),
+    ):
+        axes.stairs(counts, observer.bins, color=colour, fill=True, alpha=0.25)
+        if np.isfinite(fitted.mean):
+            x = np.linspace(middles[0], middles[-1], 300)
+            curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
+            axes.plot(x, curve, color=colour, label=name)
+    axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials", title=f"d' = {observer.d_prime:.2f}")
+    return finished(axes)
+
+
+def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
+    """Figure S11 B: hits against false alarms as the criterion sweeps the metric."""
+    axes.plot([0, 1], [0, 1], "--", color=GREY, linewidth=0.8)
+    colours = colormaps["viridis"](np.linspace(0, 0.9, max(len(observers), 1)))
+    for (name, observer), colour in zip(observers.items(), colours, strict=False):
+        axes.plot(observer.false_alarms, observer.hits, color=colour, label=f"{name} ({observer.auc:.2f})")
+    axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    return finished(axes)
+
+
+def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
+    """The table of figure S11 C with its uncertainty: an estimate a metric, its interval and number of trials."""
+    for row, estimate in enumerate(estimates.values()):
+        axes.plot(estimate.interval, [row, row], color=INK, linewidth=1.4)
+        axes.plot(estimate.value, row, "o", color=INK, markersize=5)
+        count = f" {sum(estimate.trials)} trials"
+        axes.annotate(count, (1, row), xycoords=("axes fraction", "data"), va="center", fontsize="small")
+    axes.axvline(chance, color=GREY, linestyle="--", linewidth=0.8)
+    axes.set(yticks=range(len(estimates)), yticklabels=list(estimates), xlabel=quantity)
+    axes.invert_yaxis()
+    return finished(axes)
+
+
+def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) -> Axes:
+    """Figure S12 A: the participants' values, the mixture of two groups and the border between them."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
+    if groups.groups:
+        x = np.linspace(edges[0], edges[-1], 300)
+        for mean, share, colour in zip(groups.means, groups.shares, (INK, RED), strict=True):
+            density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
+            axes.plot(x, share * density * known.size * (edges[1] - edges[0]), color=colour)
+        axes.axvline(groups.border, color=INK, linestyle=":")
+        axes.set_title(f"{groups.groups} group{'s' * (groups.groups > 1)}, p = {groups.p:.3f}")
+    axes.set(xlabel=quantity, ylabel="participants")
+    return finished(axes)
+
+
+def draw_psychometric(
+    axes: Axes, curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, PsychometricFit]], stimulus: str
+) -> Axes:
+    """Figures S12 B and C: share of answers a stimulus with the fitted curve, one a group, threshold and interval.
+
+    Args:
+        curves: by name of the group (stimulus, answers, trials, fit), as given to `fit_psychometric`.
+        stimulus: its name and unit.
+    """
+    for (name, (where, answers, trials, fit)), colour in zip(curves.items(), (INK, RED, GREEN, GREY), strict=False):
+        x, share = np.asarray(where, dtype=float), np.asarray(answers, dtype=float) / np.asarray(trials, dtype=float)
+        axes.plot(x, share, "o", color=colour, markersize=4, label=name)
+        if np.isfinite(fit.threshold):
+            fine = np.linspace(x.min(), x.max(), 300)
+            axes.plot(fine, fit(fine), color=colour)
+            limits = np.clip(fit.interval, *axes.get_xlim())
+            axes.plot(limits, [fit.share, fit.share], color=colour, linewidth=3, alpha=0.4)
+    axes.set(xlabel=stimulus, ylabel="p(more slippery)", ylim=(-0.03, 1.03))
+    return finished(axes)
+
+
+def draw_median_curl(axes: Axes, force: Sequence[ArrayLike], curl: Sequence[ArrayLike]) -> Axes:
+    """Figure S13 B: median curl (1) over the contact against the normal force (N), a line a trial."""
+    for newtons, values in zip(force, curl, strict=True):
+        axes.plot(newtons, 1000 * np.asarray(values, dtype=float), color=INK, alpha=0.5, linewidth=0.9)
+    axes.set(xlabel="normal force (N)", ylabel="median curl (µm/mm)")
+    return finished(axes)
+
+
+def draw_curl_against_divergence(
+    axes: Axes, divergence: ArrayLike, curl: ArrayLike, participant: ArrayLike, correlation: Correlation
+) -> Axes:
+    """Figure S13 C: median curl against median divergence (1) of each trial, a colour a participant."""
+    x, y, who = 1000 * np.asarray(divergence, float), 1000 * np.asarray(curl, float), np.asarray(participant)
+    names = np.unique(who)
+    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
+        axes.plot(x[who == name], y[who == name], ".", color=colour)
+    low, high = correlation.interval
+    axes.set(xlabel="median divergence (µm/mm)", ylabel="median curl (µm/mm)")
+    axes.set_title(
+        f"r = {correlation.value:.2f} ({low:.2f} to {high:.2f}), {correlation.trials} trials", fontsize="medium"
+    )
+    return finished(axes)

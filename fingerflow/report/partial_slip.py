@@ -1,0 +1,135 @@
+"""The figures of Terekhov & Hayward 2011, each drawn into given axes: skin motion, d^2 against T/N and against time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.models.partial_slip import (
+    FrictionFit,
+    TrialVerdict,
+    critical_load_ratio,
+    critical_stuck_area,
+    equal_friction_stuck_area,
+    stuck_area,
+)
+from fingerflow.models.partial_slip.verdict import CORRIDOR
+from fingerflow.report.axes_style import GREY, INK, RED, YELLOW, finished
+
+LOAD, AREA = "T/N", "stuck area / contact area, d²"
+
+
+def draw_motion(
+    axes: Axes,
+    points: ArrayLike,
+    displacement: ArrayLike,
+    contact_outline: ArrayLike | None = None,
+    stuck_outline: ArrayLike | None = None,
+) -> Axes:
+    """Figure 1: arrows of the skin's displacement, as long as it is, with the outlines of contact and stuck part.
+
+    Args:
+        points: (P, 2) x and y of the arrows' feet, mm, y down the frame; displacement (P, 2) mm. NaN draws no arrow.
+        contact_outline, stuck_outline: (K, 2) mm, closed by the drawing.
+    """
+    feet, arrows = np.asarray(points, dtype=float), np.asarray(displacement, dtype=float)
+    shown = np.isfinite(feet).all(1) & np.isfinite(arrows).all(1)
+    axes.quiver(
+        *feet[shown].T, *arrows[shown].T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.003, zorder=2
+    )  # fmt: skip
+    for outline, colour, name in ((contact_outline, INK, "contact"), (stuck_outline, RED, "stuck")):
+        if outline is not None and len(np.asarray(outline)):
+            ring = np.asarray(outline, dtype=float)
+            axes.plot(*np.append(ring, ring[:1], 0).T, "--", color=colour, linewidth=1.6, label=name)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    if not axes.yaxis_inverted():
+        axes.invert_yaxis()
+    axes.grid(alpha=0.25)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2)
+    return axes
+
+
+def draw_models(axes: Axes, mu_s: float, mu_k: float) -> Axes:
+    """Figure 2 a: the model, the same with equal coefficients, and Coulomb's, up to one full slip at the same load."""
+    largest = float(critical_load_ratio(mu_s, mu_k))
+    load = np.linspace(0, largest, 400)
+    axes.plot([0, largest, largest], [1, 1, 0], "--", color=GREY, label="Coulomb")
+    axes.plot(load, equal_friction_stuck_area(load, largest), color=GREY, label=r"$\mu_k = \mu_s$")
+    _draw_curve(axes, mu_s, mu_k, _named(mu_s, mu_k), INK)
+    axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05))
+    return finished(axes)
+
+
+def draw_trial(
+    axes: Axes,
+    stuck_area: ArrayLike,
+    load_ratio: ArrayLike,
+    verdict: TrialVerdict,
+    fit: FrictionFit | None = None,
+) -> Axes:
+    """Figures 2 b and c: d^2 against T/N, the corridor of 5 % about T/N at the loss, the collapse, the fit."""
+    area, load = np.asarray(stuck_area, dtype=float), np.asarray(load_ratio, dtype=float)
+    axes.plot(load, area, ".", markersize=3, color=GREY, label="measured")
+    if np.isfinite(verdict.loss_load_ratio):
+        edges = verdict.loss_load_ratio * (1 - CORRIDOR), verdict.loss_load_ratio * (1 + CORRIDOR)
+        axes.axvspan(*edges, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
+    if verdict.outcome == "vanishes abruptly":
+        collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
+        name = f"collapse, {verdict.collapse_ms:.0f} ms"
+        axes.plot(load[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
+        axes.axhline(verdict.critical_area, color=RED, linewidth=0.8, linestyle=":")
+    if fit is not None and fit.identified:
+        _draw_curve(axes, fit.mu_s, max(fit.mu_k, 0.0), _named(fit.mu_s, fit.mu_k), INK)
+    axes.set(xlabel=LOAD, ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
+    return finished(axes)
+
+
+def draw_trials(axes: Axes, trials: Sequence[tuple[ArrayLike, ArrayLike, TrialVerdict]]) -> Axes:
+    """Figures 2 b and c for a set: d^2 against T/N over its value at the loss, coloured by verdict, with their counts.
+
+    Trials without a complete loss have no such value; they are counted, not drawn.
+    """
+    colours = {"vanishes abruptly": RED, "diminishes": INK, "inconclusive": GREY}
+    axes.axvspan(1 - CORRIDOR, 1 + CORRIDOR, color=YELLOW, alpha=0.25, linewidth=0, label="± 5 %")
+    for area, load, verdict in trials:
+        if verdict.loss_load_ratio > 0:
+            shown = slice(0, verdict.loss_frame + 1)
+            scaled = np.asarray(load, dtype=float)[shown] / verdict.loss_load_ratio
+            axes.plot(scaled, np.asarray(area, dtype=float)[shown], color=colours[verdict.outcome], linewidth=0.8)
+    for outcome, colour in colours.items():
+        count = sum(verdict.outcome == outcome for *_, verdict in trials)
+        axes.plot([], [], color=colour, label=f"{outcome}: {count}")
+    axes.set(xlabel="T/N over its value at the loss of adhesion", ylabel=AREA, ylim=(-0.03, 1.05), xlim=(0, 1.15))
+    return finished(axes)
+
+
+def draw_over_time(axes: Axes, time: ArrayLike, stuck_area: ArrayLike, verdict: TrialVerdict) -> Axes:
+    """Figure 2 d: d^2 against time (s), its collapse thick, the loss of adhesion marked."""
+    when, area = np.asarray(time, dtype=float), np.asarray(stuck_area, dtype=float)
+    axes.plot(when, area, color=INK, linewidth=1)
+    if verdict.outcome == "vanishes abruptly":
+        collapse = slice(verdict.collapse_frame, verdict.loss_frame + 1)
+        name = f"collapse, {verdict.collapse_ms:.0f} ms"
+        axes.plot(when[collapse], area[collapse], color=RED, linewidth=3, alpha=0.7, label=name)
+    if verdict.loss_frame >= 0:
+        axes.axvline(when[verdict.loss_frame], color=GREY, linestyle="--", label="complete loss")
+    axes.set(xlabel="time (s)", ylabel=AREA, ylim=(-0.03, 1.05), title=verdict.outcome)
+    return finished(axes)
+
+
+def _named(mu_s: float, mu_k: float) -> str:
+    return rf"$\mu_s$ = {mu_s:.2f}, $\mu_k$ = {mu_k:.2f}"
+
+
+def _draw_curve(axes: Axes, mu_s: float, mu_k: float, name: str, colour: str) -> None:
+    # By the area, not the load: near the critical load the area changes too fast for equal steps.
+    smallest = float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0))
+    largest = float(critical_load_ratio(mu_s, mu_k))
+    load: NDArray[Any] = largest * (1 - np.linspace(1, 0, 400) ** 2)
+    axes.plot(load, stuck_area(load, mu_s, mu_k), color=colour, label=name)
+    if smallest > 0:
+        axes.plot([largest, largest], [smallest, 0], ":", color=colour)
+        axes.plot(largest, smallest, "o", color=colour, markersize=4)

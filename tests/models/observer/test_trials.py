@@ -1,0 +1,169 @@
+"""The table of trials, counts of answers, and the ideal observer as printed."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.special import ndtr, ndtri
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.observer import d_prime, detection, leave_out_moved, observe, printed_observer, read_trials
+
+
+def table(**columns: Any) -> dict[str, Any]:
+    rows = {
+        "participant": ["a", "a", "b", "b"],
+        "trial": [1, 2, 1, 2],
+        "condition": [0.5, 1.0, 0.5, 1.0],
+        "answer": [True, False, True, True],
+        "divergence": [10.0, 4.0, np.nan, 12.0],
+        "global_displacement": [0.1, 0.3, 0.2, np.nan],
+        "force_angle": [5.0, 6.0, 7.0, 8.0],
+    }
+    return {**rows, **columns}
+
+
+@pytest.mark.parametrize("kind", [dict, pd.DataFrame])
+def test_a_table_is_a_mapping_or_a_data_frame(kind: type) -> None:
+    trials = read_trials(kind(table()))
+    correct, incorrect = trials.split("divergence")
+    np.testing.assert_array_equal(correct, [10, np.nan, 12])
+    np.testing.assert_array_equal(incorrect, [4])
+    assert [list(who) for who in trials.participants()] == [["a", "b", "b"], ["a"]]
+    assert set(trials.metrics) == {"divergence", "global_displacement", "force_angle"}
+
+
+def test_trials_of_fingers_that_slid_are_nan_and_counted() -> None:
+    """The limit itself is within; a displacement that is not known is not known to be small."""
+    trials = leave_out_moved(read_trials(table()))
+    np.testing.assert_array_equal(trials.metrics["divergence"], [10, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(trials.metrics["global_displacement"], [0.1, 0.3, 0.2, np.nan])
+    np.testing.assert_array_equal(trials.metrics["force_angle"], [5, 6, 7, 8])
+    assert trials.left_out == 2
+    assert "0.2 mm" in trials.rule
+    wide = leave_out_moved(read_trials(table()), limit_mm=1)
+    assert wide.left_out == 1
+
+
+def test_tables_that_cannot_be_read() -> None:
+    whole = read_trials(table())
+    for wrong, message in (
+        ({"answer": [1, 0, 2, 1]}, "an answer is 2: give True where it was correct"),
+        (
+            {"trial": [1, 1, 1, 2], "condition": [1, 1, 1, 1]},
+            "trial 1 of participant a, condition 1, is in the table twice",
+        ),
+        ({"divergence": ["a", "b", "c", "d"]}, "metric 'divergence' is not of numbers"),
+        ({"divergence": [1.0, np.inf, 1.0, 1.0]}, "'divergence' is infinite in trial 1"),
+        ({"divergence": [1.0]}, "column 'divergence' has shape"),
+    ):
+        with pytest.raises(FingerflowError, match=message):
+            read_trials(table(**wrong))
+    with pytest.raises(FingerflowError, match="lacks condition, answer: it has participant, trial"):
+        read_trials({"participant": [1], "trial": [1]})
+    with pytest.raises(FingerflowError, match="no metric 'curl': it has divergence"):
+        whole.split("curl")
+    del whole.metrics["global_displacement"]
+    with pytest.raises(FingerflowError, match="no global_displacement"):
+        leave_out_moved(whole)
+
+
+def test_rates_of_zero_and_one_have_a_finite_d_prime() -> None:
+    found = detection([20, 15], [0, 5], [0, 4], [20, 16])
+    assert found.hit_rate[0] == pytest.approx(20.5 / 21)
+    assert found.false_alarm_rate[0] == pytest.approx(0.5 / 21)
+    assert found.d_prime[0] == pytest.approx(2 * ndtri(20.5 / 21))
+    assert found.bias[0] == pytest.approx(0)
+    assert found.d_prime[1] == pytest.approx(ndtri(15.5 / 21) - ndtri(4.5 / 21))
+    assert found.sensitivity.value == pytest.approx(found.d_prime.mean())
+    assert "Hautus" in found.correction
+
+
+def test_the_mean_sensitivity_is_within_its_interval_as_often_as_it_says() -> None:
+    draw, inside = np.random.default_rng(0), 0
+    for _ in range(200):
+        sensitivity = 1 + 0.4 * draw.standard_normal(15)
+        hits = draw.binomial(200, ndtr(sensitivity / 2))
+        alarms = draw.binomial(200, ndtr(-sensitivity / 2))
+        found = detection(hits, 200 - hits, alarms, 200 - alarms, resamples=400).sensitivity
+        inside += found.interval[0] <= 1 <= found.interval[1]
+    assert 180 <= inside <= 198
+
+
+def test_participants_without_trials_of_a_kind_are_nan_and_counted() -> None:
+    found = detection([5, 3, 4, 2], [5, 0, 6, 8], [1, 0, 2, 1], [9, 0, 8, 9])
+    assert np.isnan(found.d_prime).tolist() == [False, True, False, False]
+    assert found.sensitivity.missing == 1
+    assert found.sensitivity.participants == 3
+    nobody = detection([3], [0], [0], [0])
+    assert math.isnan(nobody.sensitivity.value)
+    assert "no participant" in nobody.sensitivity.reason
+    with pytest.raises(ValueError, match="not rates"):
+        detection([0.5], [0.5], [0.1], [0.9])
+    with pytest.raises(ValueError, match="give the four counts of each"):
+        detection([1, 2], [1], [1], [1])
+
+
+def test_the_printed_observer_on_gaussians() -> None:
+    draw = np.random.default_rng(1)
+    correct, incorrect = 14 + 3 * draw.standard_normal(4000), 10 + 4 * draw.standard_normal(3000)
+    found = printed_observer(correct, incorrect)
+    every = np.concatenate([correct, incorrect])
+    assert found.scale == pytest.approx(np.quantile(every, 0.9))
+    np.testing.assert_allclose(np.diff(found.bins), 0.05)
+    assert found.counts_correct.sum() == 4000
+    assert found.counts_incorrect.sum() == 3000
+    assert found.d_prime == pytest.approx(4 / math.sqrt(12.5), abs=0.06)
+    assert found.d_prime == pytest.approx(d_prime(correct, incorrect, resamples=100).value, abs=0.06)
+    assert found.auc == pytest.approx(ndtr(4 / 5), abs=0.01)
+    assert found.criterion == pytest.approx(14 + 3 * ndtri(0.25), abs=0.15)
+    # Swept from 0 to 1 alone, as printed, the curve would end at the hits and false alarms of a criterion of 1.
+    assert found.hits[0] == found.false_alarms[0] == 1
+    assert found.hits[-1] == found.false_alarms[-1] == 0
+    at_one = np.searchsorted(found.criteria, 1.0)
+    assert found.hits[at_one] > 0.1
+
+
+def test_the_printed_observer_without_trials_to_fit() -> None:
+    for correct, incorrect, reason in (
+        ([1.0, 2.0], [], "2 correct and 0 incorrect trials"),
+        ([0.0, 0.0], [0.0], "the 0.9 quantile is 0"),
+        ([1.0, 1.0], [1.0, 1.0], "no Gaussian fits"),
+    ):
+        found = printed_observer(correct, incorrect)
+        assert math.isnan(found.d_prime)
+        assert reason in found.reason
+    assert printed_observer([1.0, np.nan, 1.2], [0.5, 0.9]).missing == 1
+    with pytest.raises(ValueError, match="infinite"):
+        printed_observer([np.inf], [1.0])
+
+
+def test_every_metric_beside_the_others() -> None:
+    draw = np.random.default_rng(2)
+    who, answer = np.repeat(np.arange(12), 30), draw.random(360) < 0.7
+    trials = read_trials(
+        {
+            "participant": who,
+            "trial": np.arange(360),
+            "condition": np.zeros(360),
+            "answer": answer,
+            "divergence": 12 + 5 * answer + 4 * draw.standard_normal(360),
+            "force_rate": 5 + draw.standard_normal(360),
+            "global_displacement": 0.1 * np.abs(draw.standard_normal(360)),
+        }
+    )
+    left = leave_out_moved(trials)
+    found = observe(left, resamples=300, seed=4)
+    assert list(found) == ["divergence", "force_rate", "global_displacement"]
+    assert (
+        found["divergence"].d_prime.missing == left.left_out == (trials.metrics["global_displacement"] > 0.2).sum() > 5
+    )
+    assert found["divergence"].auc.interval[0] > 0.7 > 0.6 > found["force_rate"].auc.interval[1]
+    assert found["divergence"].permutation.p < 0.01 < found["force_rate"].permutation.p
+    assert found["divergence"].criterion.value == pytest.approx(found["divergence"].printed.criterion, abs=1.5)
+    assert found["divergence"].auc.participants == 12
+    assert found["divergence"].auc.seed == 4
+    assert found["global_displacement"].auc.missing == 0
+    assert list(observe(left, ["divergence"], resamples=100)) == ["divergence"]

@@ -1,0 +1,196 @@
+"""The model of partial slip: both directions, the branch that loading follows, limits, and what the paper misprints."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.models.partial_slip import (
+    coulomb_stuck_area,
+    critical_load_ratio,
+    critical_stuck_area,
+    equal_friction_stuck_area,
+    friction_ratio,
+    load_ratio,
+    pressure,
+    stuck_area,
+    tada_stuck_area,
+    traction,
+)
+
+# mu_k below, at, just beside, above mu_s; at and beyond 2 mu_s; and none.
+FRICTION = [(0.8, 0.5), (0.8, 0.0), (0.8, 0.8), (0.8, 0.8 * (1 - 1e-9)), (0.8, 1.2), (0.8, 1.6), (0.8, 2.4), (3.0, 2.9)]
+
+
+def smallest_area(mu_s: float, mu_k: float) -> float:
+    return max(float(critical_stuck_area(mu_s, mu_k).nan_to_num(0.0)), 0.0)
+
+
+@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
+def test_the_load_of_the_area_of_a_load_is_the_load(mu_s: float, mu_k: float) -> None:
+    largest = critical_load_ratio(mu_s, mu_k)
+    loads = torch.cat([torch.logspace(-15, 0, 200, dtype=torch.float64), torch.linspace(0, 1, 2001).double()]) * largest
+    areas = stuck_area(loads, mu_s, mu_k)
+    assert areas.isfinite().all()
+    torch.testing.assert_close(load_ratio(areas, mu_s, mu_k), loads, atol=1e-12 * largest.item(), rtol=0)
+
+
+@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
+def test_the_area_of_the_load_of_an_area_is_the_area(mu_s: float, mu_k: float) -> None:
+    """To 1e-12, and where the load hardly depends on the area as well as float64 can hold that load."""
+    smallest = smallest_area(mu_s, mu_k)
+    areas = smallest + (1 - smallest) * torch.linspace(0, 1, 2001, dtype=torch.float64)
+    back = stuck_area(load_ratio(areas, mu_s, mu_k), mu_s, mu_k)
+    slope = 2 * ((2 * mu_s - mu_k) * areas - (mu_s - mu_k)).abs()
+    held = 1e-12 + 1e-15 * max(mu_s, mu_k) / slope.clamp(min=1e-7)
+    assert ((back - areas).abs() <= held).all()
+    inner = areas > smallest + 1e-2
+    torch.testing.assert_close(back[inner], areas[inner], atol=1e-12, rtol=0)
+
+
+def test_at_the_critical_load_the_area_is_the_critical_one() -> None:
+    mu_k = torch.linspace(0, 0.79, 300, dtype=torch.float64)
+    critical = critical_stuck_area(0.8, mu_k)
+    torch.testing.assert_close(stuck_area(critical_load_ratio(0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
+    torch.testing.assert_close(stuck_area(load_ratio(critical, 0.8, mu_k), 0.8, mu_k), critical, atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
+def test_the_area_falls_from_one_along_the_larger_root(mu_s: float, mu_k: float) -> None:
+    loads = torch.linspace(0, 1, 1001, dtype=torch.float64) * critical_load_ratio(mu_s, mu_k)
+    areas = stuck_area(loads, mu_s, mu_k)
+    assert areas[0] == 1
+    assert (areas.diff() < 0).all()
+    assert areas[-1].item() == pytest.approx(smallest_area(mu_s, mu_k), abs=2e-7)
+
+
+@pytest.mark.parametrize(("mu_s", "mu_k"), FRICTION)
+def test_there_is_no_area_beyond_the_critical_load_or_below_zero(mu_s: float, mu_k: float) -> None:
+    largest = critical_load_ratio(mu_s, mu_k).item()
+    outside = torch.tensor([-1e-9, largest * (1 + 1e-9), 2 * largest, 50.0, torch.nan], dtype=torch.float64)
+    assert stuck_area(outside, mu_s, mu_k).isnan().all()
+
+
+def test_where_the_equation_is_linear_so_is_the_curve() -> None:
+    loads = torch.linspace(0, 1.6, 100, dtype=torch.float64)
+    torch.testing.assert_close(stuck_area(loads, 0.8, 1.6), 1 - loads / 1.6, atol=1e-15, rtol=0)
+    beside = stuck_area(loads[:-1], 0.8, 1.6 * (1 + 1e-13))
+    torch.testing.assert_close(beside, 1 - loads[:-1] / 1.6, atol=1e-12, rtol=0)
+
+
+def test_small_loads_keep_their_digits() -> None:
+    """1 - d^2 is T/(2 mu_s N) for a small load; the textbook root subtracts nearly equal numbers there."""
+    load = 1e-9
+    assert 1 - stuck_area(load, 0.8, 0.5).item() == pytest.approx(load / 1.6, rel=1e-6)
+
+
+def test_equal_coefficients_give_a_square_root_and_not_the_printed_line() -> None:
+    loads = torch.linspace(0, 0.8, 200, dtype=torch.float64)
+    torch.testing.assert_close(stuck_area(loads, 0.8, 0.8), equal_friction_stuck_area(loads, 0.8), atol=1e-12, rtol=0)
+    printed = 1 - loads / 0.8
+    assert (equal_friction_stuck_area(loads, 0.8) - printed).max() > 0.24
+
+
+def test_the_printed_inversion_is_not_an_inversion() -> None:
+    ratio = torch.linspace(0, 1, 101, dtype=torch.float64)
+    critical = critical_stuck_area(1.0, ratio)
+    torch.testing.assert_close(friction_ratio(critical), ratio, atol=1e-14, rtol=0)
+    printed = (1 - critical) / (2 - critical)
+    assert ((printed - ratio).abs() > 0.05).sum() > 80
+    assert friction_ratio(0.0) == 1
+    assert friction_ratio(0.5) == 0
+
+
+def test_a_minimal_area_needs_more_static_than_kinetic_friction() -> None:
+    """The abstract says the reverse."""
+    assert critical_stuck_area(0.8, 0.5).item() == pytest.approx(0.3 / 1.1)
+    assert critical_stuck_area(0.8, 0.8) == 0
+    assert critical_stuck_area(0.8, 0.0) == 0.5
+    assert critical_stuck_area(0.5, 0.8).isnan()
+    assert critical_stuck_area(0.8, 1.6).isnan()
+
+
+def test_no_critical_area_beyond_a_half_or_below_zero() -> None:
+    assert friction_ratio(torch.tensor([-0.01, 0.51, torch.nan])).isnan().all()
+
+
+@pytest.mark.parametrize(("mu_s", "mu_k"), [(0.8, 0.5), (0.8, 1.3), (0.7, 0.0)])
+@pytest.mark.parametrize("area", [0.0, 0.11, 0.36, 0.9, 1.0])
+def test_the_traction_adds_up_to_the_load(area: float, mu_s: float, mu_k: float) -> None:
+    normal, axes = 2.5, (6.0, 4.5)
+    x, y, weight = ellipse_nodes(axes, area)
+    total = (weight * traction(x, y, area, mu_s, mu_k, normal, axes)).sum()
+    assert total.item() == pytest.approx(normal * load_ratio(area, mu_s, mu_k).item(), abs=1e-9)
+    assert (weight * pressure(x, y, normal, axes)).sum().item() == pytest.approx(normal, abs=1e-9)
+
+
+def ellipse_nodes(axes: tuple[float, float], area: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Gauss's nodes in the radius, inside and outside of the stuck part, and equal angles: exact for these loads."""
+    node, mass = np.polynomial.legendre.leggauss(12)
+    border = area**0.5
+    radius = np.concatenate([border * (node + 1) / 2, border + (1 - border) * (node + 1) / 2])
+    mass = np.concatenate([border * mass / 2, (1 - border) * mass / 2]) * radius
+    angle = np.arange(16) * np.pi / 8
+    x, y = axes[0] * np.outer(radius, np.cos(angle)), axes[1] * np.outer(radius, np.sin(angle))
+    weight = np.outer(mass, np.full(16, np.pi / 8)) * axes[0] * axes[1]
+    return torch.from_numpy(x), torch.from_numpy(y), torch.from_numpy(weight)
+
+
+def test_traction_is_uniform_inside_and_nothing_outside() -> None:
+    q = traction([0.0, 2.0, 5.9, 6.1], 0.0, 0.25, 0.8, 0.5, 2.5, (6.0, 4.5))
+    assert q[0] == q[1]
+    assert q[2] > 0
+    assert q[3] == 0
+    at_border = pressure(3.0, 0.0, 2.5, (6.0, 4.5))
+    assert q[0].item() == pytest.approx(0.8 * at_border.item())
+
+
+def test_the_other_curves() -> None:
+    load = torch.tensor([0.0, 0.35, 0.7, 0.71, -0.1], dtype=torch.float64)
+    np.testing.assert_allclose(coulomb_stuck_area(load, 0.7), [1, 1, 1, np.nan, np.nan])
+    np.testing.assert_allclose(equal_friction_stuck_area(load, 0.7), [1, 0.5**0.5, 0, np.nan, np.nan])
+    np.testing.assert_allclose(tada_stuck_area(load, 0.7), [1, 0.5 ** (2 / 3), 0, np.nan, np.nan])
+
+
+@pytest.mark.parametrize("mu_k", [0.0, 0.5, 0.8, 1.6, 2.0])
+def test_gradients(mu_k: float) -> None:
+    load = torch.tensor([0.05, 0.2, 0.35], dtype=torch.float64, requires_grad=True)
+    friction = [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in (0.8, max(mu_k, 0.01))]
+    assert torch.autograd.gradcheck(stuck_area, (load, *friction))
+    assert torch.autograd.gradcheck(load_ratio, (load, *friction))
+    assert torch.autograd.gradcheck(tada_stuck_area, (load, friction[0]))
+    assert torch.autograd.gradcheck(equal_friction_stuck_area, (load, friction[0]))
+    if mu_k < 0.8:
+        assert torch.autograd.gradcheck(critical_stuck_area, friction)
+        assert torch.autograd.gradcheck(friction_ratio, (load,))
+
+
+def test_a_load_that_no_area_carries_leaves_the_gradient_of_the_others_alone() -> None:
+    load = torch.tensor([0.2, 5.0, -1.0], dtype=torch.float64, requires_grad=True)
+    static = torch.tensor(0.8, dtype=torch.float64, requires_grad=True)
+    stuck_area(load, static, 0.5).nansum().backward()
+    assert load.grad is not None
+    assert static.grad is not None
+    assert load.grad[0] < 0
+    assert (load.grad[1:] == 0).all()
+    assert static.grad > 0
+
+
+def test_whole_batches_at_once() -> None:
+    areas = stuck_area(torch.rand(1, 7, 1), torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11))
+    assert areas.shape == (5, 7, 11)
+    assert areas.dtype == torch.float64
+    assert load_ratio(areas, torch.full((5, 1, 1), 0.9), np.linspace(0, 2, 11)).shape == (5, 7, 11)
+
+
+def test_friction_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match=r"mu_s is 0: .* above 0"):
+        stuck_area(0.1, 0.0, 0.5)
+    with pytest.raises(ValueError, match=r"mu_k is -0.1: .* 0 or more"):
+        load_ratio(0.1, 0.5, -0.1)
+    with pytest.raises(ValueError, match="mu is -1"):
+        tada_stuck_area(0.1, -1)
+    with pytest.raises(ValueError, match=r"1.2 of the contact area: give a share from 0 to 1"):
+        traction(0.0, 0.0, 1.2, 0.8, 0.5, 1.0, (1.0, 1.0))
+    with pytest.raises(ValueError, match="both must be above 0"):
+        pressure(0.0, 0.0, 1.0, (1.0, 0.0))

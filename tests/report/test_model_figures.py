@@ -1,0 +1,144 @@
+"""Figures of partial slip and of the observer: what they show is what the numbers say, and they render."""
+
+import io
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fingerflow.models import observer as observing
+from fingerflow.models.partial_slip import fit_friction, judge_trial, simulate_trial
+from fingerflow.report import observer, partial_slip
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure(layout="constrained").subplots()
+
+
+def texts(axes: Axes) -> set[str]:
+    """The legend, after the figure has been drawn whole."""
+    axes.figure.savefig(io.BytesIO(), format="png", dpi=40)
+    legend = axes.get_legend()
+    return {text.get_text() for text in legend.get_texts()} if legend else set()
+
+
+def line(axes: Axes, label: str) -> np.ndarray:
+    return next(np.array(line.get_data()) for line in axes.lines if line.get_label() == label)
+
+
+def test_the_models_meet_at_the_same_critical_load(axes: Axes) -> None:
+    partial_slip.draw_models(axes, 0.8, 0.4)
+    assert texts(axes) == {"Coulomb", r"$\mu_k = \mu_s$", r"$\mu_s$ = 0.80, $\mu_k$ = 0.40"}
+    critical = 0.8**2 / 1.2
+    load, area = line(axes, r"$\mu_s$ = 0.80, $\mu_k$ = 0.40")
+    assert load[-1] == pytest.approx(critical)
+    assert area[-1] == pytest.approx(1 / 3)
+    load, area = line(axes, r"$\mu_k = \mu_s$")
+    assert load[-1] == pytest.approx(critical)
+    assert area[-1] == 0
+    assert np.interp(0.75 * critical, load, area) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_trial_with_its_corridor_collapse_and_fit(axes: Axes) -> None:
+    trial = simulate_trial(0.8, 0.4, seed=1)
+    verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
+    loading = verdict.loading()
+    fit = fit_friction(trial.stuck_area[loading], trial.load_ratio[loading], resamples=100)
+    partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict, fit)
+    collapse = f"collapse, {verdict.collapse_ms:.0f} ms"
+    assert {"measured", "± 5 %", collapse} < texts(axes)
+    assert len(texts(axes)) == 4
+    band = next(patch for patch in axes.patches if patch.get_label() == "± 5 %").get_extents()
+    edges = axes.transData.inverted().transform(band)[:, 0]
+    assert edges == pytest.approx(verdict.loss_load_ratio * np.array([0.95, 1.05]))
+    assert line(axes, collapse)[1][0] == pytest.approx(verdict.critical_area, abs=0.06)
+    assert axes.get_title() == "vanishes abruptly"
+
+
+def test_a_set_of_trials_is_counted(axes: Axes) -> None:
+    trials = []
+    for seed, (mu_k, reached) in enumerate(((0.3, 1.0), (0.4, 1.0), (1.1, 1.0), (0.4, 0.6))):
+        trial = simulate_trial(0.8, mu_k, seed, reached=reached)
+        trials.append((trial.stuck_area, trial.load_ratio, judge_trial(trial.stuck_area, trial.load_ratio, trial.time)))
+    partial_slip.draw_trials(axes, trials)
+    assert texts(axes) == {"± 5 %", "vanishes abruptly: 2", "diminishes: 1", "inconclusive: 1"}
+    assert len(axes.lines) == 3 + 3
+
+
+def test_an_inconclusive_trial_draws_what_there_is(axes: Axes) -> None:
+    trial = simulate_trial(0.8, 0.4, seed=2, reached=0.6)
+    verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
+    partial_slip.draw_trial(axes, trial.stuck_area, trial.load_ratio, verdict)
+    assert texts(axes) == {"measured"}
+    over_time = Figure().subplots()
+    partial_slip.draw_over_time(over_time, trial.time, trial.stuck_area, verdict)
+    assert texts(over_time) == set()
+    assert over_time.get_title() == "inconclusive"
+
+
+def test_d2_against_time_marks_the_loss(axes: Axes) -> None:
+    trial = simulate_trial(0.8, 0.4, seed=3)
+    verdict = judge_trial(trial.stuck_area, trial.load_ratio, trial.time)
+    partial_slip.draw_over_time(axes, trial.time, trial.stuck_area, verdict)
+    assert "complete loss" in texts(axes)
+    assert line(axes, "complete loss")[0][0] == trial.time[verdict.loss_frame]
+
+
+def test_arrows_of_motion_with_the_stuck_outline(axes: Axes) -> None:
+    points = np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
+    displacement = np.array([[0.1, 0.0], [np.nan, 0.0], [0.3, 0.1]])
+    ring = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
+    partial_slip.draw_motion(axes, points, displacement, ring, ring / 2)
+    assert texts(axes) == {"contact", "stuck"}
+    np.testing.assert_array_equal(axes.collections[0].U, [0.1, 0.3])
+    assert axes.yaxis_inverted()
+    assert line(axes, "stuck").shape == (2, 4)
+
+
+def test_the_ideal_observer(axes: Axes) -> None:
+    draw = np.random.default_rng(0)
+    found = observing.printed_observer(14 + 4 * draw.standard_normal(400), 9 + 4 * draw.standard_normal(200))
+    observer.draw_counts(axes, found, "divergence")
+    assert texts(axes) == {"correct", "incorrect"}
+    assert f"{found.d_prime:.2f}" in axes.get_title()
+    assert axes.patches[0].get_data().values.sum() == 400
+    roc = Figure().subplots()
+    observer.draw_roc(roc, {"divergence": found})
+    assert texts(roc) == {f"divergence ({found.auc:.2f})"}
+    table = Figure().subplots()
+    estimate = observing.auc(draw.standard_normal(50) + 1, draw.standard_normal(40), resamples=100)
+    observer.draw_estimates(table, {"divergence": estimate}, "area under the ROC", 0.5)
+    assert texts(table) == set()
+    assert tuple(table.lines[0].get_xdata()) == estimate.interval
+    assert "90 trials" in table.texts[0].get_text()
+
+
+def test_groups_and_their_psychometric_curves(axes: Axes) -> None:
+    draw = np.random.default_rng(1)
+    values = np.append(draw.normal(8, 1, 10), draw.normal(16, 1, 8))
+    groups = observing.participant_groups(values, resamples=100)
+    observer.draw_groups(axes, values, groups, "divergence (µm/mm)")
+    texts(axes)
+    assert axes.get_title().startswith("2 groups")
+    assert axes.lines[-1].get_xdata()[0] == groups.border
+    x, answers, trials = np.linspace(0, 3, 5), [20, 22, 30, 37, 39], np.full(5, 40)
+    fit = observing.fit_psychometric(x, answers, trials, guess=0.5)
+    curves = Figure().subplots()
+    observer.draw_psychometric(curves, {"softer": (x, answers, trials, fit)}, "amplitude (µm)")
+    assert texts(curves) == {"softer"}
+    np.testing.assert_allclose(curves.lines[1].get_ydata()[[0, -1]], fit([0, 3]))
+
+
+def test_curl_against_force_and_divergence(axes: Axes) -> None:
+    observer.draw_median_curl(axes, [[0.0, 1.0]], [[0.0, 0.002]])
+    texts(axes)
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), [0, 2])
+    divergence, curl = np.array([0.01, 0.02, 0.03, 0.04]), np.array([0.001, 0.003, 0.002, 0.004])
+    correlation = observing.pearson(divergence, curl)
+    scatter = Figure().subplots()
+    observer.draw_curl_against_divergence(scatter, divergence, curl, ["a", "a", "b", "b"], correlation)
+    texts(scatter)
+    assert len(scatter.lines) == 2
+    assert "r = 0.80" in scatter.get_title()
