@@ -86,7 +86,7 @@ def test_a_shift_without_noise_is_found(shift: tuple[float, float]) -> None:
     flow = dense_flow(first, current, noise=torch.tensor([0.1]))
     known = errors(flow.displacement, truth)
     assert known.nanmean() < 5e-3
-    assert known[:, 8:-8, 8:-8].max() < 0.02
+    assert known[:, 8:-8, 8:-8].max() < 0.03
 
 
 @pytest.mark.parametrize("motion", [wave, widening])
