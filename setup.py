@@ -20,6 +20,7 @@ PLAIN = [
     "corners",
     "dense_region",
     "ellipse",
+    "flow",
     "instruction_sets",
     "light_gain",
     "local_fit",
@@ -46,6 +47,7 @@ EXACT = [
 ROUNDED = [
     "area_medians_block",
     "dense_region_cells",
+    "flow_rows",
     "light_gain_rows",
     "local_fit_block",
     "search_points",

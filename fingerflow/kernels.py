@@ -11,6 +11,7 @@ import functools
 import importlib.util
 import logging
 import os
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -19,7 +20,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
-_INTERFACE = 19  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 20  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -626,6 +627,69 @@ def triangle_strain(
     return results
 
 
+class _FlowLevel(ctypes.Structure):
+    """`fingerflow_flow_level` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("tensor", "right", "down", "inverse", "inside")),
+        *((name, ctypes.c_int64) for name in ("height", "width")),
+    )
+
+
+class _FlowCycles(ctypes.Structure):
+    """`fingerflow_flow_cycles_of` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("levels", "right_side", "solution")),
+        *((name, ctypes.c_int64) for name in ("count", "batch")),
+        *((name, ctypes.c_int32) for name in ("cycles", "sweeps", "coarsest")),
+        ("damping", ctypes.c_float),
+    )
+
+
+def flow_cycles(
+    levels: Sequence[Sequence[Tensor]], right_side: Tensor, cycles: int, sweeps: int, coarsest: int, damping: float
+) -> Tensor:
+    """(B, 2, H, W), as `ops.flow_multigrid.solve` has it to rounding, of levels (tensor, right, down, inverse,
+    inside), all float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    batch, _, height, width = right_side.shape
+    _check_like("right_side", right_side, torch.float32, (batch, 2, height, width))
+    described, kept = [], []
+    for tensors in levels:
+        channels = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
+        for tensor, (count, rows, columns) in zip(tensors, channels, strict=True):
+            _check_like("a level", tensor, torch.float32, (batch, count, height + rows, width + columns))
+        planes = [tensor.contiguous() for tensor in tensors]
+        kept.append(planes)
+        described.append(_FlowLevel(*(plane.data_ptr() for plane in planes), height, width))
+        height, width = (height + 1) // 2, (width + 1) // 2
+    right_side, solution = right_side.contiguous(), torch.empty(right_side.shape)
+    array = (_FlowLevel * len(described))(*described)
+    pointers = (ctypes.addressof(array), right_side.data_ptr(), solution.data_ptr())
+    request = _FlowCycles(*pointers, len(described), batch, cycles, sweeps, coarsest, damping)
+    _call("fingerflow_flow_cycles", ctypes.addressof(request), torch.get_num_threads())
+    return solution
+
+
+def flow_warp(coefficients: Tensor, flow: Tensor) -> Tensor:
+    """(B, 1, H, W), the spline of coefficients (B, 1, H, W) at pixels displaced by a finite flow (B, 2, H, W), float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    _check_frames(coefficients, (torch.float32,))
+    batch, _, height, width = coefficients.shape
+    _check_like("flow", flow, torch.float32, (batch, 2, height, width))
+    coefficients, flow, values = coefficients.contiguous(), flow.contiguous(), torch.empty(coefficients.shape)
+    pointers = (coefficients.data_ptr(), flow.data_ptr(), values.data_ptr())
+    _call("fingerflow_flow_warp", *pointers, batch, height, width, torch.get_num_threads())
+    return values
+
+
 def halve(frames: Tensor) -> Tensor:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
     halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
@@ -726,6 +790,8 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
     library.fingerflow_medians_over_area.argtypes = [pointer, number]
     library.fingerflow_strain_of_triangles.argtypes = [pointer, number]
+    library.fingerflow_flow_cycles.argtypes = [pointer, number]
+    library.fingerflow_flow_warp.argtypes = [*[pointer] * 3, *[count] * 3, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

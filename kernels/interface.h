@@ -182,3 +182,24 @@ struct fingerflow_triangle_strain {
     double direct, between, shear;
 };
 FINGERFLOW_EXPORT int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
+
+// V-cycles of the multigrid of fingerflow/ops/flow_multigrid.py from 0: levels from the finest on, their planes those of
+// all images of the batch; right_side and solution (batch, 2, height, width) of the finest.
+struct fingerflow_flow_level {
+    const float *tensor, *right, *down, *inverse, *inside;
+    std::int64_t height, width;
+};
+struct fingerflow_flow_cycles_of {
+    const fingerflow_flow_level* levels;
+    const float* right_side;
+    float* solution;
+    std::int64_t count, batch;
+    std::int32_t cycles, sweeps, coarsest;
+    float damping;
+};
+FINGERFLOW_EXPORT int fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads);
+
+// The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
+// repeated, as fingerflow/ops/flow.py has it.
+FINGERFLOW_EXPORT int fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
+                                           std::int64_t height, std::int64_t width, int threads);
