@@ -1,1 +1,1 @@
-"""Mechanics (partial slip, skin chain, friction, stress at depth, observer): float64, no images. Not built yet."""
+"""Mechanics: partial slip, skin chain, friction, stress at depth, observer; float64, no images. One model a module."""
