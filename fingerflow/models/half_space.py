@@ -102,7 +102,7 @@ def _summed(
     place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
     if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
         raise ValueError(
-            f"y from {_least(place)} and z from {_least(depth)}: give finite places below the surface, z > 0; the surface "
+            f"y from {_least(place)} and z from {_least(depth)}: give finite places with z > 0; the surface "
             "itself has sigma_z = -pressure and tau_yz = -traction"
         )
     at_once = max(1, _PAIRS_AT_ONCE // max(1, edges.numel()))
