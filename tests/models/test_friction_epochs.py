@@ -74,7 +74,7 @@ def test_the_other_halves_would_be_seen() -> None:
     turned = trace()
     turned["position"] = -turned["position"]
     median, _, _ = friction_epochs(**turned, edges=EDGES).over_epochs()
-    assert median.tolist() == pytest.approx([mu + 0.5 for mu in friction_at_the_bins()], abs=0.006)
+    assert median.tolist() == pytest.approx([mu + 0.5 for mu in friction_at_the_bins()], abs=0.012)
 
 
 def test_unknown_forces_and_lifted_fingers_do_not_count() -> None:

@@ -1,0 +1,144 @@
+"""Energy of one skin chain, its forces and their slopes; the derivation stands in `skin_chain`."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Chain(NamedTuple):
+    """One chain of N elements as it is undeformed, with its numbers."""
+
+    reference: Array  # (N, 2) x along the plate and z above it, m
+    link: Array  # (N - 1,) lengths, m
+    radius: float
+    membrane: float  # N/m
+    tissue: float  # N/m along the line to the bone, without what it resists in every direction
+    shear: float  # N/m in every direction
+    nail: float  # N/m at both ends, in every direction
+    contact: float  # N/m
+    damping: float  # N s/m of an element
+    bone_damping: float  # N s/m
+    friction_stiffness: float  # N/m
+    exponent: float
+
+    @property
+    def centre(self) -> Array:
+        """Of the half-circle: where the tissue's lines meet."""
+        return np.array([0.0, self.radius])
+
+
+@dataclass
+class Slopes:
+    """Negative derivatives of the elastic forces: blocks that `skin_solve` puts together."""
+
+    link: Array  # (N - 1, 2, 2) of a link between its elements
+    tissue: Array  # (N, 2, 2) between an element and the bone
+    touching: Array  # (N,) of the plate on z
+
+
+def half_circle(count: int, radius: float) -> Array:
+    """(N, 2), mirrored to the last bit, its lowest point on the plate."""
+    right = np.linspace(0, np.pi / 2, count // 2 + 1)[1:] if count % 2 else (np.arange(count // 2) + 0.5) * np.pi / (count - 1)
+    x, z = radius * np.sin(right), 2 * radius * np.sin(right / 2) ** 2
+    middle = [0.0] if count % 2 else []
+    return np.stack((np.concatenate((-x[::-1], middle, x)), np.concatenate((z[::-1], middle, z))), 1)
+
+
+def energy(chain: Chain, place: Array, bone: Array) -> float:
+    """Elastic energy, J: links, tissue, nail and plate."""
+    length = np.hypot(*np.diff(place, axis=0).T)
+    moved = place - chain.reference - bone
+    line = np.hypot(*(place - chain.centre - bone).T)
+    nail = moved[[0, -1]]
+    return float(
+        chain.membrane * np.square(length - chain.link).sum()
+        + chain.tissue * np.square(line - chain.radius).sum()
+        + chain.shear * np.square(moved).sum()
+        + chain.nail * np.square(nail).sum()
+        + chain.contact * np.square(np.minimum(place[:, 1], 0)).sum()
+    ) / 2
+
+
+def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Array]:
+    """Forces (N, 2) on the elements and (2,) on the bone: minus the slopes of `energy`."""
+    apart = np.diff(place, axis=0)
+    length = np.hypot(*apart.T)
+    pull = (chain.membrane * (1 - chain.link / length))[:, None] * apart
+    line = place - chain.centre - bone
+    along = np.hypot(*line.T)
+    held = (chain.tissue * (1 - chain.radius / along))[:, None] * line + chain.shear * (place - chain.reference - bone)
+    for end in (0, -1):
+        held[end] += chain.nail * (place[end] - chain.reference[end] - bone)
+    forces = -held
+    forces[:-1] += pull
+    forces[1:] -= pull
+    forces[:, 1] += chain.contact * np.maximum(-place[:, 1], 0)
+    return forces, held.sum(0)
+
+
+def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
+    """Of `elastic_forces`."""
+    link = _spring(np.diff(place, axis=0), chain.link, chain.membrane)
+    tissue = _spring(place - chain.centre - bone, chain.radius, chain.tissue) + chain.shear * np.eye(2)
+    tissue[[0, -1]] += chain.nail * np.eye(2)
+    return Slopes(link, tissue, chain.contact * (place[:, 1] < 0))
+
+
+def _spring(apart: Array, rest: Array | float, stiffness: float) -> Array:
+    """k ((1 - l0 / l) I + (l0 / l) t t') of springs (..., 2)."""
+    length = np.hypot(*apart.T)
+    ratio = rest / length
+    direction = apart / length[:, None]
+    outer = direction[:, :, None] * direction[:, None, :]
+    return np.asarray(stiffness * ((1 - ratio)[:, None, None] * np.eye(2) + ratio[:, None, None] * outer))
+
+
+class Friction(NamedTuple):
+    """Dahl's force (N,) after a slide, and its slopes with the place along and above the plate."""
+
+    force: Array
+    along: Array
+    above: Array
+
+
+def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -> Friction:
+    """After a slide from ``old`` to ``place``, both (N, 2): `friction.dahl_step` under the middle of both limits, then cut.
+
+    With the middle the error of a limit that changes is of third order; cut to the last limit the force never exceeds it.
+    """
+    pressed = place[:, 1] < 0
+    last = mu * chain.contact * np.maximum(-place[:, 1], 0)
+    middle = (last + mu * chain.contact * np.maximum(-old[:, 1], 0)) / 2
+    slid = place[:, 0] - old[:, 0]
+    active = (middle > 0) & pressed
+    limit = np.where(active, middle, 1.0)
+    sign = np.where(slid < 0, -1.0, 1.0)
+    n, power = chain.exponent, 1 - chain.exponent
+    held = np.clip(before, -limit, limit)
+    cut = held != before
+    left = 1 - sign * held / limit
+    done = left <= 0
+    left = np.where(done, 1.0, left)
+    distance = chain.friction_stiffness * np.abs(slid) / limit * left ** (n - 1)
+    if power == 0:
+        kept, rest = np.exp(-distance), np.exp(-distance)
+    else:
+        base = np.maximum(1 - power * distance, 0)
+        kept = base ** (1 / power)  # u / u_0
+        rest = base ** (n / power)  # its slope with the distance, and (u / u_0)^n
+    after = np.where(done, sign * limit, held + sign * limit * left * (1 - kept))
+    along = np.where(done, 0.0, chain.friction_stiffness * left**n * rest)
+    # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: with the limit both u_0 and the distance in its units change.
+    of_left = np.where(cut, 0.0, sign * held / limit**2)
+    of_limit = np.where(
+        done, sign, sign * (1 - left * kept) - sign * limit * (rest * of_left + left * rest * distance / limit)
+    )
+    over = np.abs(after) > last
+    force = np.where(active, np.clip(after, -last, last), 0.0)
+    steep = np.where(pressed, -mu * chain.contact, 0.0)  # of the last limit with z
+    above = np.where(over, np.sign(after) * steep, of_limit * steep / 2)
+    return Friction(force, np.where(active & ~over, along, 0.0), np.where(active, above, 0.0))
