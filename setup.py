@@ -29,6 +29,7 @@ PLAIN = [
     "otsu",
     "parallel",
     "search",
+    "skin_chain",
     "templates",
     "touching",
     "triangle_strain",
@@ -49,6 +50,7 @@ ROUNDED = [
     "light_gain_rows",
     "local_fit_block",
     "search_points",
+    "skin_chain_press",
     "templates_points",
     "triangle_strain_frame",
 ]

@@ -18,7 +18,7 @@ C = GAMMA / 2  # of the step, in both stages
 TO_LATER, TO_EARLIER = 1 / (GAMMA * (2 - GAMMA)), (1 - GAMMA) ** 2 / (GAMMA * (2 - GAMMA))
 ERROR = 2 * (-3 * GAMMA**2 + 4 * GAMMA - 2) / (12 * (2 - GAMMA))
 MOST_ITERATIONS = 12
-NEWTON = 1e-2  # of the tolerance of a step
+NEWTON = 0.1  # of the tolerance of a step
 MOST_STEPS = 100_000
 
 
@@ -91,7 +91,7 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    return float(min(4.0, max(0.2, 0.85 * max(error, 1e-9) ** (-1 / 3))))
+    return float(min(2.0, max(0.3, 0.7 * max(error, 1e-9) ** (-1 / 3))))
 
 
 def _try(

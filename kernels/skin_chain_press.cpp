@@ -1,0 +1,674 @@
+// TR-BDF2 of skin chains, as fingerflow/models/skin_implicit.py has it: what is written once here for a double or for a
+// vector of doubles is a chain, or as many chains side by side, each with a step and a time of its own. The linear system
+// is swept from both ends at once: two chains of operations that do not wait for each other, and mirrored results for a
+// mirrored press.
+#include "skin_chain_press.h"
+
+#include <math.h>
+#include <string.h>
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+#if defined(__GNUC__) || defined(__clang__)
+#if defined(__AVX512F__)
+constexpr int kSide = 8;
+#elif defined(__AVX__)
+constexpr int kSide = 4;
+#else
+constexpr int kSide = 2;
+#endif
+typedef double Doubles __attribute__((vector_size(8 * kSide)));
+typedef std::int64_t Integers __attribute__((vector_size(8 * kSide)));
+#else
+constexpr int kSide = 1;
+#endif
+
+// What a number, or a vector of them, is made of.
+template <class T>
+struct Of;
+template <>
+struct Of<double> {
+    using Bits = std::int64_t;
+    using Mask = bool;
+    static constexpr int kLanes = 1;
+    static double& at(double& value, int) { return value; }
+    static double at(const double& value, int) { return value; }
+    static bool in(bool mask, int) { return mask; }
+    static void set(bool& mask, int, bool value) { mask = value; }
+};
+#if defined(__GNUC__) || defined(__clang__)
+template <>
+struct Of<Doubles> {
+    using Bits = Integers;
+    using Mask = Integers;
+    static constexpr int kLanes = kSide;
+    static double at(const Doubles& value, int lane) { return value[lane]; }
+    static bool in(const Integers& mask, int lane) { return mask[lane] != 0; }
+    static void set(Integers& mask, int lane, bool value) { mask[lane] = value ? -1 : 0; }
+};
+#endif
+
+template <class T>
+inline T all(double value) {
+    return T{} + value;
+}
+template <class T>
+inline void put(T& to, int lane, double value) {
+    memcpy(reinterpret_cast<char*>(&to) + sizeof(double) * static_cast<std::size_t>(lane), &value, sizeof value);
+}
+template <class T, class Mask>
+inline T pick(Mask mask, T a, T b) {
+    return mask ? a : b;
+}
+template <class T>
+inline T greater(T a, T b) {
+    return a > b ? a : b;
+}
+template <class T>
+inline T lesser(T a, T b) {
+    return a < b ? a : b;
+}
+template <class T>
+inline T magnitude(T a) {
+    return a < all<T>(0) ? -a : a;
+}
+inline double root(double value) { return sqrt(value); }
+#if defined(__GNUC__) || defined(__clang__)
+inline Doubles root(Doubles value) {
+    Doubles result;
+    for (int k = 0; k < kSide; ++k) result[k] = sqrt(value[k]);
+    return result;
+}
+#endif
+template <class To, class From>
+inline To bits(const From& from) {
+    static_assert(sizeof(To) == sizeof(From), "the same bits");
+    To to;
+    memcpy(&to, &from, sizeof to);
+    return to;
+}
+
+// log of a positive normal number, and exp of one up to 700, to some units in the last place; the compiler makes vector
+// code of these, not of calls.
+template <class T>
+inline T logarithm(T value) {
+    using Bits = typename Of<T>::Bits;
+    const Bits raw = bits<Bits>(value);
+    const std::int64_t shift = 0x3fe6a09e667f3bcdLL;  // sqrt(1/2): the fraction goes from there to sqrt 2
+    const Bits exponent = (raw - shift) & static_cast<std::int64_t>(0xfff0000000000000ULL);
+    const T fraction = bits<T>(static_cast<Bits>(raw - exponent));
+    // The exponent as a number: biased, into the last bits of 2^52.
+    const Bits biased = ((exponent >> 52) & 0xfff) + 2048;
+    const T power = bits<T>(static_cast<Bits>((biased & 0xfff) | 0x4330000000000000LL)) - (4503599627370496.0 + 2048.0);
+    const T s = (fraction - 1.0) / (fraction + 1.0), square = s * s;
+    T sum = all<T>(1.0 / 21);
+    for (int odd = 19; odd >= 3; odd -= 2) sum = sum * square + 1.0 / odd;
+    return power * 0.693147180559945309417 + (2.0 * s + 2.0 * s * square * sum);
+}
+template <class T>
+inline T exponential(T value) {
+    using Bits = typename Of<T>::Bits;
+    const double shift = 6755399441055744.0;  // 1.5 x 2^52: whole numbers stand in the last bits
+    const auto none = value < all<T>(-700.0);
+    value = pick<T>(none, all<T>(-700.0), value);
+    const T shifted = value * 1.44269504088896340736 + shift;
+    const T whole = shifted - shift;
+    const T rest = (value - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
+    T sum = all<T>(1.0 / 6227020800.0);
+    const double factorials[] = {1.0 / 479001600, 1.0 / 39916800, 1.0 / 3628800, 1.0 / 362880, 1.0 / 40320, 1.0 / 5040,
+                                 1.0 / 720,       1.0 / 120,      1.0 / 24,      1.0 / 6,      0.5,         1.0, 1.0};
+    for (const double factorial : factorials) sum = sum * rest + factorial;
+    const Bits scale = bits<Bits>(sum) + (bits<Bits>(shifted) << 52);
+    return pick<T>(none, all<T>(0.0), bits<T>(scale));
+}
+// base^exponent of base >= 0, 0 for 0.
+template <class T>
+inline T power(T base, T exponent) {
+    const auto some = base > all<T>(1e-300);
+    return pick<T>(some, exponential(exponent * logarithm(pick<T>(some, base, all<T>(1.0)))), all<T>(0.0));
+}
+
+template <class T>
+struct Pair {
+    T x, z;
+};
+// [[xx, xz], [xz, zz]]
+template <class T>
+struct Symmetric {
+    T xx, xz, zz;
+};
+// [[xx, xz], [zx, zz]]
+template <class T>
+struct Block {
+    T xx, xz, zx, zz;
+};
+template <class T>
+inline Pair<T> operator+(Pair<T> a, Pair<T> b) { return {a.x + b.x, a.z + b.z}; }
+template <class T>
+inline Pair<T> operator-(Pair<T> a, Pair<T> b) { return {a.x - b.x, a.z - b.z}; }
+template <class T>
+inline Pair<T> operator*(T a, Pair<T> b) { return {a * b.x, a * b.z}; }
+template <class T>
+inline Pair<T> operator*(Symmetric<T> a, Pair<T> b) { return {a.xx * b.x + a.xz * b.z, a.xz * b.x + a.zz * b.z}; }
+template <class T>
+inline Pair<T> operator*(Block<T> a, Pair<T> b) { return {a.xx * b.x + a.xz * b.z, a.zx * b.x + a.zz * b.z}; }
+template <class T>
+inline Block<T> operator*(Block<T> a, Block<T> b) {
+    return {a.xx * b.xx + a.xz * b.zx, a.xx * b.xz + a.xz * b.zz, a.zx * b.xx + a.zz * b.zx, a.zx * b.xz + a.zz * b.zz};
+}
+template <class T>
+inline Block<T> operator-(Block<T> a, Block<T> b) { return {a.xx - b.xx, a.xz - b.xz, a.zx - b.zx, a.zz - b.zz}; }
+template <class T>
+inline Block<T> operator+(Block<T> a, Block<T> b) { return {a.xx + b.xx, a.xz + b.xz, a.zx + b.zx, a.zz + b.zz}; }
+template <class T>
+inline Block<T> scaled(T by, Symmetric<T> a) { return {by * a.xx, by * a.xz, by * a.xz, by * a.zz}; }
+template <class T>
+inline Block<T> inverse(Block<T> a) {
+    const T one = 1.0 / (a.xx * a.zz - a.xz * a.zx);
+    return {one * a.zz, -(one * a.xz), -(one * a.zx), one * a.xx};
+}
+template <class T>
+inline T farthest(T most, Pair<T> of) { return greater(most, greater(magnitude(of.x), magnitude(of.z))); }
+
+// A place of the bone and of all elements.
+template <class T>
+struct Body {
+    Pair<T>* at;
+    Pair<T> bone;
+};
+
+constexpr std::int64_t kBytesEach = (11 * 2 + 5 + 2 * 3 + 5 * 4) * 8;  // of an element of one chain: pairs, numbers, symmetric, blocks
+
+template <class T>
+struct Press {
+    using Mask = typename Of<T>::Mask;
+    static constexpr int kLanes = Of<T>::kLanes;
+    static constexpr double kGamma = 2 - 1.41421356237309504880;
+    static constexpr double kLater = 1 / (kGamma * (2 - kGamma));
+    static constexpr double kEarlier = (1 - kGamma) * (1 - kGamma) / (kGamma * (2 - kGamma));
+    static constexpr double kError = 2 * (-3 * kGamma * kGamma + 4 * kGamma - 2) / (12 * (2 - kGamma));
+    static constexpr int kMostIterations = 12;
+
+    const fingerflow_skin_chain& given;
+    const std::int64_t count;
+    const bool held_x, held_z;
+    // Of the chain.
+    Pair<T>* reference;
+    T *link, *mu;
+    T radius, membrane, tissue, shear, nail, contact, damping, bone_damping, spring, exponent;
+    // Of the motion: what is known of a stage, what is left over, and Dahl's forces before, in the middle and after.
+    Body<T> start, start_speed, middle, middle_speed, end, known, left_over, moved, guess;
+    T *rubbed, *rubbed_middle, *rubbed_end;
+    // Of the system: slopes, the diagonal, and what the sweep leaves of it.
+    Symmetric<T> *of_link, *of_tissue;
+    Block<T> *diagonal, *undone, *onward, *from_bone, *to_bone;
+    Pair<T>* swept;
+    Block<T> bone_block;
+    T c;
+
+    Press(const fingerflow_skin_chain& of, char* memory) : given(of), count(of.count), held_x(of.held_x), held_z(of.held_z) {
+        const auto take = [&](auto& to) {
+            to = reinterpret_cast<decltype(+to)>(memory);
+            memory += static_cast<std::size_t>(count) * sizeof *to;
+        };
+        take(reference), take(link), take(mu);
+        take(start.at), take(start_speed.at), take(middle.at), take(middle_speed.at), take(end.at);
+        take(known.at), take(left_over.at), take(moved.at), take(guess.at);
+        take(rubbed), take(rubbed_middle), take(rubbed_end);
+        take(of_link), take(of_tissue);
+        take(diagonal), take(undone), take(onward), take(from_bone), take(to_bone);
+        take(swept);
+    }
+
+    void load(std::int64_t first) {
+        T* const numbers[] = {&radius, &membrane, &tissue, &shear, &nail, &contact, &damping, &bone_damping, &spring, &exponent};
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const std::int64_t chain = chain_of(first, lane);
+            for (int k = 0; k < 10; ++k) put(*numbers[k], lane, given.numbers[10 * chain + k]);
+            for (std::int64_t i = 0; i < count; ++i) {
+                const std::int64_t at = chain * count + i;
+                put(reference[i].x, lane, given.reference[2 * at]);
+                put(reference[i].z, lane, given.reference[2 * at + 1]);
+                put(link[i], lane, i + 1 < count ? given.link[chain * (count - 1) + i] : 0.0);
+                put(mu[i], lane, given.friction[at]);
+                put(start.at[i].x, lane, given.place[2 * at]);
+                put(start.at[i].z, lane, given.place[2 * at + 1]);
+                put(rubbed[i], lane, given.rubbed[at]);
+            }
+            put(start.bone.x, lane, given.bone[2 * chain]);
+            put(start.bone.z, lane, given.bone[2 * chain + 1]);
+        }
+    }
+
+    void store(std::int64_t first, std::int64_t chains) const {
+        for (int lane = 0; lane < kLanes && lane < chains; ++lane) {
+            const std::int64_t chain = first + lane;
+            if (chain >= given.batch) break;
+            for (std::int64_t i = 0; i < count; ++i) {
+                const std::int64_t at = chain * count + i;
+                given.place[2 * at] = Of<T>::at(start.at[i].x, lane);
+                given.place[2 * at + 1] = Of<T>::at(start.at[i].z, lane);
+                given.rubbed[at] = Of<T>::at(rubbed[i], lane);
+            }
+            given.bone[2 * chain] = Of<T>::at(start.bone.x, lane);
+            given.bone[2 * chain + 1] = Of<T>::at(start.bone.z, lane);
+        }
+    }
+
+    // Lanes beyond the last chain repeat it.
+    std::int64_t chain_of(std::int64_t first, int lane) const {
+        const std::int64_t chain = first + lane;
+        return chain < given.batch ? chain : given.batch - 1;
+    }
+
+    // Elastic forces on elements and bone at a place; with kSlopes their negative slopes too.
+    template <bool kSlopes>
+    void elastic(const Body<T>& body, Body<T>& force) {
+        for (std::int64_t i = 0; i < count; ++i) {
+            const Pair<T> at = body.at[i], line{at.x - body.bone.x, at.z - radius - body.bone.z};
+            const T along = 1.0 / root(line.x * line.x + line.z * line.z), ratio = radius * along;
+            const Pair<T> off = at - reference[i] - body.bone;
+            const T own = tissue * (1.0 - ratio), resisted = i == 0 || i == count - 1 ? shear + nail : shear;
+            const Pair<T> held{own * line.x + resisted * off.x, own * line.z + resisted * off.z};
+            force.at[i] = {-held.x, contact * greater(-at.z, all<T>(0)) - held.z};
+            swept[i] = held;
+            if (kSlopes) {
+                const T x = line.x * along, z = line.z * along, turned = tissue * ratio;
+                of_tissue[i] = {own + resisted + turned * (x * x), turned * (x * z), own + resisted + turned * (z * z)};
+            }
+        }
+        for (std::int64_t i = 0; i + 1 < count; ++i) {
+            const Pair<T> apart = body.at[i + 1] - body.at[i];
+            const T along = 1.0 / root(apart.x * apart.x + apart.z * apart.z), ratio = link[i] * along;
+            const T own = membrane * (1.0 - ratio);
+            const Pair<T> pull = own * apart;
+            force.at[i] = force.at[i] + pull;
+            force.at[i + 1] = force.at[i + 1] - pull;
+            if (kSlopes) {
+                const T x = apart.x * along, z = apart.z * along, turned = membrane * ratio;
+                of_link[i] = {own + turned * (x * x), turned * (x * z), own + turned * (z * z)};
+            }
+        }
+        // From both ends, so that a mirrored press has the mirrored sum.
+        Pair<T> sum{all<T>(0), all<T>(0)};
+        for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) sum = sum + (i == j ? swept[i] : swept[i] + swept[j]);
+        force.bone = sum;
+    }
+
+    // Dahl's force of element i after a slide, and its slopes along and above the plate.
+    void rub(std::int64_t i, Pair<T> from, Pair<T> to, T before, T& force, T& along, T& above) const {
+        const T none = all<T>(0);
+        force = along = above = none;
+        const T steep = mu[i] * contact;
+        const auto pressed = to.z < none;
+        const T last = steep * greater(-to.z, none);
+        const T mean = 0.5 * (last + steep * greater(-from.z, none));
+        const auto active = (mean > none) & pressed;
+        if (!any(active)) return;
+        const T limit = pick(active, mean, all<T>(1.0)), slid = to.x - from.x;
+        const T sign = pick(slid < none, all<T>(-1.0), all<T>(1.0));
+        const T held = lesser(greater(before, -limit), limit);
+        T left = 1.0 - sign * held / limit;
+        const auto done = left <= none;
+        left = pick(done, all<T>(1.0), left);
+        const T log_left = logarithm(left), left_power = exponential(exponent * log_left);
+        const T distance = spring * magnitude(slid) / limit * (left_power / left);
+        const T order = 1.0 - exponent;
+        const auto exponential_law = order == none;
+        const T base = greater(1.0 - order * distance, none);
+        const auto some = base > all<T>(1e-300);
+        const T safe_order = pick(exponential_law, all<T>(1.0), order);
+        const T log_kept = pick(exponential_law, -distance, logarithm(pick(some, base, all<T>(1.0))) / safe_order);
+        const T kept = pick(some, exponential(log_kept), none);
+        const T rest = pick(some, exponential(log_kept * exponent), none);
+        const T after = pick(done, sign * limit, held + sign * limit * left * (1.0 - kept));
+        const T of_left = pick(held == before, sign * held / (limit * limit), none);
+        const T of_limit = pick(done, sign, sign * (1.0 - left * kept) -
+                                                sign * limit * (rest * of_left + left * rest * distance / limit));
+        const auto over = magnitude(after) > last;
+        force = pick(active, lesser(greater(after, -last), last), none);
+        along = pick(done | over | !active, none, spring * left_power * rest);
+        above = pick(active, pick(over, pick(after < none, steep, -steep), -0.5 * of_limit * steep), none);
+    }
+    static bool any(bool mask) { return mask; }
+#if defined(__GNUC__) || defined(__clang__)
+    static bool any(const Integers& mask) {
+        std::int64_t one = 0;
+        for (int lane = 0; lane < kSide; ++lane) one |= mask[lane];
+        return one != 0;
+    }
+#endif
+
+    // The matrix damping I + c K at `end`, swept.
+    void factor() {
+        Block<T> whole{all<T>(0), all<T>(0), all<T>(0), all<T>(0)};
+        for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) {
+            const Block<T> one = scaled(c, of_tissue[i]);
+            whole = whole + (i == j ? one : one + scaled(c, of_tissue[j]));
+        }
+        bone_block = {bone_damping + whole.xx, whole.xz, whole.zx, bone_damping + whole.zz};
+        const std::int64_t centre = count / 2;
+        for (std::int64_t i = 0; i < centre; ++i) {
+            const std::int64_t j = count - 1 - i;
+            eliminate(i, i - 1, i - 1, i);
+            if (j > centre) eliminate(j, j + 1, j, j - 1);
+            const Block<T> one = to_bone[i] * from_bone[i];
+            bone_block = bone_block - (j > centre ? one + to_bone[j] * from_bone[j] : one);
+        }
+        const Block<T> left = scaled(-c, of_link[centre - 1]), right = scaled(-c, of_link[centre]);
+        const Block<T> column = scaled(-c, of_tissue[centre]);
+        undone[centre] = inverse(diagonal[centre] - (left * onward[centre - 1] + right * onward[centre + 1]));
+        from_bone[centre] = undone[centre] * (column - (left * from_bone[centre - 1] + right * from_bone[centre + 1]));
+        to_bone[centre] = column - (to_bone[centre - 1] * onward[centre - 1] + to_bone[centre + 1] * onward[centre + 1]);
+        bone_block = bone_block - to_bone[centre] * from_bone[centre];
+    }
+    // Element i after its neighbour `before`, over a link, and ahead of the other, over `next`.
+    void eliminate(std::int64_t i, std::int64_t before, std::int64_t over, std::int64_t next) {
+        Block<T> own = diagonal[i], column = scaled(-c, of_tissue[i]), row = column;
+        if (before >= 0 && before < count) {
+            const Block<T> joined = scaled(-c, of_link[over]);
+            own = own - joined * onward[before];
+            column = column - joined * from_bone[before];
+            row = row - to_bone[before] * onward[before];
+        }
+        undone[i] = inverse(own);
+        onward[i] = undone[i] * scaled(-c, of_link[next]);
+        from_bone[i] = undone[i] * column;
+        to_bone[i] = row;
+    }
+
+    // `moved` of a right-hand side; that of a direction which is held is its motion.
+    void solve(const Body<T>& side) {
+        const std::int64_t centre = count / 2;
+        Pair<T> bone{all<T>(0), all<T>(0)};
+        for (std::int64_t i = 0; i < centre; ++i) {
+            const std::int64_t j = count - 1 - i;
+            swept[i] = undone[i] * (i ? side.at[i] - scaled(-c, of_link[i - 1]) * swept[i - 1] : side.at[i]);
+            const Pair<T> one = to_bone[i] * swept[i];
+            if (j > centre) {
+                swept[j] = undone[j] * (i ? side.at[j] - scaled(-c, of_link[j]) * swept[j + 1] : side.at[j]);
+                bone = bone + (one + to_bone[j] * swept[j]);
+            } else {
+                bone = bone + one;
+            }
+        }
+        swept[centre] = undone[centre] * (side.at[centre] - (scaled(-c, of_link[centre - 1]) * swept[centre - 1] +
+                                                             scaled(-c, of_link[centre]) * swept[centre + 1]));
+        bone = side.bone - (bone + to_bone[centre] * swept[centre]);
+        const Block<T> of = bone_block;
+        if (held_x && held_z) bone = side.bone;
+        else if (held_x) bone = {side.bone.x, (bone.z - of.zx * side.bone.x) / of.zz};
+        else if (held_z) bone = {(bone.x - of.xz * side.bone.z) / of.xx, side.bone.z};
+        else bone = inverse(of) * bone;
+        moved.bone = bone;
+        moved.at[centre] = swept[centre] - from_bone[centre] * bone;
+        for (std::int64_t i = centre - 1; i >= 0; --i) {
+            const std::int64_t j = count - 1 - i;
+            moved.at[i] = swept[i] - from_bone[i] * bone - onward[i] * moved.at[i + 1];
+            if (j > centre) moved.at[j] = swept[j] - from_bone[j] * bone - onward[j] * moved.at[j - 1];
+        }
+    }
+
+    // damping (X - known) = c forces(X) from `end` on, which becomes X, with Dahl's forces `after` the slide from a place;
+    // lanes where it is not found are taken off those which go on.
+    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, double* tolerance, bool* go_on, std::int64_t* iterations) {
+        bool busy[kLanes];
+        for (int lane = 0; lane < kLanes; ++lane) busy[lane] = go_on[lane];
+        for (int iteration = 0; iteration < kMostIterations; ++iteration) {
+            elastic<true>(end, left_over);
+            for (std::int64_t i = 0; i < count; ++i) {
+                T force, along, above;
+                rub(i, from.at[i], end.at[i], before[i], force, along, above);
+                const Pair<T> off = known.at[i] - end.at[i];
+                left_over.at[i] = {damping * off.x + c * (left_over.at[i].x - force), damping * off.z + c * left_over.at[i].z};
+                Symmetric<T> own = of_tissue[i];
+                if (i) own = {own.xx + of_link[i - 1].xx, own.xz + of_link[i - 1].xz, own.zz + of_link[i - 1].zz};
+                if (i + 1 < count) own = {own.xx + of_link[i].xx, own.xz + of_link[i].xz, own.zz + of_link[i].zz};
+                const T touching = pick(end.at[i].z < all<T>(0), contact, all<T>(0));
+                diagonal[i] = {damping + c * (own.xx + along), c * (own.xz + above), c * own.xz, damping + c * (own.zz + touching)};
+            }
+            const Pair<T> off = known.bone - end.bone, given_motion = load - end.bone;
+            const Pair<T> side{bone_damping * off.x + c * (left_over.bone.x + load.x),
+                               bone_damping * off.z + c * (left_over.bone.z + load.z)};
+            left_over.bone = {held_x ? given_motion.x : side.x, held_z ? given_motion.z : side.z};
+            factor();
+            solve(left_over);
+            T most = farthest(all<T>(0), moved.bone);
+            for (std::int64_t i = 0; i < count; ++i) most = farthest(most, moved.at[i]);
+            bool more = false;
+            Mask going{};
+            for (int lane = 0; lane < kLanes; ++lane) {
+                if (busy[lane]) {
+                    ++iterations[lane];
+                    const double by = Of<T>::at(most, lane);
+                    if (!(by < 1.0) || !(Of<T>::at(moved.bone.x, lane) == Of<T>::at(moved.bone.x, lane))) busy[lane] = go_on[lane] = false;
+                    else if (by <= tolerance[lane]) busy[lane] = false;
+                }
+                Of<T>::set(going, lane, busy[lane]);
+                more = more || busy[lane];
+            }
+            if (!more) break;
+            if (iteration + 1 == kMostIterations) {
+                for (int lane = 0; lane < kLanes; ++lane)
+                    if (busy[lane]) go_on[lane] = false;
+                break;
+            }
+            // Where it is found the matrix and the last step stay as they are, whatever the others still do.
+            const T none = all<T>(0);
+            end.bone = end.bone + Pair<T>{pick(going, moved.bone.x, none), pick(going, moved.bone.z, none)};
+            for (std::int64_t i = 0; i < count; ++i)
+                end.at[i] = end.at[i] + Pair<T>{pick(going, moved.at[i].x, none), pick(going, moved.at[i].z, none)};
+        }
+        end.bone = end.bone + moved.bone;
+        for (std::int64_t i = 0; i < count; ++i) {
+            end.at[i] = end.at[i] + moved.at[i];
+            T along, above;
+            rub(i, from.at[i], end.at[i], before[i], after[i], along, above);
+        }
+    }
+
+    // What is out of balance at the start: into `left_over`, and the sum of all of it.
+    T unbalanced(Pair<T> load) {
+        elastic<false>(start, left_over);
+        T sum = all<T>(0);
+        for (std::int64_t i = 0; i < count; ++i) {
+            left_over.at[i].x = left_over.at[i].x - rubbed[i];
+            sum = sum + magnitude(left_over.at[i].x) + magnitude(left_over.at[i].z);
+        }
+        const T none = all<T>(0);
+        left_over.bone = {held_x ? none : left_over.bone.x + load.x, held_z ? none : left_over.bone.z + load.z};
+        return sum + magnitude(left_over.bone.x) + magnitude(left_over.bone.z);
+    }
+
+    void run(std::int64_t first, std::int64_t chains) {
+        load(first);
+        Pair<T> load_first, load_change;
+        T rest;
+        double time[kLanes] = {}, step[kLanes], next[kLanes], tolerance[kLanes], error[kLanes];
+        std::int64_t steps[kLanes] = {}, rejected[kLanes] = {}, iterations[kLanes] = {};
+        bool live[kLanes], go_on[kLanes];
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const std::int64_t chain = chain_of(first, lane);
+            put(load_first.x, lane, given.load[4 * chain]);
+            put(load_first.z, lane, given.load[4 * chain + 1]);
+            put(load_change.x, lane, given.load[4 * chain + 2] - given.load[4 * chain]);
+            put(load_change.z, lane, given.load[4 * chain + 3] - given.load[4 * chain + 1]);
+            put(rest, lane, given.rest[chain]);
+            next[lane] = given.step[chain];
+            tolerance[lane] = 0.1 * given.tolerance;
+            live[lane] = first + lane < given.batch && lane < chains;
+        }
+        const double duration = given.duration;
+        const Pair<T> rate = all<T>(1 / duration) * load_change;
+        unbalanced(load_first);
+        for (std::int64_t i = 0; i < count; ++i) start_speed.at[i] = (1.0 / damping) * left_over.at[i];
+        start_speed.bone = {held_x ? rate.x : left_over.bone.x / bone_damping, held_z ? rate.z : left_over.bone.z / bone_damping};
+
+        for (std::int64_t attempt = 0; attempt < given.most_steps; ++attempt) {
+            bool some = false;
+            T h{}, begin{};
+            for (int lane = 0; lane < kLanes; ++lane) {
+                const double left = duration - time[lane];
+                step[lane] = next[lane] > 0.99 * left ? left : next[lane];
+                if (!live[lane]) step[lane] = 1e-9;
+                put(h, lane, step[lane]);
+                put(begin, lane, time[lane] / duration);
+                go_on[lane] = live[lane];
+                some = some || live[lane];
+            }
+            if (!some) break;
+            c = (kGamma / 2) * h;
+            const T share = h * (1 / duration), gone = kGamma * h, to_go = (1 - kGamma) * h;
+            // To gamma of the step.
+            for (std::int64_t i = 0; i < count; ++i) {
+                known.at[i] = start.at[i] + c * start_speed.at[i];
+                end.at[i] = start.at[i] + gone * start_speed.at[i];
+            }
+            known.bone = start.bone + c * start_speed.bone;
+            end.bone = start.bone + gone * start_speed.bone;
+            newton(start, rubbed, rubbed_middle, load_first + (begin + kGamma * share) * load_change, tolerance, go_on, iterations);
+            const T per_c = 1.0 / c;
+            for (std::int64_t i = 0; i < count; ++i) {
+                middle.at[i] = end.at[i];
+                middle_speed.at[i] = per_c * (end.at[i] - known.at[i]);
+            }
+            middle.bone = end.bone;
+            middle_speed.bone = per_c * (end.bone - known.bone);
+            hold(middle_speed.bone, rate);
+            // To the end of it.
+            for (std::int64_t i = 0; i < count; ++i) {
+                known.at[i] = all<T>(kLater) * middle.at[i] - all<T>(kEarlier) * start.at[i];
+                end.at[i] = middle.at[i] + to_go * middle_speed.at[i];
+            }
+            known.bone = all<T>(kLater) * middle.bone - all<T>(kEarlier) * start.bone;
+            end.bone = middle.bone + to_go * middle_speed.bone;
+            newton(middle, rubbed_middle, rubbed_end, load_first + (begin + share) * load_change, tolerance, go_on, iterations);
+            // The error, and the speed at the end where `guess` keeps it.
+            const auto estimate = [&](Pair<T> one, Pair<T> two, Pair<T> three) {
+                return all<T>(1 / kGamma) * one - all<T>(1 / (kGamma * (1 - kGamma))) * two + all<T>(1 / (1 - kGamma)) * three;
+            };
+            for (std::int64_t i = 0; i < count; ++i) {
+                guess.at[i] = per_c * (end.at[i] - known.at[i]);
+                left_over.at[i] = (damping * (kError * h)) * estimate(start_speed.at[i], middle_speed.at[i], guess.at[i]);
+            }
+            guess.bone = per_c * (end.bone - known.bone);
+            hold(guess.bone, rate);
+            left_over.bone = (bone_damping * (kError * h)) * estimate(start_speed.bone, middle_speed.bone, guess.bone);
+            hold(left_over.bone, {all<T>(0), all<T>(0)});
+            solve(left_over);
+            T most = farthest(all<T>(0), moved.bone);
+            for (std::int64_t i = 0; i < count; ++i) most = farthest(most, moved.at[i]);
+
+            Mask kept{};
+            bool any_kept = false;
+            for (int lane = 0; lane < kLanes; ++lane) {
+                bool keep = false;
+                if (live[lane]) {
+                    error[lane] = go_on[lane] ? Of<T>::at(most, lane) / given.tolerance : 1e30;
+                    if (!(error[lane] < 1e30)) error[lane] = 1e30;
+                    keep = error[lane] <= 1;
+                }
+                Of<T>::set(kept, lane, keep);
+                any_kept = any_kept || keep;
+            }
+            if (any_kept) {
+                for (std::int64_t i = 0; i < count; ++i) {
+                    take(kept, start.at[i], end.at[i]);
+                    take(kept, start_speed.at[i], guess.at[i]);
+                    rubbed[i] = pick(kept, rubbed_end[i], rubbed[i]);
+                }
+                take(kept, start.bone, end.bone);
+                take(kept, start_speed.bone, guess.bone);
+            }
+            for (int lane = 0; lane < kLanes; ++lane) {
+                if (!live[lane]) continue;
+                const double less = error[lane] < 1e-9 ? 1e-9 : error[lane];
+                double growth = 0.7 / cbrt(less);
+                growth = growth > 2.0 ? 2.0 : growth < 0.3 ? 0.3 : growth;
+                next[lane] = step[lane] * growth;
+                if (error[lane] <= 1) {
+                    record(first + lane, lane, steps[lane], time[lane], step[lane]);
+                    time[lane] += step[lane];
+                    ++steps[lane];
+                    if (time[lane] >= duration * (1 - 1e-12)) {
+                        time[lane] = duration;
+                        live[lane] = false;
+                        if (given.step[first + lane] > next[lane]) next[lane] = given.step[first + lane];
+                    }
+                } else {
+                    ++rejected[lane];
+                }
+                if (next[lane] < 1e-13) live[lane] = false;
+            }
+            if (any_kept) {
+                T share_gone{};
+                for (int lane = 0; lane < kLanes; ++lane) put(share_gone, lane, time[lane] / duration);
+                const T sum = unbalanced(load_first + share_gone * load_change);
+                for (int lane = 0; lane < kLanes; ++lane)
+                    if (Of<T>::in(kept, lane) && Of<T>::at(sum, lane) <= Of<T>::at(rest, lane)) live[lane] = false;
+            }
+        }
+        store(first, chains);
+        for (int lane = 0; lane < kLanes && lane < chains && first + lane < given.batch; ++lane) {
+            const std::int64_t chain = first + lane;
+            given.step[chain] = next[lane];
+            given.time[chain] = time[lane];
+            given.counts[3 * chain] = steps[lane];
+            given.counts[3 * chain + 1] = rejected[lane];
+            given.counts[3 * chain + 2] = iterations[lane];
+        }
+    }
+
+    void hold(Pair<T>& value, Pair<T> by) const {
+        if (held_x) value.x = by.x;
+        if (held_z) value.z = by.z;
+    }
+    static void take(Mask where, Pair<T>& to, Pair<T> from) { to = {pick(where, from.x, to.x), pick(where, from.z, to.z)}; }
+
+    // A step that is kept: when, how long, then places, bone and friction of both stages.
+    void record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const {
+        if (given.record == nullptr || number >= given.record_steps) return;
+        double* to = given.record + (chain * given.record_steps + number) * (2 + 2 * (3 * count + 2));
+        *to++ = time;
+        *to++ = step;
+        to = written(to, lane, middle, rubbed_middle);
+        written(to, lane, end, rubbed_end);
+    }
+    double* written(double* to, int lane, const Body<T>& body, const T* rub) const {
+        for (std::int64_t i = 0; i < count; ++i) {
+            *to++ = Of<T>::at(body.at[i].x, lane);
+            *to++ = Of<T>::at(body.at[i].z, lane);
+        }
+        *to++ = Of<T>::at(body.bone.x, lane);
+        *to++ = Of<T>::at(body.bone.z, lane);
+        for (std::int64_t i = 0; i < count; ++i) *to++ = Of<T>::at(rub[i], lane);
+        return to;
+    }
+};
+
+template <class T>
+void press_group(const fingerflow_skin_chain& given, std::int64_t first, std::int64_t chains, void* memory) {
+    Press<T>(given, static_cast<char*>(memory)).run(first, chains);
+}
+
+}  // namespace
+
+SkinGroup skin_group(std::int64_t count, std::int64_t batch) {
+    const std::int64_t chains = batch == 1 ? 1 : kSide;
+    return {chains, chains * count * kBytesEach};
+}
+
+void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int64_t chains, void* memory) {
+#if defined(__GNUC__) || defined(__clang__)
+    if (chains > 1) {
+        press_group<Doubles>(given, first, chains, memory);
+        return;
+    }
+#endif
+    press_group<double>(given, first, chains, memory);
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow
