@@ -341,8 +341,9 @@ struct Press {
     }
 #endif
 
-    // The matrix damping I + c K at `end`, swept.
-    void factor() {
+    // The matrix damping I + c K at `end`, swept; that of other lanes stays.
+    void factor(Mask here) {
+        const Block<T> bone_before = bone_block;
         Block<T> whole{all<T>(0), all<T>(0), all<T>(0), all<T>(0)};
         for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) {
             const Block<T> one = scaled(c, of_tissue[i]);
@@ -352,20 +353,24 @@ struct Press {
         const std::int64_t centre = count / 2;
         for (std::int64_t i = 0; i < centre; ++i) {
             const std::int64_t j = count - 1 - i;
-            eliminate(i, i - 1, i - 1, i);
-            if (j > centre) eliminate(j, j + 1, j, j - 1);
+            eliminate(here, i, i - 1, i - 1, i);
+            if (j > centre) eliminate(here, j, j + 1, j, j - 1);
             const Block<T> one = to_bone[i] * from_bone[i];
             bone_block = bone_block - (j > centre ? one + to_bone[j] * from_bone[j] : one);
         }
         const Block<T> left = scaled(-c, of_link[centre - 1]), right = scaled(-c, of_link[centre]);
         const Block<T> column = scaled(-c, of_tissue[centre]);
-        undone[centre] = inverse(diagonal[centre] - (left * onward[centre - 1] + right * onward[centre + 1]));
-        from_bone[centre] = undone[centre] * (column - (left * from_bone[centre - 1] + right * from_bone[centre + 1]));
-        to_bone[centre] = column - (to_bone[centre - 1] * onward[centre - 1] + to_bone[centre + 1] * onward[centre + 1]);
-        bone_block = bone_block - to_bone[centre] * from_bone[centre];
+        const Block<T> own = diagonal[centre] - (left * onward[centre - 1] + right * onward[centre + 1]);
+        const Block<T> joined = column - (left * from_bone[centre - 1] + right * from_bone[centre + 1]);
+        take(here, undone[centre], inverse(own));
+        take(here, from_bone[centre], undone[centre] * joined);
+        take(here, to_bone[centre], column - (to_bone[centre - 1] * onward[centre - 1] + to_bone[centre + 1] * onward[centre + 1]));
+        const Block<T> swept_block = bone_block - to_bone[centre] * from_bone[centre];
+        bone_block = bone_before;
+        take(here, bone_block, swept_block);
     }
     // Element i after its neighbour `before`, over a link, and ahead of the other, over `next`.
-    void eliminate(std::int64_t i, std::int64_t before, std::int64_t over, std::int64_t next) {
+    void eliminate(Mask here, std::int64_t i, std::int64_t before, std::int64_t over, std::int64_t next) {
         Block<T> own = diagonal[i], column = scaled(-c, of_tissue[i]), row = column;
         if (before >= 0 && before < count) {
             const Block<T> joined = scaled(-c, of_link[over]);
@@ -373,10 +378,10 @@ struct Press {
             column = column - joined * from_bone[before];
             row = row - to_bone[before] * onward[before];
         }
-        undone[i] = inverse(own);
-        onward[i] = undone[i] * scaled(-c, of_link[next]);
-        from_bone[i] = undone[i] * column;
-        to_bone[i] = row;
+        take(here, undone[i], inverse(own));
+        take(here, onward[i], undone[i] * scaled(-c, of_link[next]));
+        take(here, from_bone[i], undone[i] * column);
+        take(here, to_bone[i], row);
     }
 
     // `moved` of a right-hand side; that of a direction which is held is its motion.
@@ -415,7 +420,8 @@ struct Press {
     // lanes where it is not found are taken off those which go on.
     void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, double* tolerance, bool* go_on, std::int64_t* iterations) {
         bool busy[kLanes];
-        for (int lane = 0; lane < kLanes; ++lane) busy[lane] = go_on[lane];
+        Mask going{};
+        for (int lane = 0; lane < kLanes; ++lane) Of<T>::set(going, lane, busy[lane] = go_on[lane]);
         for (int iteration = 0; iteration < kMostIterations; ++iteration) {
             elastic<true>(end, left_over);
             for (std::int64_t i = 0; i < count; ++i) {
@@ -433,37 +439,29 @@ struct Press {
             const Pair<T> side{bone_damping * off.x + c * (left_over.bone.x + load.x),
                                bone_damping * off.z + c * (left_over.bone.z + load.z)};
             left_over.bone = {held_x ? given_motion.x : side.x, held_z ? given_motion.z : side.z};
-            factor();
+            factor(going);
             solve(left_over);
             T most = farthest(all<T>(0), moved.bone);
             for (std::int64_t i = 0; i < count; ++i) most = farthest(most, moved.at[i]);
-            bool more = false;
-            Mask going{};
-            for (int lane = 0; lane < kLanes; ++lane) {
-                if (busy[lane]) {
-                    ++iterations[lane];
-                    const double by = Of<T>::at(most, lane);
-                    if (!(by < 1.0) || !(Of<T>::at(moved.bone.x, lane) == Of<T>::at(moved.bone.x, lane))) busy[lane] = go_on[lane] = false;
-                    else if (by <= tolerance[lane]) busy[lane] = false;
-                }
-                Of<T>::set(going, lane, busy[lane]);
-                more = more || busy[lane];
-            }
-            if (!more) break;
-            if (iteration + 1 == kMostIterations) {
-                for (int lane = 0; lane < kLanes; ++lane)
-                    if (busy[lane]) go_on[lane] = false;
-                break;
-            }
-            // Where it is found the matrix and the last step stay as they are, whatever the others still do.
+            // Lanes where it is found stay as they are, whatever the others still do.
             const T none = all<T>(0);
             end.bone = end.bone + Pair<T>{pick(going, moved.bone.x, none), pick(going, moved.bone.z, none)};
             for (std::int64_t i = 0; i < count; ++i)
                 end.at[i] = end.at[i] + Pair<T>{pick(going, moved.at[i].x, none), pick(going, moved.at[i].z, none)};
+            bool more = false;
+            for (int lane = 0; lane < kLanes; ++lane) {
+                if (!busy[lane]) continue;
+                ++iterations[lane];
+                const double by = Of<T>::at(most, lane), bone = Of<T>::at(moved.bone.z, lane);
+                const bool lost = !(by < 1.0) || bone != bone || iteration + 1 == kMostIterations;  // m
+                if (by <= tolerance[lane]) busy[lane] = false;
+                else if (lost) busy[lane] = go_on[lane] = false;
+                Of<T>::set(going, lane, busy[lane]);
+                more = more || busy[lane];
+            }
+            if (!more) break;
         }
-        end.bone = end.bone + moved.bone;
         for (std::int64_t i = 0; i < count; ++i) {
-            end.at[i] = end.at[i] + moved.at[i];
             T along, above;
             rub(i, from.at[i], end.at[i], before[i], after[i], along, above);
         }
@@ -584,10 +582,9 @@ struct Press {
             }
             for (int lane = 0; lane < kLanes; ++lane) {
                 if (!live[lane]) continue;
-                const double less = error[lane] < 1e-9 ? 1e-9 : error[lane];
-                double growth = 0.7 / cbrt(less);
-                growth = growth > 2.0 ? 2.0 : growth < 0.3 ? 0.3 : growth;
-                next[lane] = step[lane] * growth;
+                // A step that ended the time early says nothing about longer ones.
+                const double growth = quarters(error[lane]);
+                if (growth < 1 || step[lane] == next[lane]) next[lane] = step[lane] * growth;
                 if (error[lane] <= 1) {
                     record(first + lane, lane, steps[lane], time[lane], step[lane]);
                     time[lane] += step[lane];
@@ -595,7 +592,6 @@ struct Press {
                     if (time[lane] >= duration * (1 - 1e-12)) {
                         time[lane] = duration;
                         live[lane] = false;
-                        if (given.step[first + lane] > next[lane]) next[lane] = given.step[first + lane];
                     }
                 } else {
                     ++rejected[lane];
@@ -621,9 +617,22 @@ struct Press {
         }
     }
 
+    // Steps grow by powers of 2^(1/4), from 2^(-7/4) to 2: rounding of the error does not go on into the steps.
+    static double quarters(double error) {
+        const double root = 1.18920711500272106672;
+        const double wanted = floor(4 * log2(0.7 / cbrt(error < 1e-9 ? 1e-9 : error)));
+        double growth = 1;
+        for (double k = 0; k < wanted && k < 4; ++k) growth *= root;
+        for (double k = 0; k > wanted && k > -7; --k) growth /= root;
+        return growth;
+    }
     void hold(Pair<T>& value, Pair<T> by) const {
         if (held_x) value.x = by.x;
         if (held_z) value.z = by.z;
+    }
+    static void take(Mask where, Block<T>& to, Block<T> from) {
+        if constexpr (kLanes == 1) to = from;
+        else to = {pick(where, from.xx, to.xx), pick(where, from.xz, to.xz), pick(where, from.zx, to.zx), pick(where, from.zz, to.zz)};
     }
     static void take(Mask where, Pair<T>& to, Pair<T> from) { to = {pick(where, from.x, to.x), pick(where, from.z, to.z)}; }
 

@@ -6,6 +6,7 @@ advise for stiff systems. Contact that begins or ends is a kink: Newton's steps 
 step short; nothing is gained by locating it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,18 +71,19 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
         left = duration - time
         step = left if state.step > 0.99 * left else state.step
         error = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
+        growth = _growth(error)
+        if growth < 1 or step == state.step:  # a step that ended the time early says nothing about longer ones
+            state.step = step * growth
         if error <= 1:
             time += step
             state.steps += 1
             if time >= duration * (1 - 1e-12):
-                state.step = max(state.step, step * _growth(error))
                 return duration
             forces, on_bone = net_forces(chain, state, load.at(time / duration), load.held)
             if np.abs(forces).sum() + np.abs(on_bone).sum() <= rest:
                 return time
         else:
             state.rejected += 1
-        state.step = step * _growth(error)
         if state.step < 1e-13:
             break
     raise RuntimeError(
@@ -91,7 +93,8 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
 
 
 def _growth(error: float) -> float:
-    return float(min(2.0, max(0.3, 0.7 * max(error, 1e-9) ** (-1 / 3))))
+    """Powers of 2^(1/4), from 2^(-7/4) to 2: so rounding of the error does not go on into the steps."""
+    return float(2 ** (max(-7, min(4, math.floor(4 * math.log2(0.7 * min(max(error, 1e-9), 1e9) ** (-1 / 3))))) / 4))
 
 
 def _try(
