@@ -57,10 +57,20 @@ def net_forces(chain: Chain, state: State, load: Array, held: Array) -> tuple[Ar
     return forces, np.where(held, 0.0, bone + load)
 
 
-def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, tolerance: float, rest: float) -> float:
+def advance(
+    chain: Chain,
+    state: State,
+    mu: Array,
+    load: Load,
+    duration: float,
+    tolerance: float,
+    rest: float,
+    record: list[Array] | None = None,
+) -> float:
     """Goes on for ``duration`` s, or until forces are in balance to ``rest`` N; returns the time gone, s.
 
-    ``mu`` (N,) is each element's coefficient. ``tolerance`` in m is that of the error of a place in one step.
+    ``mu`` (N,) is each element's coefficient. ``tolerance`` in m is that of the error of a place in one step. Kept
+    steps are added to ``record``: time, length, and of both stages places, bone and friction.
     """
     forces, on_bone = net_forces(chain, state, load.at(0.0), load.held)
     rate = (load.last - load.first) / duration
@@ -70,11 +80,13 @@ def advance(chain: Chain, state: State, mu: Array, load: Load, duration: float, 
     for _ in range(MOST_STEPS):
         left = duration - time
         step = left if state.step > 0.99 * left else state.step
-        error = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
+        error, stages = _try(chain, state, mu, load, time / duration, step, duration, tolerance)
         growth = _growth(error)
         if growth < 1 or step == state.step:  # a step that ended the time early says nothing about longer ones
             state.step = step * growth
         if error <= 1:
+            if record is not None:
+                record.append(np.concatenate(((time, step), *(part.reshape(-1) for part in stages))))
             time += step
             state.steps += 1
             if time >= duration * (1 - 1e-12):
@@ -99,8 +111,11 @@ def _growth(error: float) -> float:
 
 def _try(
     chain: Chain, state: State, mu: Array, load: Load, begin: float, step: float, duration: float, tolerance: float
-) -> float:
-    """One step, kept where its error over the tolerance, which is returned, is at most 1; infinite without a solution."""
+) -> tuple[float, tuple[Array, ...]]:
+    """One step, kept where its error over the tolerance, which is returned, is at most 1; infinite without a solution.
+
+    With it places, bone and friction of both stages.
+    """
     c, share = C * step, step / duration
     old, old_bone, held = state.place, state.bone, load.held
     rate = (load.last - load.first) / duration
@@ -111,7 +126,7 @@ def _try(
     first = _newton(chain, state, mu, state.friction, old, known, known_bone, guess, load.at(begin + GAMMA * share),
                     held, c, tolerance)  # fmt: skip
     if first is None:
-        return np.inf
+        return np.inf, ()
     place, bone, rubbing, _ = first
     velocity = (place - known) / c
     bone_velocity = np.where(held, rate, (bone - known_bone) / c)
@@ -122,7 +137,7 @@ def _try(
     second = _newton(chain, state, mu, rubbing, place, known, known_bone, guess, load.at(begin + share), held, c,
                      tolerance)  # fmt: skip
     if second is None:
-        return np.inf
+        return np.inf, ()
     last, last_bone, last_rubbing, arrow = second
     last_velocity = (last - known) / c
     last_bone_velocity = np.where(held, rate, (last_bone - known_bone) / c)
@@ -135,10 +150,10 @@ def _try(
     wrong, wrong_bone = arrow.solve(of_elements, of_bone)
     error = float(max(np.abs(wrong).max(), np.abs(wrong_bone).max())) / tolerance
     if not error <= 1:
-        return error if np.isfinite(error) else np.inf
+        return (error if np.isfinite(error) else np.inf), ()
     state.place, state.bone, state.friction = last, last_bone, last_rubbing
     state.velocity, state.bone_velocity = last_velocity, last_bone_velocity
-    return error
+    return error, (place, bone, rubbing, last, last_bone, last_rubbing)
 
 
 def _newton(

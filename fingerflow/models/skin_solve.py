@@ -50,6 +50,15 @@ class Arrow:
                 transposed[row, -shift:] = source[:shift]
         return self._swept(transposed, elements, bone)
 
+    def times(self, elements: Array, bone: Array) -> tuple[Array, Array]:
+        """The matrix times (N, 2) and (2,), without what is held."""
+        flat, total = elements.reshape(-1), np.zeros(elements.size)
+        for row in range(7):
+            shift = row - 3  # of the row below the column
+            low, high = max(0, -shift), len(flat) - max(0, shift)
+            total[low + shift : high + shift] += self.band[row, low:high] * flat[low:high]
+        return (total + self.column @ bone).reshape(-1, 2), self.column.T @ flat + self.bone @ bone
+
     def _swept(self, band: Array, elements: Array, bone: Array) -> tuple[Array, Array]:
         sides = np.concatenate((elements.reshape(-1, 1), self.column), 1)
         of = solve_banded((3, 3), band, sides, overwrite_b=True, check_finite=False)
