@@ -632,7 +632,7 @@ class _SkinChain(ctypes.Structure):
     _fields_ = (
         *(
             (name, ctypes.c_void_p)
-            for name in ("reference", "link", "numbers", "friction", "load", "rest")
+            for name in ("reference", "numbers", "friction", "load", "rest")
             + ("place", "bone", "rubbed", "step", "time", "counts", "record")
         ),
         *((name, ctypes.c_int64) for name in ("batch", "count", "held_x", "held_z", "most_steps", "record_steps")),
@@ -642,7 +642,6 @@ class _SkinChain(ctypes.Structure):
 
 def press_skin(
     reference: Tensor,
-    link: Tensor,
     numbers: Tensor,
     friction: Tensor,
     load: Tensor,
@@ -660,7 +659,7 @@ def press_skin(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Goes on with B chains of N elements, as `models.skin_implicit.advance` does, to rounding; all float64, SI units.
 
-    Reference (B, N, 2), link (B, N - 1), numbers (B, 10) in the order of `models.skin_forces.Chain`, friction (B, N),
+    Reference (B, N, 2), numbers (B, 10) in the order of `models.skin_forces.Chain`, friction (B, N),
     load (B, 2, 2) first and last, rest (B,). Place (B, N, 2), bone (B, 2), rubbed (B, N) and step (B,) are changed.
     Gives time (B,), counts (B, 3) int64 of steps, rejected ones and iterations, and of up to ``record_steps`` steps
     (B, record_steps, 2 + 2 (3 N + 2)) time, length, and of both stages place, bone and friction.
@@ -669,9 +668,9 @@ def press_skin(
         ValueError: another dtype, or shapes that do not belong together.
     """
     batch, count = friction.shape
-    shapes = {"reference": (batch, count, 2), "link": (batch, count - 1), "numbers": (batch, 10), "load": (batch, 2, 2)}
+    shapes = {"reference": (batch, count, 2), "numbers": (batch, 10), "load": (batch, 2, 2)}
     state = {"place": (batch, count, 2), "bone": (batch, 2), "rubbed": (batch, count), "step": (batch,)}
-    given = {"reference": reference, "link": link, "numbers": numbers, "friction": friction, "load": load, "rest": rest}
+    given = {"reference": reference, "numbers": numbers, "friction": friction, "load": load, "rest": rest}
     changed = {"place": place, "bone": bone, "rubbed": rubbed, "step": step}
     for name, shape in {**shapes, "friction": (batch, count), "rest": (batch,), **state}.items():
         _check_like(name, {**given, **changed}[name], torch.float64, shape)

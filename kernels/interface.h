@@ -184,13 +184,13 @@ struct fingerflow_triangle_strain {
 FINGERFLOW_EXPORT int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
 // Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
-// count, 2), link (batch, count - 1), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
+// count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
 // and z, or where it is held the bone's displacement, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
 // (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 3) of steps,
 // of those not kept, and of solutions. Record (batch, record_steps, 2 + 2 (3 count + 2)) or null takes the kept steps:
 // time, length, and of both stages places, bone and friction. At least three elements.
 struct fingerflow_skin_chain {
-    const double *reference, *link, *numbers, *friction, *load, *rest;
+    const double *reference, *numbers, *friction, *load, *rest;
     double *place, *bone, *rubbed, *step, *time;
     std::int64_t* counts;
     double* record;

@@ -163,6 +163,8 @@ inline Block<T> operator-(Block<T> a, Block<T> b) { return {a.xx - b.xx, a.xz - 
 template <class T>
 inline Block<T> operator+(Block<T> a, Block<T> b) { return {a.xx + b.xx, a.xz + b.xz, a.zx + b.zx, a.zz + b.zz}; }
 template <class T>
+inline Block<T> operator*(T a, Block<T> b) { return {a * b.xx, a * b.xz, a * b.zx, a * b.zz}; }
+template <class T>
 inline Block<T> scaled(T by, Symmetric<T> a) { return {by * a.xx, by * a.xz, by * a.xz, by * a.zz}; }
 template <class T>
 inline Block<T> inverse(Block<T> a) {
@@ -179,7 +181,7 @@ struct Body {
     Pair<T> bone;
 };
 
-constexpr std::int64_t kBytesEach = (11 * 2 + 5 + 2 * 3 + 5 * 4) * 8;  // of an element of one chain: pairs, numbers, symmetric, blocks
+constexpr std::int64_t kBytesEach = (11 * 2 + 4 + 3 + 5 * 4) * 8;  // of an element of one chain: pairs, numbers, symmetric, blocks
 
 template <class T>
 struct Press {
@@ -196,13 +198,13 @@ struct Press {
     const bool held_x, held_z;
     // Of the chain.
     Pair<T>* reference;
-    T *link, *mu;
+    T* mu;
     T radius, membrane, tissue, shear, nail, contact, damping, bone_damping, spring, exponent;
     // Of the motion: what is known of a stage, what is left over, and Dahl's forces before, in the middle and after.
     Body<T> start, start_speed, middle, middle_speed, end, known, left_over, moved, guess;
     T *rubbed, *rubbed_middle, *rubbed_end;
     // Of the system: slopes, the diagonal, and what the sweep leaves of it.
-    Symmetric<T> *of_link, *of_tissue;
+    Symmetric<T>* of_tissue;
     Block<T> *diagonal, *undone, *onward, *from_bone, *to_bone;
     Pair<T>* swept;
     Block<T> bone_block;
@@ -213,11 +215,11 @@ struct Press {
             to = reinterpret_cast<decltype(+to)>(memory);
             memory += static_cast<std::size_t>(count) * sizeof *to;
         };
-        take(reference), take(link), take(mu);
+        take(reference), take(mu);
         take(start.at), take(start_speed.at), take(middle.at), take(middle_speed.at), take(end.at);
         take(known.at), take(left_over.at), take(moved.at), take(guess.at);
         take(rubbed), take(rubbed_middle), take(rubbed_end);
-        take(of_link), take(of_tissue);
+        take(of_tissue);
         take(diagonal), take(undone), take(onward), take(from_bone), take(to_bone);
         take(swept);
     }
@@ -231,7 +233,6 @@ struct Press {
                 const std::int64_t at = chain * count + i;
                 put(reference[i].x, lane, given.reference[2 * at]);
                 put(reference[i].z, lane, given.reference[2 * at + 1]);
-                put(link[i], lane, i + 1 < count ? given.link[chain * (count - 1) + i] : 0.0);
                 put(mu[i], lane, given.friction[at]);
                 put(start.at[i].x, lane, given.place[2 * at]);
                 put(start.at[i].z, lane, given.place[2 * at + 1]);
@@ -280,16 +281,9 @@ struct Press {
             }
         }
         for (std::int64_t i = 0; i + 1 < count; ++i) {
-            const Pair<T> apart = body.at[i + 1] - body.at[i];
-            const T along = 1.0 / root(apart.x * apart.x + apart.z * apart.z), ratio = link[i] * along;
-            const T own = membrane * (1.0 - ratio);
-            const Pair<T> pull = own * apart;
+            const Pair<T> pull = membrane * ((body.at[i + 1] - body.at[i]) - (reference[i + 1] - reference[i]));
             force.at[i] = force.at[i] + pull;
             force.at[i + 1] = force.at[i + 1] - pull;
-            if (kSlopes) {
-                const T x = apart.x * along, z = apart.z * along, turned = membrane * ratio;
-                of_link[i] = {own + turned * (x * x), turned * (x * z), own + turned * (z * z)};
-            }
         }
         // From both ends, so that a mirrored press has the mirrored sum.
         Pair<T> sum{all<T>(0), all<T>(0)};
@@ -353,33 +347,33 @@ struct Press {
         const std::int64_t centre = count / 2;
         for (std::int64_t i = 0; i < centre; ++i) {
             const std::int64_t j = count - 1 - i;
-            eliminate(here, i, i - 1, i - 1, i);
-            if (j > centre) eliminate(here, j, j + 1, j, j - 1);
+            eliminate(here, i, i - 1);
+            if (j > centre) eliminate(here, j, j + 1);
             const Block<T> one = to_bone[i] * from_bone[i];
             bone_block = bone_block - (j > centre ? one + to_bone[j] * from_bone[j] : one);
         }
-        const Block<T> left = scaled(-c, of_link[centre - 1]), right = scaled(-c, of_link[centre]);
+        const T joined = -c * membrane;
         const Block<T> column = scaled(-c, of_tissue[centre]);
-        const Block<T> own = diagonal[centre] - (left * onward[centre - 1] + right * onward[centre + 1]);
-        const Block<T> joined = column - (left * from_bone[centre - 1] + right * from_bone[centre + 1]);
+        const Block<T> own = diagonal[centre] - joined * (onward[centre - 1] + onward[centre + 1]);
+        const Block<T> by_bone = column - joined * (from_bone[centre - 1] + from_bone[centre + 1]);
         take(here, undone[centre], inverse(own));
-        take(here, from_bone[centre], undone[centre] * joined);
+        take(here, from_bone[centre], undone[centre] * by_bone);
         take(here, to_bone[centre], column - (to_bone[centre - 1] * onward[centre - 1] + to_bone[centre + 1] * onward[centre + 1]));
         const Block<T> swept_block = bone_block - to_bone[centre] * from_bone[centre];
         bone_block = bone_before;
         take(here, bone_block, swept_block);
     }
-    // Element i after its neighbour `before`, over a link, and ahead of the other, over `next`.
-    void eliminate(Mask here, std::int64_t i, std::int64_t before, std::int64_t over, std::int64_t next) {
+    // Element i after its neighbour `before`, which an end has not.
+    void eliminate(Mask here, std::int64_t i, std::int64_t before) {
         Block<T> own = diagonal[i], column = scaled(-c, of_tissue[i]), row = column;
+        const T joined = -c * membrane;
         if (before >= 0 && before < count) {
-            const Block<T> joined = scaled(-c, of_link[over]);
             own = own - joined * onward[before];
             column = column - joined * from_bone[before];
             row = row - to_bone[before] * onward[before];
         }
         take(here, undone[i], inverse(own));
-        take(here, onward[i], undone[i] * scaled(-c, of_link[next]));
+        take(here, onward[i], joined * undone[i]);
         take(here, from_bone[i], undone[i] * column);
         take(here, to_bone[i], row);
     }
@@ -387,20 +381,20 @@ struct Press {
     // `moved` of a right-hand side; that of a direction which is held is its motion.
     void solve(const Body<T>& side) {
         const std::int64_t centre = count / 2;
+        const T joined = -c * membrane;
         Pair<T> bone{all<T>(0), all<T>(0)};
         for (std::int64_t i = 0; i < centre; ++i) {
             const std::int64_t j = count - 1 - i;
-            swept[i] = undone[i] * (i ? side.at[i] - scaled(-c, of_link[i - 1]) * swept[i - 1] : side.at[i]);
+            swept[i] = undone[i] * (i ? side.at[i] - joined * swept[i - 1] : side.at[i]);
             const Pair<T> one = to_bone[i] * swept[i];
             if (j > centre) {
-                swept[j] = undone[j] * (i ? side.at[j] - scaled(-c, of_link[j]) * swept[j + 1] : side.at[j]);
+                swept[j] = undone[j] * (i ? side.at[j] - joined * swept[j + 1] : side.at[j]);
                 bone = bone + (one + to_bone[j] * swept[j]);
             } else {
                 bone = bone + one;
             }
         }
-        swept[centre] = undone[centre] * (side.at[centre] - (scaled(-c, of_link[centre - 1]) * swept[centre - 1] +
-                                                             scaled(-c, of_link[centre]) * swept[centre + 1]));
+        swept[centre] = undone[centre] * (side.at[centre] - joined * (swept[centre - 1] + swept[centre + 1]));
         bone = side.bone - (bone + to_bone[centre] * swept[centre]);
         const Block<T> of = bone_block;
         if (held_x && held_z) bone = side.bone;
@@ -429,11 +423,11 @@ struct Press {
                 rub(i, from.at[i], end.at[i], before[i], force, along, above);
                 const Pair<T> off = known.at[i] - end.at[i];
                 left_over.at[i] = {damping * off.x + c * (left_over.at[i].x - force), damping * off.z + c * left_over.at[i].z};
-                Symmetric<T> own = of_tissue[i];
-                if (i) own = {own.xx + of_link[i - 1].xx, own.xz + of_link[i - 1].xz, own.zz + of_link[i - 1].zz};
-                if (i + 1 < count) own = {own.xx + of_link[i].xx, own.xz + of_link[i].xz, own.zz + of_link[i].zz};
+                const Symmetric<T> own = of_tissue[i];
+                const T links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
                 const T touching = pick(end.at[i].z < all<T>(0), contact, all<T>(0));
-                diagonal[i] = {damping + c * (own.xx + along), c * (own.xz + above), c * own.xz, damping + c * (own.zz + touching)};
+                diagonal[i] = {damping + c * (own.xx + links + along), c * (own.xz + above), c * own.xz,
+                               damping + c * (own.zz + links + touching)};
             }
             const Pair<T> off = known.bone - end.bone, given_motion = load - end.bone;
             const Pair<T> side{bone_damping * off.x + c * (left_over.bone.x + load.x),

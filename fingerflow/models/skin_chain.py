@@ -1,30 +1,32 @@
 """A chain of skin around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin deformation
 model"), derived from an energy.
 
-**Energy.** Elements i at X_i = (x, z), the plate at z = 0, hang on a rigid bone displaced by U; l are lengths, 0 marks
-the undeformed half-circle of radius R, P the bone's point in its centre.
+**Energy.** Elements i at X_i = (x, z), the plate at z = 0, hang on a rigid bone displaced by U; X_i0 is the undeformed
+half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
 
-    E = 1/2 k_m sum (l_i - l_0)^2                      links between neighbours, lengths of the arc
+    E = 1/2 k_m sum |u_(i+1) - u_i|^2                  links between neighbours
       + 1/2 (k_t - k_s) sum (|X_i - P| - R)^2          tissue along the line to the bone
-      + 1/2 k_s sum |X_i - X_i0 - U|^2                 tissue in every direction, k_s = k_t / (2 (1 + nu))
-      + 1/2 k_m sum over both ends |X_i - X_i0 - U|^2  the nail
+      + 1/2 k_s sum |u_i - U|^2                        tissue in every direction, k_s = k_t / (2 (1 + nu))
+      + 1/2 k_m sum over both ends |u_i - U|^2         the nail
       + 1/2 k_c sum min(z_i, 0)^2                      the plate, a penalty
 
 A column of tissue has the stiffness k_t along itself and, as a solid's shear modulus is E / (2 (1 + nu)), k_s across. All
 is damped, zeta dX_i/dt = -dE/dX_i - F_i, the bone likewise with the load on it; F_i is Dahl's friction along x under the
 limit mu k_c max(-z_i, 0), see `friction`. Without load the power zeta |dX/dt|^2 + F dx/dt is all that E loses.
 
-**What makes skin spread.** A flattened column leans outward from the bone, so that its compression has a component along
-the plate, (k_t - k_s) per metre; and an arc laid flat is longer than its chord. Friction points against the motion of
-each element and holds part of that back: more friction, less divergence.
+**What makes skin spread.** A column that is flattened leans outward from the bone, so that its compression has a
+component along the plate, (k_t - k_s) times the slope of the arc: the chord it is laid on is too short for it. Friction
+points against the motion of each element and holds part of that back: more friction, less divergence.
 
-**Where this departs from print.** Equation 4 has the sign of the links reversed and would be unstable: here it is
-+k_m (U_(i-1) - 2 U_i + U_(i+1)), to first order. Its springs act by component with k sin(alpha), k cos(alpha), which is
-no spring's force and couples no direction to the other; these are derivatives of E. The published script's friction
-points along the sliding velocity and feeds energy in. Its term in nu is a sign function along the chain, which pushes
-both halves apart as blocks with a jump in the middle; here nu is in k_s alone. So lateral motion is that of another
-model: pressure and contact length can be compared with the paper's curves, and the direction and order of size of the
-effect of friction; the course of displacement and divergence along the contact cannot.
+**Where this departs from print.** The links' force is equation 4 with its first sign put right, +k_m (U_(i-1) - 2 U_i +
+U_(i+1)); as printed it is unstable. Links that resist their length alone would fold: the chain does not resist bending, and
+at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement. The tissue's springs
+act in print by component with k sin(alpha), k cos(alpha), which is no spring's force and couples no direction to the other;
+here they are derivatives of E. The published script's friction points along the sliding velocity and feeds energy in. Its
+term in nu is a sign function along the chain, which pushes both halves apart as blocks with a jump in the middle; here nu
+is in k_s alone. So lateral motion is that of another model: pressure and contact length can be compared with the paper's
+curves, and the direction and the order of size of what friction does; the course of displacement and divergence along the
+contact cannot.
 
 The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed up
 by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is negative,
@@ -181,7 +183,7 @@ def _begun(
     of = named(parameters)
     numbers = [getattr(of, field.name) for field in fields(of)]
     shapes = [torch.as_tensor(value).shape for value in (*given, *numbers) if value is not None]
-    chains = Chains.of(of.for_elements(elements), elements, of.damping, torch.broadcast_shapes(*shapes))
+    chains = Chains.of(of, elements, torch.broadcast_shapes(*shapes))
     return chains, chains.undeformed()
 
 

@@ -13,9 +13,8 @@ class Chain(NamedTuple):
     """One chain of N elements as it is undeformed, with its numbers."""
 
     reference: Array  # (N, 2) x along the plate and z above it, m
-    link: Array  # (N - 1,) lengths, m
     radius: float
-    membrane: float  # N/m
+    membrane: float  # N/m of a link, in every direction
     tissue: float  # N/m along the line to the bone, without what it resists in every direction
     shear: float  # N/m in every direction
     nail: float  # N/m at both ends, in every direction
@@ -33,9 +32,9 @@ class Chain(NamedTuple):
 
 @dataclass
 class Slopes:
-    """Negative derivatives of the elastic forces: blocks that `skin_solve` puts together."""
+    """Negative derivatives of the elastic forces: what `skin_solve` puts together."""
 
-    link: Array  # (N - 1, 2, 2) of a link between its elements
+    link: float  # of a link between its elements, in every direction
     tissue: Array  # (N, 2, 2) between an element and the bone
     touching: Array  # (N,) of the plate on z
 
@@ -50,12 +49,11 @@ def half_circle(count: int, radius: float) -> Array:
 
 def energy(chain: Chain, place: Array, bone: Array) -> float:
     """Elastic energy, J: links, tissue, nail and plate."""
-    length = np.hypot(*np.diff(place, axis=0).T)
     moved = place - chain.reference - bone
     line = np.hypot(*(place - chain.centre - bone).T)
     nail = moved[[0, -1]]
     return float(
-        chain.membrane * np.square(length - chain.link).sum()
+        chain.membrane * np.square(np.diff(moved, axis=0)).sum()
         + chain.tissue * np.square(line - chain.radius).sum()
         + chain.shear * np.square(moved).sum()
         + chain.nail * np.square(nail).sum()
@@ -65,9 +63,7 @@ def energy(chain: Chain, place: Array, bone: Array) -> float:
 
 def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Array]:
     """Forces (N, 2) on the elements and (2,) on the bone: minus the slopes of `energy`."""
-    apart = np.diff(place, axis=0)
-    length = np.hypot(*apart.T)
-    pull = (chain.membrane * (1 - chain.link / length))[:, None] * apart
+    pull = chain.membrane * np.diff(place - chain.reference, axis=0)
     line = place - chain.centre - bone
     along = np.hypot(*line.T)
     held = (chain.tissue * (1 - chain.radius / along))[:, None] * line + chain.shear * (place - chain.reference - bone)
@@ -82,19 +78,13 @@ def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Arra
 
 def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
     """Of `elastic_forces`."""
-    link = _spring(np.diff(place, axis=0), chain.link, chain.membrane)
-    tissue = _spring(place - chain.centre - bone, chain.radius, chain.tissue) + chain.shear * np.eye(2)
+    line = place - chain.centre - bone
+    along = np.hypot(*line.T)
+    direction, ratio = line / along[:, None], chain.radius / along
+    turned = (chain.tissue * ratio)[:, None, None] * direction[:, :, None] * direction[:, None, :]
+    tissue = turned + (chain.tissue * (1 - ratio) + chain.shear)[:, None, None] * np.eye(2)
     tissue[[0, -1]] += chain.nail * np.eye(2)
-    return Slopes(link, tissue, chain.contact * (place[:, 1] < 0))
-
-
-def _spring(apart: Array, rest: Array | float, stiffness: float) -> Array:
-    """k ((1 - l0 / l) I + (l0 / l) t t') of springs (..., 2)."""
-    length = np.hypot(*apart.T)
-    ratio = rest / length
-    direction = apart / length[:, None]
-    outer = direction[:, :, None] * direction[:, None, :]
-    return np.asarray(stiffness * ((1 - ratio)[:, None, None] * np.eye(2) + ratio[:, None, None] * outer))
+    return Slopes(chain.membrane, tissue, chain.contact * (place[:, 1] < 0))
 
 
 class Friction(NamedTuple):

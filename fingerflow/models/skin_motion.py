@@ -38,13 +38,13 @@ class Chains:
 
     shape: torch.Size
     reference: Tensor  # (..., N, 2)
-    link: Tensor  # (..., N - 1)
     numbers: Tensor  # (..., 10) of NUMBERS
     width: Tensor  # (...)
 
     @staticmethod
-    def of(parameters: SkinParameters, count: int, bone_damping: float | Tensor, shape: torch.Size) -> "Chains":
-        """Parameters are those of one of ``count`` elements; the bone's damping does not depend on their number."""
+    def of(skin: SkinParameters, count: int, shape: torch.Size) -> "Chains":
+        """Of ``count`` elements; what is there once, the nail and the damping of the bone, does not depend on that."""
+        parameters = skin.for_elements(count)
 
         def number(name: str) -> Tensor:
             return torch.as_tensor(getattr(parameters, name), dtype=torch.float64).expand(shape)
@@ -55,13 +55,13 @@ class Chains:
                 "radius, damping and friction_exponent have no derivative here: detach them, or difference presses"
             )
         shear = tissue / (2 * (1 + number("poisson_ratio")))
-        membrane = number("membrane_stiffness")
-        numbers = (radius, membrane, tissue - shear, shear, membrane, number("contact_stiffness"), number("damping"),
-                   torch.as_tensor(bone_damping, dtype=torch.float64).expand(shape), number("friction_stiffness"),
-                   number("friction_exponent"))  # fmt: skip
+        nail, bone_damping = (
+            torch.as_tensor(once, dtype=torch.float64).expand(shape) for once in (skin.membrane_stiffness, skin.damping)
+        )
+        numbers = (radius, number("membrane_stiffness"), tissue - shear, shear, nail, number("contact_stiffness"),
+                   number("damping"), bone_damping, number("friction_stiffness"), number("friction_exponent"))  # fmt: skip
         reference = radius.detach()[..., None, None] * torch.from_numpy(half_circle(count, 1.0))
-        link = reference.diff(dim=-2).norm(dim=-1)
-        return Chains(shape, reference, link, torch.stack(numbers, -1), number("width"))
+        return Chains(shape, reference, torch.stack(numbers, -1), number("width"))
 
     def undeformed(self) -> Motion:
         none = torch.zeros(self.shape, dtype=torch.float64)
@@ -73,8 +73,7 @@ class Chains:
         """The chain at a flat index."""
         count = self.reference.shape[-2]
         numbers = self.numbers.detach().reshape(-1, len(NUMBERS))[index].tolist()
-        reference, link = self.reference.reshape(-1, count, 2)[index], self.link.reshape(-1, count - 1)[index]
-        return Chain(reference.numpy(), link.numpy(), *numbers)
+        return Chain(self.reference.reshape(-1, count, 2)[index].numpy(), *numbers)
 
     def unbalanced(self, at: Motion, load: Tensor, held: tuple[bool, bool]) -> Tensor:
         """(...) N: absolute values of what is out of balance on elements and bone, added up."""
@@ -138,7 +137,6 @@ def _advanced(
     if kernels.serve(place, mu):
         time, counts, record = kernels.press_skin(
             chains.reference.reshape(batch, count, 2),
-            chains.link.reshape(batch, count - 1),
             chains.numbers.detach().reshape(batch, len(NUMBERS)),
             *(mu, force.reshape(batch, 2, 2), rest.reshape(batch), place, bone, rubbed, step),
             held=held,

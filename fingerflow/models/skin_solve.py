@@ -17,18 +17,18 @@ class Arrow:
         """``held`` (2,) bool: directions in which the bone's motion is given."""
         count = len(chain.reference)
         blocks = c * slopes.tissue
-        blocks[:-1] += c * slopes.link
-        blocks[1:] += c * slopes.link
+        link = c * slopes.link
+        blocks[:-1] += link * np.eye(2)
+        blocks[1:] += link * np.eye(2)
         blocks[:, 0, 0] += chain.damping + c * rubbing.along
         blocks[:, 0, 1] += c * rubbing.above
         blocks[:, 1, 1] += chain.damping + c * slopes.touching
-        links = -c * slopes.link
         band = np.zeros((7, 2 * count))  # row 3 + i - j of column j
         for i in range(2):
             for j in range(2):
                 band[3 + i - j, j::2] = blocks[:, i, j]
-                band[5 + i - j, j : 2 * count - 2 : 2] = links[:, i, j]
-                band[1 + i - j, 2 + j :: 2] = links[:, i, j]
+        band[5, : 2 * count - 2] = -link
+        band[1, 2:] = -link
         self.band = band
         self.column = -c * slopes.tissue.reshape(2 * count, 2)  # symmetric blocks: the bone's rows are its transpose
         self.bone = chain.bone_damping * np.eye(2) + c * slopes.tissue.sum(0)
