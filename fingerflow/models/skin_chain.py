@@ -45,6 +45,7 @@ from fingerflow.models.skin_parameters import Number, SkinParameters, named
 
 Friction = float | Tensor | Callable[[float, Tensor], Tensor]
 TOLERANCE_M = 5e-8  # of a place in one step; after some 150 steps places are right to about twice that
+CONTACT_N = 1e-9  # from which an element touches: rounding leaves less
 REST = 2e-7  # of the load, all that is out of balance added up
 
 
@@ -70,7 +71,7 @@ class Press:
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
         """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa of strips under all contacts, for `half_space`."""
-        touched = (self.normal_force > 0).flatten(0, -2).any(0) if self.normal_force.ndim > 1 else self.normal_force > 0
+        touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
         if not len(found):
             raise ValueError("no element touches the plate: there is no load to look under")
@@ -228,7 +229,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
     displacement = at.place - reference
     contact_stiffness = stiffness_of(chains.numbers, "contact")[..., None]
     force = contact_stiffness * (-z).clamp_min(0)
-    touching = force > 0
+    touching = force > CONTACT_N
     length = _between_neighbours(x)
     area = torch.where(touching, length, 1.0) * chains.width[..., None]
     slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
@@ -276,5 +277,3 @@ def _weighted_median(values: Tensor, weights: Tensor) -> Tensor:
     # With a single weight nothing lies below or above.
     share = torch.where(low > 0.5, 0.0, share.clamp(0, 1))
     return torch.where(weights.sum(-1) > 0, (first + share * (second - first))[..., 0], torch.nan)
-
-

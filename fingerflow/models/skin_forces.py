@@ -41,7 +41,11 @@ class Slopes:
 
 def half_circle(count: int, radius: float) -> Array:
     """(N, 2), mirrored to the last bit, its lowest point on the plate."""
-    right = np.linspace(0, np.pi / 2, count // 2 + 1)[1:] if count % 2 else (np.arange(count // 2) + 0.5) * np.pi / (count - 1)
+    right = (
+        np.linspace(0, np.pi / 2, count // 2 + 1)[1:]
+        if count % 2
+        else (np.arange(count // 2) + 0.5) * np.pi / (count - 1)
+    )
     x, z = radius * np.sin(right), 2 * radius * np.sin(right / 2) ** 2
     middle = [0.0] if count % 2 else []
     return np.stack((np.concatenate((-x[::-1], middle, x)), np.concatenate((z[::-1], middle, z))), 1)
@@ -52,13 +56,16 @@ def energy(chain: Chain, place: Array, bone: Array) -> float:
     moved = place - chain.reference - bone
     line = np.hypot(*(place - chain.centre - bone).T)
     nail = moved[[0, -1]]
-    return float(
-        chain.membrane * np.square(np.diff(moved, axis=0)).sum()
-        + chain.tissue * np.square(line - chain.radius).sum()
-        + chain.shear * np.square(moved).sum()
-        + chain.nail * np.square(nail).sum()
-        + chain.contact * np.square(np.minimum(place[:, 1], 0)).sum()
-    ) / 2
+    return (
+        float(
+            chain.membrane * np.square(np.diff(moved, axis=0)).sum()
+            + chain.tissue * np.square(line - chain.radius).sum()
+            + chain.shear * np.square(moved).sum()
+            + chain.nail * np.square(nail).sum()
+            + chain.contact * np.square(np.minimum(place[:, 1], 0)).sum()
+        )
+        / 2
+    )
 
 
 def elastic_forces(chain: Chain, place: Array, bone: Array) -> tuple[Array, Array]:
@@ -119,7 +126,7 @@ def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -
     else:
         base = np.maximum(1 - power * distance, 0)
         kept = base ** (1 / power)  # u / u_0
-        rest = base ** (n / power)  # its slope with the distance, and (u / u_0)^n
+        rest = np.where(base > 0, base ** (n / power), 0.0)  # its slope with the distance, and (u / u_0)^n
     after = np.where(done, sign * limit, held + sign * limit * left * (1 - kept))
     along = np.where(done, 0.0, chain.friction_stiffness * left**n * rest)
     # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: with the limit both u_0 and the distance in its units change.

@@ -67,7 +67,9 @@ class Chains:
         none = torch.zeros(self.shape, dtype=torch.float64)
         rubbed = torch.zeros(self.reference.shape[:-1], dtype=torch.float64)
         bone = torch.zeros(*self.shape, 2, dtype=torch.float64)
-        return Motion(self.reference, bone, rubbed, none + _FIRST_STEP, none, torch.zeros(self.shape, dtype=torch.int64))
+        return Motion(
+            self.reference, bone, rubbed, none + _FIRST_STEP, none, torch.zeros(self.shape, dtype=torch.int64)
+        )
 
     def single(self, index: int) -> Chain:
         """The chain at a flat index."""
@@ -211,7 +213,8 @@ class _Moved(torch.autograd.Function):
         batch = chains.shape.numel()
         place, bone, rubbed, load = _flat(start, ctx.loads.flatten(-2))
         of_place, of_bone, of_rubbed = (
-            gradient.reshape((batch, *part.shape[1:])) for gradient, part in zip(wanted, (place, bone, rubbed), strict=False)
+            gradient.reshape((batch, *part.shape[1:]))
+            for gradient, part in zip(wanted, (place, bone, rubbed), strict=False)
         )
         mu = ctx.coefficient.reshape(batch, count)
         of_numbers = torch.zeros(batch, len(NUMBERS), dtype=torch.float64)
