@@ -630,11 +630,8 @@ class _SkinChain(ctypes.Structure):
     """`fingerflow_skin_chain` of kernels/interface.h."""
 
     _fields_ = (
-        *(
-            (name, ctypes.c_void_p)
-            for name in ("reference", "numbers", "friction", "load", "rest")
-            + ("place", "bone", "rubbed", "step", "time", "counts", "record")
-        ),
+        *((name, ctypes.c_void_p) for name in ("reference", "numbers", "friction", "load", "rest")),
+        *((name, ctypes.c_void_p) for name in ("place", "bone", "rubbed", "step", "time", "counts", "record")),
         *((name, ctypes.c_int64) for name in ("batch", "count", "held_x", "held_z", "most_steps", "record_steps")),
         *((name, ctypes.c_double) for name in ("tolerance", "duration")),
     )

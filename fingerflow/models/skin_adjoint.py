@@ -1,19 +1,23 @@
 """Derivatives of where a chain ends up, back along the steps that `skin_implicit` kept: a transposed solve a stage.
 
 A stage solves r = damping (Y - known) - c G(Y, F) = 0 with Dahl's force F(before, from, Y). A wanted w on Y becomes
-lambda = M^-T w with M = dr/dY, then damping lambda on what was known and c lambda on the forces. The lengths of the steps
-are taken as they are: their dependence on the parameters is of the order of the tolerance.
+lambda = M^-T w with M = dr/dY, then damping lambda on what was known and c lambda on the forces. The lengths of the
+steps are taken as they are: their dependence on the parameters is of the order of the tolerance.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from fingerflow.models.friction import dahl_step
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces, elastic_slopes, friction
 from fingerflow.models.skin_implicit import TO_EARLIER, TO_LATER, C
 from fingerflow.models.skin_solve import Arrow
+
+Stage = tuple[Array, Array, Array]  # places (N, 2), bone (2,), friction (N,)
+_ELASTIC = ("membrane", "tissue", "shear", "nail", "contact")
 
 
 class Back(NamedTuple):
@@ -29,27 +33,22 @@ class Back(NamedTuple):
 def stiffness_gradients(
     chain: Chain,
     mu: Array,
-    place: Array,
-    bone: Array,
-    rubbed: Array,
-    load: Array,
-    held: Array,
+    begin: Stage,
+    held: NDArray[np.bool_],
     record: Array,
-    of_place: Array,
-    of_bone: Array,
-    of_rubbed: Array,
+    wanted: Stage,
 ) -> Back:
-    """Of the end of ``record`` (steps, ...), begun at place, bone and rubbed, with the wanted ``of_...`` at its end."""
+    """Of what is ``wanted`` of the end of ``record`` (steps, ...), which ``begin`` led to."""
     count = len(mu)
+    place, bone, rubbed = begin
+    of_place, of_bone, of_rubbed = wanted
     stiffness, coefficients = np.zeros(6), np.zeros(count)
     speed, bone_speed = np.zeros((count, 2)), np.zeros(2)  # wanted of the velocity
 
-    def stage(row: Array) -> tuple[Array, Array, Array]:
+    def stage(row: Array) -> Stage:
         return row[: 2 * count].reshape(count, 2), row[2 * count : 2 * count + 2], row[2 * count + 2 :]
 
-    def back(
-        before: Array, start: Array, end: tuple[Array, Array, Array], c: float
-    ) -> tuple[Array, Array, Array, Array]:
+    def back(before: Array, start: Array, end: Stage, c: float) -> tuple[Array, Array, Array, Array]:
         """Through one stage: wanted of what was known (elements, bone), of where it slid from, and of F before."""
         nonlocal of_place, of_bone, of_rubbed
         at, bone_at, _ = end
@@ -60,12 +59,11 @@ def stiffness_gradients(
         arrow = Arrow(chain, elastic_slopes(chain, at, bone_at), rubbing, c, held)
         of_elements, of_the_bone = arrow.solve_transposed(of_place, np.where(held, 0.0, of_bone))
         of_the_bone = np.where(held, 0.0, of_the_bone)
-        for k, name in enumerate(("membrane", "tissue", "shear", "nail", "contact")):
-            alone = replace_all(chain, name)
-            forces, on_bone = elastic_forces(alone, at, bone_at)
+        for k, name in enumerate(_ELASTIC):
+            forces, on_bone = elastic_forces(_alone(chain, name), at, bone_at)
             stiffness[k] += c * float((of_elements * forces).sum() + (of_the_bone * on_bone).sum())
-        wanted = of_rubbed - c * of_elements[:, 0]
-        before_back, start_back, steep_back, spring_back = _friction_back(chain, mu, before, start, at, wanted)
+        of_friction = of_rubbed - c * of_elements[:, 0]
+        before_back, start_back, steep_back, spring_back = _friction_back(chain, mu, before, start, at, of_friction)
         coefficients[:] += steep_back * chain.contact
         stiffness[4] += float((steep_back * mu).sum())
         stiffness[5] += spring_back
@@ -75,10 +73,7 @@ def stiffness_gradients(
         row = record[number]
         c = C * row[1]
         middle, end = stage(row[2 : 4 + 3 * count]), stage(row[4 + 3 * count :])
-        if number:
-            start = stage(record[number - 1, 4 + 3 * count :])
-        else:
-            start = place, bone, rubbed
+        start = stage(record[number - 1, 4 + 3 * count :]) if number else begin
         # The velocity at the end is (end - known) / c.
         of_place, of_bone = of_place + speed / c, of_bone + bone_speed / c
         known, bone_known, slid_from, of_rubbed_middle = back(middle[2], middle[0], end, c)
@@ -98,16 +93,16 @@ def stiffness_gradients(
     of_place = of_place - (times - chain.damping * pull)
     of_bone = of_bone - (bone_times - chain.bone_damping * bone_pull)
     of_rubbed = of_rubbed - pull[:, 0]
-    for k, name in enumerate(("membrane", "tissue", "shear", "nail", "contact")):
-        forces, on_bone = elastic_forces(replace_all(chain, name), place, bone)
+    for k, name in enumerate(_ELASTIC):
+        forces, on_bone = elastic_forces(_alone(chain, name), place, bone)
         stiffness[k] += float((pull * forces).sum() + (bone_pull * on_bone).sum())
     return Back(stiffness, coefficients, of_place, of_bone, of_rubbed)
 
 
-def replace_all(chain: Chain, name: str) -> Chain:
+def _alone(chain: Chain, name: str) -> Chain:
     """The chain with this stiffness 1 and no other: forces are linear in them."""
-    none = dict.fromkeys(("membrane", "tissue", "shear", "nail", "contact"), 0.0)
-    return chain._replace(**{**none, name: 1.0})
+    membrane, tissue, shear, nail, contact = (float(name == one) for one in _ELASTIC)
+    return chain._replace(membrane=membrane, tissue=tissue, shear=shear, nail=nail, contact=contact)
 
 
 def _friction_back(

@@ -10,27 +10,29 @@ half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
       + 1/2 k_m sum over both ends |u_i - U|^2         the nail
       + 1/2 k_c sum min(z_i, 0)^2                      the plate, a penalty
 
-A column of tissue has the stiffness k_t along itself and, as a solid's shear modulus is E / (2 (1 + nu)), k_s across. All
-is damped, zeta dX_i/dt = -dE/dX_i - F_i, the bone likewise with the load on it; F_i is Dahl's friction along x under the
-limit mu k_c max(-z_i, 0), see `friction`. Without load the power zeta |dX/dt|^2 + F dx/dt is all that E loses.
+A column of tissue has the stiffness k_t along itself and, as a solid's shear modulus is E / (2 (1 + nu)), k_s across.
+All is damped, zeta dX_i/dt = -dE/dX_i - F_i, the bone likewise with the load on it; F_i is Dahl's friction along x
+under the limit mu k_c max(-z_i, 0), see `friction`. Without load the power zeta |dX/dt|^2 + F dx/dt is all that E
+loses.
 
 **What makes skin spread.** A column that is flattened leans outward from the bone, so that its compression has a
 component along the plate, (k_t - k_s) times the slope of the arc: the chord it is laid on is too short for it. Friction
 points against the motion of each element and holds part of that back: more friction, less divergence.
 
 **Where this departs from print.** The links' force is equation 4 with its first sign put right, +k_m (U_(i-1) - 2 U_i +
-U_(i+1)); as printed it is unstable. Links that resist their length alone would fold: the chain does not resist bending, and
-at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement. The tissue's springs
-act in print by component with k sin(alpha), k cos(alpha), which is no spring's force and couples no direction to the other;
-here they are derivatives of E. The published script's friction points along the sliding velocity and feeds energy in. Its
-term in nu is a sign function along the chain, which pushes both halves apart as blocks with a jump in the middle; here nu
-is in k_s alone. So lateral motion is that of another model: pressure and contact length can be compared with the paper's
-curves, and the direction and the order of size of what friction does; the course of displacement and divergence along the
-contact cannot.
+U_(i+1)); as printed it is unstable. Links that resist their length alone would fold: the chain does not resist bending,
+and at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement. The tissue's
+springs act in print by component with k sin(alpha), k cos(alpha), which is no spring's force and couples no direction
+to the other; here they are derivatives of E. The published script's friction points along the sliding velocity and
+feeds energy in. Its term in nu is a sign function along the chain, which pushes both halves apart as blocks with a jump
+in the middle; here nu is in k_s alone. So lateral motion is that of another model: pressure and contact length can be
+compared with the paper's curves, and the direction and the order of size of what friction does; the course of
+displacement and divergence along the contact cannot.
 
-The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed up
-by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is negative,
-and most of an area of revolution lies there: a median by area would rise with friction, from a few um/mm below 0.
+The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed
+up by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is
+negative, and most of an area of revolution lies there: a median by area would rise with friction, from a few um/mm
+below 0.
 """
 
 import math
@@ -70,7 +72,7 @@ class Press:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa of strips under all contacts, for `half_space`."""
+        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, as `half_space` takes them."""
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
         if not len(found):
@@ -95,8 +97,9 @@ def press(
 ) -> Press:
     """A load put on at once and held until all forces balance, to 2e-7 of it.
 
-    Friction leaves the rest where the way to it ended: this is the rest after a sudden load. Differentiable in friction,
-    stiffnesses and sigma_0: exactly, along the steps that were taken (their lengths held), by the adjoint of each.
+    Friction leaves the rest where the way to it ended: this is the rest after a sudden load. Differentiable in
+    friction, stiffnesses and sigma_0: exactly, along the steps that were taken (their lengths held), by the adjoint of
+    each.
 
     Args:
         friction: coefficient mu >= 0, a number or a tensor for many presses; or a function of the time in s and of the

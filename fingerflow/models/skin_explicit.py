@@ -1,10 +1,10 @@
 """The published integrator: explicit Runge-Kutta of fourth order, with the step that it really allows.
 
-The paper's equation 6 shows explicit Euler (and subtracts in its first line the load that its equation 5 adds); its text
-says fourth-order Runge-Kutta, at 2.5 us. Its bound by a wave speed of 440 m/s cannot be: 501 elements are 50 um apart, and
-nothing travels in a chain without mass. What bounds the step is relaxation: with lambda the largest rate, step * lambda
-must stay below 2.785. That is the rate of the bone, to which all tissue pulls: 1.12e6 1/s with the lab's numbers, so that
-2.5 us are too long and 2.48 us are not.
+The paper's equation 6 shows explicit Euler (and subtracts in its first line the load that its equation 5 adds); its
+text says fourth-order Runge-Kutta, at 2.5 us. Its bound by a wave speed of 440 m/s cannot be: 501 elements are 50 um
+apart, and nothing travels in a chain without mass. What bounds the step is relaxation: with lambda the largest rate,
+step * lambda must stay below 2.785. That is the rate of the bone, to which all tissue pulls: 1.12e6 1/s with the lab's
+numbers, so that 2.5 us are too long and 2.48 us are not.
 """
 
 import math

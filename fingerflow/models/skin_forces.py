@@ -91,7 +91,7 @@ def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
     turned = (chain.tissue * ratio)[:, None, None] * direction[:, :, None] * direction[:, None, :]
     tissue = turned + (chain.tissue * (1 - ratio) + chain.shear)[:, None, None] * np.eye(2)
     tissue[[0, -1]] += chain.nail * np.eye(2)
-    return Slopes(chain.membrane, tissue, chain.contact * (place[:, 1] < 0))
+    return Slopes(chain.membrane, tissue, np.where(place[:, 1] < 0, chain.contact, 0.0))
 
 
 class Friction(NamedTuple):
@@ -103,9 +103,10 @@ class Friction(NamedTuple):
 
 
 def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -> Friction:
-    """After a slide from ``old`` to ``place``, both (N, 2): `friction.dahl_step` under the middle of both limits, then cut.
+    """After a slide from ``old`` to ``place``, both (N, 2): `friction.dahl_step` under the middle of both limits, cut.
 
-    With the middle the error of a limit that changes is of third order; cut to the last limit the force never exceeds it.
+    With the middle the error of a limit that changes is of third order; cut to the last limit the force never exceeds
+    it.
     """
     pressed = place[:, 1] < 0
     last = mu * chain.contact * np.maximum(-place[:, 1], 0)

@@ -1,15 +1,16 @@
 """TR-BDF2 of one skin chain: a trapezium to 2 - sqrt 2 of the step, the second-order backward formula over the rest.
 
-Both stages have the same matrix, damping I + c K with c = (1 - 1 / sqrt 2) step; the method is of second order and damps
-what is stiff. Its error is estimated by Hosea & Shampine (1996), equation 6, and filtered by the same matrix, as they
-advise for stiff systems. Contact that begins or ends is a kink: Newton's steps go across it, and the error keeps the
-step short; nothing is gained by locating it.
+Both stages have the same matrix, damping I + c K with c = (1 - 1 / sqrt 2) step; the method is of second order and
+damps what is stiff. Its error is estimated by Hosea & Shampine (1996), equation 6, and filtered by the same matrix, as
+they advise for stiff systems. Contact that begins or ends is a kink: Newton's steps go across it, and the error keeps
+the step short; nothing is gained by locating it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces, elastic_slopes, friction
 from fingerflow.models.skin_solve import Arrow
@@ -30,8 +31,8 @@ class State:
     place: Array  # (N, 2) m
     bone: Array  # (2,) m from where it began
     friction: Array  # (N,) N, on what moves along +x
-    velocity: Array  # (N, 2) m/s
-    bone_velocity: Array  # (2,) m/s
+    velocity: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (N, 2) m/s, found when it moves on
+    bone_velocity: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m/s
     step: float = 1e-6  # s, the next one
     steps: int = 0
     rejected: int = 0
@@ -44,13 +45,13 @@ class Load:
 
     first: Array  # (2,)
     last: Array  # (2,)
-    held: Array  # (2,) bool
+    held: NDArray[np.bool_]  # (2,)
 
     def at(self, share: float) -> Array:
         return self.first + share * (self.last - self.first)
 
 
-def net_forces(chain: Chain, state: State, load: Array, held: Array) -> tuple[Array, Array]:
+def net_forces(chain: Chain, state: State, load: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
     """What is out of balance on elements (N, 2) and bone (2,), N; a bone that is held is in balance."""
     forces, bone = elastic_forces(chain, state.place, state.bone)
     forces[:, 0] -= state.friction
@@ -166,7 +167,7 @@ def _newton(
     known_bone: Array,
     guess: tuple[Array, Array],
     load: Array,
-    held: Array,
+    held: NDArray[np.bool_],
     c: float,
     tolerance: float,
 ) -> tuple[Array, Array, Array, Arrow] | None:

@@ -58,8 +58,9 @@ class Chains:
         nail, bone_damping = (
             torch.as_tensor(once, dtype=torch.float64).expand(shape) for once in (skin.membrane_stiffness, skin.damping)
         )
-        numbers = (radius, number("membrane_stiffness"), tissue - shear, shear, nail, number("contact_stiffness"),
-                   number("damping"), bone_damping, number("friction_stiffness"), number("friction_exponent"))  # fmt: skip
+        springs = (number("membrane_stiffness"), tissue - shear, shear, nail, number("contact_stiffness"))
+        dampers = (number("damping"), bone_damping)
+        numbers = (radius, *springs, *dampers, number("friction_stiffness"), number("friction_exponent"))
         reference = radius.detach()[..., None, None] * torch.from_numpy(half_circle(count, 1.0))
         return Chains(shape, reference, torch.stack(numbers, -1), number("width"))
 
@@ -82,13 +83,15 @@ class Chains:
         flat = _flat(at, load)
         sums = []
         for k in range(self.shape.numel()):
-            state = State(*(part[k].detach().numpy() for part in flat[:3]), *_STILL)
+            state = _state(flat[0][k], flat[1][k], flat[2][k])
             parts = net_forces(self.single(k), state, flat[3][k].numpy(), np.array(held))
             sums.append(sum(float(np.abs(part).sum()) for part in parts))
         return torch.tensor(sums, dtype=torch.float64).reshape(self.shape)
 
 
-_STILL = (np.zeros(0), np.zeros(0))
+def _state(place: Tensor, bone: Tensor, rubbed: Tensor, step: float = _FIRST_STEP) -> State:
+    """Of one chain, at rest until it is moved on."""
+    return State(place.detach().numpy(), bone.detach().numpy(), rubbed.detach().numpy(), step=step)
 
 
 def stiffness_of(numbers: Tensor, name: str) -> Tensor:
@@ -109,7 +112,7 @@ def moved(
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape)
     wanted = chains.numbers.requires_grad or coefficient.requires_grad or start.place.requires_grad
     if torch.is_grad_enabled() and wanted:
-        place, bone, rubbed, step, time, steps = _Moved.apply(  # type: ignore[no-untyped-call]
+        place, bone, rubbed, step, time, steps = _Moved.apply(
             coefficient, chains.numbers, start.place, start.bone, start.rubbed, chains, start, loads, held, duration,
             tolerance, rests,
         )  # fmt: skip
@@ -153,8 +156,8 @@ def _advanced(
         time, steps = torch.zeros(batch, dtype=torch.float64), torch.zeros(batch, dtype=torch.int64)
         record = torch.zeros(batch, record_steps, 2 + 2 * (3 * count + 2), dtype=torch.float64)
         for k in range(batch):
-            state = State(*(part[k].numpy() for part in (place, bone, rubbed)), *_STILL, step=float(step[k]))
-            load = Load(*force[k].reshape(2, 2).numpy(), np.array(held))
+            state = _state(place[k].clone(), bone[k].clone(), rubbed[k].clone(), float(step[k]))
+            load = Load(force[k, :2].numpy(), force[k, 2:].numpy(), np.array(held))
             rows: list[np.ndarray[Any, Any]] | None = [] if record_steps else None
             time[k] = advance(
                 chains.single(k), state, mu[k].numpy(), load, duration, tolerance, float(rest.reshape(-1)[k]), rows
@@ -211,7 +214,7 @@ class _Moved(torch.autograd.Function):
     def backward(ctx: Any, *wanted: Any) -> tuple[Tensor | None, ...]:
         chains, start, count = ctx.chains, ctx.start, ctx.chains.reference.shape[-2]
         batch = chains.shape.numel()
-        place, bone, rubbed, load = _flat(start, ctx.loads.flatten(-2))
+        place, bone, rubbed, _ = _flat(start, ctx.loads.flatten(-2))
         of_place, of_bone, of_rubbed = (
             gradient.reshape((batch, *part.shape[1:]))
             for gradient, part in zip(wanted, (place, bone, rubbed), strict=False)
@@ -223,11 +226,10 @@ class _Moved(torch.autograd.Function):
             back = stiffness_gradients(
                 chains.single(k),
                 mu[k].numpy(),
-                *(part[k].numpy() for part in (place, bone, rubbed)),
-                load[k].reshape(2, 2).numpy(),
+                (place[k].numpy(), bone[k].numpy(), rubbed[k].numpy()),
                 np.array(ctx.held),
                 ctx.record[k, : int(ctx.steps.reshape(-1)[k])].numpy(),
-                *(part[k].numpy() for part in (of_place, of_bone, of_rubbed)),
+                (of_place[k].numpy(), of_bone[k].numpy(), of_rubbed[k].numpy()),
             )
             for name, value in zip(STIFFNESSES, back.stiffness, strict=True):
                 of_numbers[k, NUMBERS.index(name)] = value

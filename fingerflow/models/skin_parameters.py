@@ -47,8 +47,8 @@ def _lab() -> SkinParameters:
 
 
 PARAMETERS = {
-    # In print as 2.5 and 0.13 "kNm": they are kN/m. The radius is that of "10 %" at 3 mm (equation 10); the plate is not
-    # in print and takes the lab's ratio.
+    # In print as 2.5 and 0.13 "kNm": they are kN/m. The radius is that of "10 %" at 3 mm (equation 10); the plate is
+    # not in print and takes the lab's ratio.
     "paper": SkinParameters(10e-3, 2500.0, 130.0, 13000.0, width=10e-3),
     "lab": _lab(),
 }

@@ -5,6 +5,7 @@ function of the slide and is no unknown: a third row for it would only be elimin
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from fingerflow.models.skin_forces import Array, Chain, Friction, Slopes
@@ -13,7 +14,7 @@ from fingerflow.models.skin_forces import Array, Chain, Friction, Slopes
 class Arrow:
     """damping I + c K of elements and bone; `solve` and, for derivatives, `solve_transposed`."""
 
-    def __init__(self, chain: Chain, slopes: Slopes, rubbing: Friction, c: float, held: Array) -> None:
+    def __init__(self, chain: Chain, slopes: Slopes, rubbing: Friction, c: float, held: NDArray[np.bool_]) -> None:
         """``held`` (2,) bool: directions in which the bone's motion is given."""
         count = len(chain.reference)
         blocks = c * slopes.tissue

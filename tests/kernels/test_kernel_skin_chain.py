@@ -72,6 +72,6 @@ def test_what_does_not_belong_together_is_refused() -> None:
         kernels.press_skin(reference, numbers[:, :9], mu, load, rest, *state, **settings)
     with pytest.raises(ValueError, match="place is"):
         kernels.press_skin(reference, numbers, mu, load, rest, state[0].float(), *state[1:], **settings)
+    few = [state[0][:, :2], state[1], state[2][:, :2], state[3]]
     with pytest.raises(ValueError, match="2 elements"):
-        few = [state[0][:, :2], state[1], state[2][:, :2], state[3]]
         kernels.press_skin(reference[:, :2], numbers, mu[:, :2], load, rest, *few, **settings)

@@ -1,4 +1,4 @@
-"""What a press must show: balance, symmetry, convergence, friction that only takes, and the same rest by another method."""
+"""What a press must show: balance, symmetry, convergence, friction that only takes, the same rest by another method."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_more_friction_less_divergence(pressed: Press) -> None:
 
 
 def test_friction_points_against_the_motion(pressed: Press) -> None:
-    """The published script's pushes each element further along its way, and the edge of the contact moves more, not less."""
+    """The published script's pushes each element further on its way: the edge of the contact moves more, not less."""
     away = pressed.displacement[1:, :, 0]
     force = pressed.friction_force[1:]
     strong = force.abs() > 0.05 * force.abs().amax(-1, keepdim=True)
@@ -79,7 +79,8 @@ def test_a_batch_is_its_presses_one_by_one() -> None:
 
 def test_parameter_sets_in_a_batch() -> None:
     both = SkinParameters(**{
-        name: torch.tensor([getattr(LAB, name), getattr(PARAMETERS["paper"], name)]) for name in LAB.__dataclass_fields__
+        name: torch.tensor([getattr(LAB, name), getattr(PARAMETERS["paper"], name)]) for name in
+        LAB.__dataclass_fields__
     })  # fmt: skip
     found = press(torch.tensor([[0.1], [0.5]], dtype=torch.float64), both, elements=61)
     assert found.position.shape == (2, 2, 61, 2)
@@ -145,7 +146,7 @@ def test_the_same_rest_by_explicit_runge_kutta() -> None:
 
 
 def test_a_step_over_the_bound_is_refused_and_was_wrong() -> None:
-    """2.785 over the largest eigenvalue, here of the whole matrix; 2.5 us as printed are over it with the lab's numbers."""
+    """2.785 over the largest eigenvalue, here of the whole matrix; the printed 2.5 us are over it with the lab's."""
     chain = chain_of(elements=501)
     assert 2.0e-6 < largest_step(chain) < 2.5e-6
     load, mu = held_load(3.0), np.full(501, 0.6)
@@ -176,7 +177,7 @@ def test_beyond_the_bound_it_would_drift_off(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_energy_is_only_lost() -> None:
-    """Work of the load = stored + lost in dampers + lost in friction; friction's part is never negative, step by step."""
+    """Work of the load = stored + lost in dampers + lost in friction, and that is never negative, step by step."""
     chain = chain_of(elements=61)
     mu, load, state, rows = np.full(61, 0.15), held_load(3.0, along=0.3), begun(chain), []
     skin_implicit.advance(chain, state, mu, load, 0.05, 2e-9, 0.0, rows)
@@ -264,7 +265,7 @@ def test_a_force_trace_and_friction_in_time() -> None:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_derivatives_are_those_of_the_press(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against differences of presses with nearly the same steps; in friction of each element, stiffnesses and sigma_0."""
+    """Against differences of presses with nearly the same steps; in friction, stiffnesses, sigma_0 and nu."""
     if not compiled:
         monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     elif not kernels.serve():
@@ -309,8 +310,8 @@ def test_what_has_no_derivative_says_so() -> None:
 def test_stress_at_depth_beside_the_papers_20_percent() -> None:
     """At 2 mm and mu = 1.0 against 0.2 this model has 1.00, where the paper reports 1.20.
 
-    At 0.2 nearly all elements stick already: Dahl's sigma_0, not mu, limits what friction holds. Even against none at all
-    the load is the same 3 N, and at 2 mm, a contact's half length down, little is left of how it is shared out.
+    At 0.2 nearly all elements stick already: Dahl's sigma_0, not mu, limits what friction holds. Even against none at
+    all the load is the same 3 N, and at 2 mm, a contact's half length down, little is left of how it is shared out.
     """
     found = press(torch.tensor([0.0, 0.2, 1.0], dtype=torch.float64))
     edges, pressure, traction = found.strips()
@@ -325,7 +326,7 @@ def test_stress_at_depth_beside_the_papers_20_percent() -> None:
 
 
 def test_the_frictionless_press_nears_the_half_sphere_laid_flat() -> None:
-    """Contact length against the geometry of the indentation: a^2 = 2 R delta where skin hangs free of its neighbours."""
+    """Contact length against the geometry of the indentation: a^2 = 2 R delta for skin without links."""
     found = press(0.0, load_n=torch.tensor([0.25, 1.0, 3.0], dtype=torch.float64))
     flat = 2 * (2 * 8e-3 * -found.bone[:, 1]).sqrt()
     short = 1 - found.contact_length / flat  # links carry some of the edge over 3 elements

@@ -92,7 +92,7 @@ def test_the_matrix_is_the_slope_of_the_forces() -> None:
 
 @pytest.mark.parametrize("exponent", [0.0, 0.7, 1.0, 1.8])
 def test_friction_is_dahls_and_its_slopes_are_right(exponent: float) -> None:
-    """Under the middle of both limits, then cut to the last; slopes by differences, where nothing switches within them."""
+    """Under the middle of both limits, then cut to the last; slopes by differences, where nothing switches."""
     chain = chain_of(elements=41)._replace(exponent=exponent)
     random = np.random.default_rng(7)
     old, place = (np.stack((1e-5 * random.standard_normal(41), 2e-6 * random.standard_normal(41)), 1) for _ in range(2))
