@@ -21,6 +21,7 @@ constexpr int kSide = 2;
 #endif
 typedef double Doubles __attribute__((vector_size(8 * kSide)));
 typedef std::int64_t Integers __attribute__((vector_size(8 * kSide)));
+typedef std::uint64_t Naturals __attribute__((vector_size(8 * kSide)));
 #else
 constexpr int kSide = 1;
 #endif
@@ -30,7 +31,7 @@ template <class T>
 struct Of;
 template <>
 struct Of<double> {
-    using Bits = std::int64_t;
+    using Bits = std::uint64_t;
     using Mask = bool;
     static constexpr int kLanes = 1;
     static double& at(double& value, int) { return value; }
@@ -41,7 +42,7 @@ struct Of<double> {
 #if defined(__GNUC__) || defined(__clang__)
 template <>
 struct Of<Doubles> {
-    using Bits = Integers;
+    using Bits = Naturals;
     using Mask = Integers;
     static constexpr int kLanes = kSide;
     static double at(const Doubles& value, int lane) { return value[lane]; }
@@ -96,12 +97,12 @@ template <class T>
 inline T logarithm(T value) {
     using Bits = typename Of<T>::Bits;
     const Bits raw = bits<Bits>(value);
-    const std::int64_t shift = 0x3fe6a09e667f3bcdLL;  // sqrt(1/2): the fraction goes from there to sqrt 2
-    const Bits exponent = (raw - shift) & static_cast<std::int64_t>(0xfff0000000000000ULL);
+    const std::uint64_t shift = 0x3fe6a09e667f3bcdULL;  // sqrt(1/2): the fraction goes from there to sqrt 2
+    const Bits exponent = (raw - shift) & 0xfff0000000000000ULL;
     const T fraction = bits<T>(static_cast<Bits>(raw - exponent));
     // The exponent as a number: biased, into the last bits of 2^52.
     const Bits biased = ((exponent >> 52) & 0xfff) + 2048;
-    const T power = bits<T>(static_cast<Bits>((biased & 0xfff) | 0x4330000000000000LL)) - (4503599627370496.0 + 2048.0);
+    const T power = bits<T>(static_cast<Bits>((biased & 0xfff) | 0x4330000000000000ULL)) - (4503599627370496.0 + 2048.0);
     const T s = (fraction - 1.0) / (fraction + 1.0), square = s * s;
     T sum = all<T>(1.0 / 21);
     for (int odd = 19; odd >= 3; odd -= 2) sum = sum * square + 1.0 / odd;
@@ -181,7 +182,7 @@ struct Body {
     Pair<T> bone;
 };
 
-constexpr std::int64_t kBytesEach = (11 * 2 + 4 + 3 + 5 * 4) * 8;  // of an element of one chain: pairs, numbers, symmetric, blocks
+constexpr std::int64_t kBytesEach = (10 * 2 + 4 + 3 * 4) * 8;  // of an element of one chain: pairs, numbers, blocks
 
 template <class T>
 struct Press {
@@ -201,13 +202,13 @@ struct Press {
     T* mu;
     T radius, membrane, tissue, shear, nail, contact, damping, bone_damping, spring, exponent;
     // Of the motion: what is known of a stage, what is left over, and Dahl's forces before, in the middle and after.
-    Body<T> start, start_speed, middle, middle_speed, end, known, left_over, moved, guess;
+    Body<T> start, start_speed, middle, middle_speed, end, known, left_over, guess;
     T *rubbed, *rubbed_middle, *rubbed_end;
-    // Of the system: slopes, the diagonal, and what the sweep leaves of it.
-    Symmetric<T>* of_tissue;
-    Block<T> *diagonal, *undone, *onward, *from_bone, *to_bone;
+    // Of the system: what the sweep leaves of it.
+    Block<T> *undone, *from_bone, *to_bone;
     Pair<T>* swept;
     Block<T> bone_block;
+    Pair<T> bone_gone;
     T c;
 
     Press(const fingerflow_skin_chain& of, char* memory) : given(of), count(of.count), held_x(of.held_x), held_z(of.held_z) {
@@ -217,10 +218,9 @@ struct Press {
         };
         take(reference), take(mu);
         take(start.at), take(start_speed.at), take(middle.at), take(middle_speed.at), take(end.at);
-        take(known.at), take(left_over.at), take(moved.at), take(guess.at);
+        take(known.at), take(left_over.at), take(guess.at);
         take(rubbed), take(rubbed_middle), take(rubbed_end);
-        take(of_tissue);
-        take(diagonal), take(undone), take(onward), take(from_bone), take(to_bone);
+        take(undone), take(from_bone), take(to_bone);
         take(swept);
     }
 
@@ -264,31 +264,45 @@ struct Press {
         return chain < given.batch ? chain : given.batch - 1;
     }
 
-    // Elastic forces on elements and bone at a place; with kSlopes their negative slopes too.
-    template <bool kSlopes>
-    void elastic(const Body<T>& body, Body<T>& force) {
-        for (std::int64_t i = 0; i < count; ++i) {
-            const Pair<T> at = body.at[i], line{at.x - body.bone.x, at.z - radius - body.bone.z};
-            const T along = 1.0 / root(line.x * line.x + line.z * line.z), ratio = radius * along;
-            const Pair<T> off = at - reference[i] - body.bone;
-            const T own = tissue * (1.0 - ratio), resisted = i == 0 || i == count - 1 ? shear + nail : shear;
-            const Pair<T> held{own * line.x + resisted * off.x, own * line.z + resisted * off.z};
-            force.at[i] = {-held.x, contact * greater(-at.z, all<T>(0)) - held.z};
-            swept[i] = held;
-            if (kSlopes) {
-                const T x = line.x * along, z = line.z * along, turned = tissue * ratio;
-                of_tissue[i] = {own + resisted + turned * (x * x), turned * (x * z), own + resisted + turned * (z * z)};
-            }
-        }
-        for (std::int64_t i = 0; i + 1 < count; ++i) {
-            const Pair<T> pull = membrane * ((body.at[i + 1] - body.at[i]) - (reference[i + 1] - reference[i]));
-            force.at[i] = force.at[i] + pull;
-            force.at[i + 1] = force.at[i + 1] - pull;
-        }
-        // From both ends, so that a mirrored press has the mirrored sum.
+    // Elastic forces on elements and bone at the start.
+    void elastic(Body<T>& force) const {
         Pair<T> sum{all<T>(0), all<T>(0)};
-        for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) sum = sum + (i == j ? swept[i] : swept[i] + swept[j]);
+        for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) {
+            const Held one = held_at(start, i);
+            force.at[i] = drawn(start, i) - one.force;
+            force.at[i].z = force.at[i].z + contact * greater(-start.at[i].z, all<T>(0));
+            if (i == j) {
+                sum = sum + one.force;
+                break;
+            }
+            const Held other = held_at(start, j);
+            force.at[j] = drawn(start, j) - other.force;
+            force.at[j].z = force.at[j].z + contact * greater(-start.at[j].z, all<T>(0));
+            sum = sum + (one.force + other.force);  // so that a mirrored press has the mirrored sum
+        }
         force.bone = sum;
+    }
+    // What tissue and nail hold an element back with, and the slope of that.
+    struct Held {
+        Pair<T> force;
+        Symmetric<T> slope;
+    };
+    Held held_at(const Body<T>& body, std::int64_t i) const {
+        const Pair<T> at = body.at[i], line{at.x - body.bone.x, at.z - radius - body.bone.z}, off = at - reference[i] - body.bone;
+        const T along = 1.0 / root(line.x * line.x + line.z * line.z), ratio = radius * along;
+        const T own = tissue * (1.0 - ratio), resisted = i == 0 || i == count - 1 ? shear + nail : shear;
+        const T x = line.x * along, z = line.z * along, turned = tissue * ratio;
+        return {{own * line.x + resisted * off.x, own * line.z + resisted * off.z},
+                {own + resisted + turned * (x * x), turned * (x * z), own + resisted + turned * (z * z)}};
+    }
+    // What its links draw an element with.
+    Pair<T> drawn(const Body<T>& body, std::int64_t i) const {
+        const Pair<T> own = body.at[i] - reference[i];
+        Pair<T> sum{all<T>(0), all<T>(0)};
+        if (i && i + 1 < count) sum = ((body.at[i - 1] - reference[i - 1]) - own) + ((body.at[i + 1] - reference[i + 1]) - own);
+        else if (i) sum = (body.at[i - 1] - reference[i - 1]) - own;
+        else sum = (body.at[1] - reference[1]) - own;
+        return membrane * sum;
     }
 
     // Dahl's force of element i after a slide, and its slopes along and above the plate.
@@ -335,54 +349,127 @@ struct Press {
     }
 #endif
 
-    // The matrix damping I + c K at `end`, swept; that of other lanes stays.
-    void factor(Mask here) {
-        const Block<T> bone_before = bone_block;
-        Block<T> whole{all<T>(0), all<T>(0), all<T>(0), all<T>(0)};
-        for (std::int64_t i = 0, j = count - 1; i <= j; ++i, --j) {
-            const Block<T> one = scaled(c, of_tissue[i]);
-            whole = whole + (i == j ? one : one + scaled(c, of_tissue[j]));
-        }
-        bone_block = {bone_damping + whole.xx, whole.xz, whole.zx, bone_damping + whole.zz};
-        const std::int64_t centre = count / 2;
-        for (std::int64_t i = 0; i < centre; ++i) {
-            const std::int64_t j = count - 1 - i;
-            eliminate(here, i, i - 1);
-            if (j > centre) eliminate(here, j, j + 1);
-            const Block<T> one = to_bone[i] * from_bone[i];
-            bone_block = bone_block - (j > centre ? one + to_bone[j] * from_bone[j] : one);
-        }
-        const T joined = -c * membrane;
-        const Block<T> column = scaled(-c, of_tissue[centre]);
-        const Block<T> own = diagonal[centre] - joined * (onward[centre - 1] + onward[centre + 1]);
-        const Block<T> by_bone = column - joined * (from_bone[centre - 1] + from_bone[centre + 1]);
-        take(here, undone[centre], inverse(own));
-        take(here, from_bone[centre], undone[centre] * by_bone);
-        take(here, to_bone[centre], column - (to_bone[centre - 1] * onward[centre - 1] + to_bone[centre + 1] * onward[centre + 1]));
-        const Block<T> swept_block = bone_block - to_bone[centre] * from_bone[centre];
-        bone_block = bone_before;
-        take(here, bone_block, swept_block);
+    // One element's rows of (damping I + c K) moved = what is left over, before and after the elements outside of it
+    // were eliminated.
+    struct Row {
+        Block<T> undone, from_bone, to_bone;
+        Pair<T> swept;
+    };
+    Row assembled(const Body<T>& from, const T* before, std::int64_t i, Pair<T>& held, Block<T>& whole) const {
+        const Held own = held_at(end, i);
+        T force, along, above;
+        rub(i, from.at[i], end.at[i], before[i], force, along, above);
+        const Pair<T> at = end.at[i], off = known.at[i] - at, pull = drawn(end, i);
+        const T none = all<T>(0), links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
+        const T touching = pick(at.z < none, contact, none);
+        held = own.force;
+        whole = scaled(c, own.slope);
+        const Block<T> column{-whole.xx, -whole.xz, -whole.zx, -whole.zz};
+        return {{damping + c * (own.slope.xx + links + along), c * (own.slope.xz + above), c * own.slope.xz,
+                 damping + c * (own.slope.zz + links + touching)},
+                column,
+                column,
+                {damping * off.x + c * (pull.x - own.force.x - force),
+                 damping * off.z + c * (pull.z - own.force.z + contact * greater(-at.z, none))}};
     }
-    // Element i after its neighbour `before`, which an end has not.
-    void eliminate(Mask here, std::int64_t i, std::int64_t before) {
-        Block<T> own = diagonal[i], column = scaled(-c, of_tissue[i]), row = column;
-        const T joined = -c * membrane;
-        if (before >= 0 && before < count) {
-            own = own - joined * onward[before];
-            column = column - joined * from_bone[before];
-            row = row - to_bone[before] * onward[before];
+    // A row after its neighbour's.
+    void follow(Row& row, const Row& before, T joined) const {
+        row.undone = row.undone - (joined * joined) * before.undone;
+        row.from_bone = row.from_bone - joined * before.from_bone;
+        row.to_bone = row.to_bone - joined * (before.to_bone * before.undone);
+        row.swept = row.swept - joined * before.swept;
+    }
+    void finish(Row& row, std::int64_t i, Mask here, bool whole) {
+        row.undone = inverse(row.undone);
+        row.from_bone = row.undone * row.from_bone;
+        row.swept = row.undone * row.swept;
+        swept[i] = row.swept;
+        if (kLanes == 1 || whole) {
+            undone[i] = row.undone, from_bone[i] = row.from_bone, to_bone[i] = row.to_bone;
+        } else {
+            take(here, undone[i], row.undone), take(here, from_bone[i], row.from_bone), take(here, to_bone[i], row.to_bone);
         }
-        take(here, undone[i], inverse(own));
-        take(here, onward[i], joined * undone[i]);
-        take(here, from_bone[i], undone[i] * column);
-        take(here, to_bone[i], row);
     }
 
-    // `moved` of a right-hand side; that of a direction which is held is its motion.
-    void solve(const Body<T>& side) {
+    // A step of Newton's from `end`: assembled and swept from both ends, then gone along by the lanes `here`, whose matrix
+    // stays for `solve`. The greatest motion.
+    T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
         const std::int64_t centre = count / 2;
-        const T joined = -c * membrane;
-        Pair<T> bone{all<T>(0), all<T>(0)};
+        const T joined = -c * membrane, none = all<T>(0);
+        Block<T> of{bone_damping, none, none, bone_damping};
+        Pair<T> on_bone{none, none}, bone{none, none}, held, other_held;
+        Block<T> slope, other_slope;
+        Row left{}, right{};
+        for (std::int64_t i = 0; i < centre; ++i) {
+            const std::int64_t j = count - 1 - i;
+            Row row = assembled(from, before, i, held, slope);
+            if (i) follow(row, left, joined);
+            finish(row, i, here, whole);
+            left = row;
+            if (j > centre) {
+                row = assembled(from, before, j, other_held, other_slope);
+                if (i) follow(row, right, joined);
+                finish(row, j, here, whole);
+                right = row;
+                on_bone = on_bone + (held + other_held);
+                of = of + (slope + other_slope) - (left.to_bone * left.from_bone + right.to_bone * right.from_bone);
+                bone = bone + (left.to_bone * left.swept + right.to_bone * right.swept);
+            } else {
+                on_bone = on_bone + held;
+                of = of + slope - left.to_bone * left.from_bone;
+                bone = bone + left.to_bone * left.swept;
+            }
+        }
+        Row row = assembled(from, before, centre, held, slope);
+        Row sum{left.undone + right.undone, left.from_bone + right.from_bone,
+                left.to_bone * left.undone + right.to_bone * right.undone, left.swept + right.swept};
+        row.undone = row.undone - (joined * joined) * sum.undone;
+        row.from_bone = row.from_bone - joined * sum.from_bone;
+        row.to_bone = row.to_bone - joined * sum.to_bone;
+        row.swept = row.swept - joined * sum.swept;
+        finish(row, centre, here, whole);
+        of = of + slope - row.to_bone * row.from_bone;
+        on_bone = on_bone + held;
+        bone = bone + row.to_bone * row.swept;
+        if (whole) bone_block = of;
+        else take(here, bone_block, of);
+
+        const Pair<T> off = known.bone - end.bone, motion = load - end.bone;
+        const Pair<T> side{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
+        const Pair<T> by = bone_motion(of, side - bone, motion);
+        T most = farthest(none, by);
+        Pair<T> last = row.swept - row.from_bone * by, other = last;
+        const auto gone = [&](std::int64_t i, Pair<T> moved) {
+            most = farthest(most, moved);
+            if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
+            else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
+        };
+        gone(centre, last);
+        for (std::int64_t i = centre - 1; i >= 0; --i) {
+            const std::int64_t j = count - 1 - i;
+            last = swept[i] - from_bone[i] * by - joined * (undone[i] * last);
+            gone(i, last);
+            if (j > centre) {
+                other = swept[j] - from_bone[j] * by - joined * (undone[j] * other);
+                gone(j, other);
+            }
+        }
+        end.bone = end.bone + Pair<T>{pick(here, by.x, none), pick(here, by.z, none)};
+        bone_gone = by;
+        return most;
+    }
+    Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const {
+        if (held_x && held_z) return motion;
+        if (held_x) return {motion.x, (side.z - of.zx * motion.x) / of.zz};
+        if (held_z) return {(side.x - of.xz * motion.z) / of.xx, motion.z};
+        return inverse(of) * side;
+    }
+
+    // The greatest of the solution of the last matrix for a right-hand side; that of a direction which is held is its motion.
+    T solved(const Body<T>& side) {
+        const std::int64_t centre = count / 2;
+        const T joined = -c * membrane, none = all<T>(0);
+        Pair<T> bone{none, none};
         for (std::int64_t i = 0; i < centre; ++i) {
             const std::int64_t j = count - 1 - i;
             swept[i] = undone[i] * (i ? side.at[i] - joined * swept[i - 1] : side.at[i]);
@@ -395,63 +482,46 @@ struct Press {
             }
         }
         swept[centre] = undone[centre] * (side.at[centre] - joined * (swept[centre - 1] + swept[centre + 1]));
-        bone = side.bone - (bone + to_bone[centre] * swept[centre]);
-        const Block<T> of = bone_block;
-        if (held_x && held_z) bone = side.bone;
-        else if (held_x) bone = {side.bone.x, (bone.z - of.zx * side.bone.x) / of.zz};
-        else if (held_z) bone = {(bone.x - of.xz * side.bone.z) / of.xx, side.bone.z};
-        else bone = inverse(of) * bone;
-        moved.bone = bone;
-        moved.at[centre] = swept[centre] - from_bone[centre] * bone;
+        const Pair<T> by = bone_motion(bone_block, side.bone - (bone + to_bone[centre] * swept[centre]), side.bone);
+        T most = farthest(none, by);
+        Pair<T> last = swept[centre] - from_bone[centre] * by, other = last;
+        most = farthest(most, last);
         for (std::int64_t i = centre - 1; i >= 0; --i) {
             const std::int64_t j = count - 1 - i;
-            moved.at[i] = swept[i] - from_bone[i] * bone - onward[i] * moved.at[i + 1];
-            if (j > centre) moved.at[j] = swept[j] - from_bone[j] * bone - onward[j] * moved.at[j - 1];
+            last = swept[i] - from_bone[i] * by - joined * (undone[i] * last);
+            most = farthest(most, last);
+            if (j > centre) {
+                other = swept[j] - from_bone[j] * by - joined * (undone[j] * other);
+                most = farthest(most, other);
+            }
         }
+        return most;
     }
 
     // damping (X - known) = c forces(X) from `end` on, which becomes X, with Dahl's forces `after` the slide from a place;
     // lanes where it is not found are taken off those which go on.
-    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, double* tolerance, bool* go_on, std::int64_t* iterations) {
+    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
+                std::int64_t* iterations) {
         bool busy[kLanes];
         Mask going{};
-        for (int lane = 0; lane < kLanes; ++lane) Of<T>::set(going, lane, busy[lane] = go_on[lane]);
+        bool whole = true;
+        for (int lane = 0; lane < kLanes; ++lane) {
+            Of<T>::set(going, lane, busy[lane] = go_on[lane]);
+            whole = whole && busy[lane];
+        }
         for (int iteration = 0; iteration < kMostIterations; ++iteration) {
-            elastic<true>(end, left_over);
-            for (std::int64_t i = 0; i < count; ++i) {
-                T force, along, above;
-                rub(i, from.at[i], end.at[i], before[i], force, along, above);
-                const Pair<T> off = known.at[i] - end.at[i];
-                left_over.at[i] = {damping * off.x + c * (left_over.at[i].x - force), damping * off.z + c * left_over.at[i].z};
-                const Symmetric<T> own = of_tissue[i];
-                const T links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
-                const T touching = pick(end.at[i].z < all<T>(0), contact, all<T>(0));
-                diagonal[i] = {damping + c * (own.xx + links + along), c * (own.xz + above), c * own.xz,
-                               damping + c * (own.zz + links + touching)};
-            }
-            const Pair<T> off = known.bone - end.bone, given_motion = load - end.bone;
-            const Pair<T> side{bone_damping * off.x + c * (left_over.bone.x + load.x),
-                               bone_damping * off.z + c * (left_over.bone.z + load.z)};
-            left_over.bone = {held_x ? given_motion.x : side.x, held_z ? given_motion.z : side.z};
-            factor(going);
-            solve(left_over);
-            T most = farthest(all<T>(0), moved.bone);
-            for (std::int64_t i = 0; i < count; ++i) most = farthest(most, moved.at[i]);
-            // Lanes where it is found stay as they are, whatever the others still do.
-            const T none = all<T>(0);
-            end.bone = end.bone + Pair<T>{pick(going, moved.bone.x, none), pick(going, moved.bone.z, none)};
-            for (std::int64_t i = 0; i < count; ++i)
-                end.at[i] = end.at[i] + Pair<T>{pick(going, moved.at[i].x, none), pick(going, moved.at[i].z, none)};
+            const T most = newton_step(from, before, load, going, whole);
             bool more = false;
             for (int lane = 0; lane < kLanes; ++lane) {
                 if (!busy[lane]) continue;
                 ++iterations[lane];
-                const double by = Of<T>::at(most, lane), bone = Of<T>::at(moved.bone.z, lane);
+                const double by = Of<T>::at(most, lane), bone = Of<T>::at(bone_gone.z, lane);
                 const bool lost = !(by < 1.0) || bone != bone || iteration + 1 == kMostIterations;  // m
                 if (by <= tolerance[lane]) busy[lane] = false;
                 else if (lost) busy[lane] = go_on[lane] = false;
                 Of<T>::set(going, lane, busy[lane]);
                 more = more || busy[lane];
+                whole = whole && busy[lane];
             }
             if (!more) break;
         }
@@ -463,7 +533,7 @@ struct Press {
 
     // What is out of balance at the start: into `left_over`, and the sum of all of it.
     T unbalanced(Pair<T> load) {
-        elastic<false>(start, left_over);
+        elastic(left_over);
         T sum = all<T>(0);
         for (std::int64_t i = 0; i < count; ++i) {
             left_over.at[i].x = left_over.at[i].x - rubbed[i];
@@ -549,10 +619,7 @@ struct Press {
             hold(guess.bone, rate);
             left_over.bone = (bone_damping * (kError * h)) * estimate(start_speed.bone, middle_speed.bone, guess.bone);
             hold(left_over.bone, {all<T>(0), all<T>(0)});
-            solve(left_over);
-            T most = farthest(all<T>(0), moved.bone);
-            for (std::int64_t i = 0; i < count; ++i) most = farthest(most, moved.at[i]);
-
+            const T most = solved(left_over);
             Mask kept{};
             bool any_kept = false;
             for (int lane = 0; lane < kLanes; ++lane) {
