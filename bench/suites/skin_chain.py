@@ -1,10 +1,10 @@
 """The skin chain: 50 ms of a press of 3 N at mu = 0.6, 501 elements, the lab's parameters (41 and 5 ms with --quick).
 
 `error_um` is the largest error of a place at the end against steps of a tolerance 1,000 times smaller. Ways: TR-BDF2 of
-`models.skin_chain`, compiled and portable, at several tolerances in m; the published algorithm, fourth-order Runge-Kutta
-of `models.skin_explicit`, in NumPy with all elements at once, at 0.8 of its largest stable step, run once; one press and
-100 values of friction together, to rest; and one press to rest with the gradient of its divergence (in friction, and
-with it all stiffnesses). `time_to_peer` is the time over that of one press to rest.
+`models.skin_chain`, compiled and portable, at several tolerances in m; the published algorithm, fourth-order
+Runge-Kutta of `models.skin_explicit`, in NumPy with all elements at once, at 0.8 of its largest stable step, run once;
+one press and 100 values of friction together, to rest; and one press to rest with the gradient of its divergence (in
+friction, and with it all stiffnesses). `time_to_peer` is the time over that of one press to rest.
 
 - The published script runs element by element in MATLAB, this transcription is faster than that.
 - Integrators of other packages were measured elsewhere and are not run here: numba's Runge-Kutta 1.3 s at 2 us, CVODE's

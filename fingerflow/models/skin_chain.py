@@ -72,7 +72,7 @@ class Press:
     steps: Tensor  # (...) int64
 
     def strips(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, as `half_space` takes them."""
+        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, for `half_space.stress`."""
         touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
         found = touched.nonzero().flatten()
         if not len(found):
@@ -241,7 +241,8 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
     apart = displacement[..., 0] - displacement[..., 0].flip(-1)
     middle = across == 0
     hoop = torch.where(middle, slope, apart / torch.where(middle, 1.0, across))
-    field = torch.where(touching, slope + hoop, torch.nan)
+    on_plate = _share_on_plate(force, touching) * x.diff(dim=-1)
+    weight = (torch.nn.functional.pad(on_plate, (1, 0)) + torch.nn.functional.pad(on_plate, (0, 1))) / 2
     return Press(
         position=at.place,
         displacement=displacement,
@@ -251,14 +252,29 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
         traction=torch.where(touching, -at.rubbed / area, 0.0),
         coefficient=coefficient,
         strain=torch.where(touching, slope, torch.nan),
-        divergence_field=field,
-        divergence=_weighted_median(torch.where(touching, slope + hoop, 0.0), torch.where(touching, length, 0.0)),
-        contact_length=torch.where(touching, length, 0.0).sum(-1),
+        divergence_field=torch.where(touching, slope + hoop, torch.nan),
+        divergence=_weighted_median(slope + hoop, weight),
+        contact_length=on_plate.sum(-1),
         bone=at.bone,
         balance=chains.unbalanced(at, load, held),
         time=at.time,
         steps=at.steps,
     )
+
+
+def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
+    """(..., N - 1) of each link: to where the forces of the last two elements lead to 0, so that contact has no jumps."""
+    padded = torch.nn.functional.pad(force, (1, 1))
+    before, own, after = padded[..., :-3], force[..., :-1], force[..., 1:]
+    behind = padded[..., 3:]
+
+    def beyond(last: Tensor, inside: Tensor) -> Tensor:
+        falls = inside > last
+        return torch.where(falls, last / torch.where(falls, inside - last, 1.0), 0.5).clamp(max=1)
+
+    left, right = touching[..., :-1], touching[..., 1:]
+    one = torch.where(left, beyond(own, before), beyond(after, behind))
+    return torch.where(left & right, 1.0, torch.where(left | right, one, 0.0))
 
 
 def _between_neighbours(values: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 // Every kernel on images of awkward sizes whose memory ends right behind them, for a build with sanitizers.
-#include <cstdint>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
