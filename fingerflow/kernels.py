@@ -687,6 +687,57 @@ def press_skin(
     return time, counts, record
 
 
+class _SkinBack(ctypes.Structure):
+    """`fingerflow_skin_back` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("reference", "numbers", "friction", "place", "bone", "rubbed")),
+        *((name, ctypes.c_void_p) for name in ("record", "wanted", "steps", "stiffness", "of_friction", "result")),
+        *((name, ctypes.c_int64) for name in ("batch", "count", "held_x", "held_z", "record_steps")),
+    )
+
+
+def press_skin_back(
+    reference: Tensor,
+    numbers: Tensor,
+    friction: Tensor,
+    place: Tensor,
+    bone: Tensor,
+    rubbed: Tensor,
+    record: Tensor,
+    wanted: Tensor,
+    steps: Tensor,
+    *,
+    held: tuple[bool, bool],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Derivatives back along the record of `press_skin`, to rounding what `models.skin_adjoint` gives.
+
+    Arguments as there, ``place``, ``bone`` and ``rubbed`` those at the beginning; ``wanted`` (B, 3 N + 2) of places,
+    bone and friction at the end, ``steps`` (B,) int64 of the record. Gives those of stiffnesses (B, 6), of friction (B, N)
+    and, as wanted, of the beginning (B, 3 N + 2).
+
+    Raises:
+        ValueError: another dtype, shapes that do not belong together, or more steps than the record has.
+    """
+    batch, count = friction.shape
+    size, rows = 3 * count + 2, record.shape[1]
+    shapes = {"reference": (batch, count, 2), "numbers": (batch, 10), "friction": (batch, count)}
+    shapes |= {"place": (batch, count, 2), "bone": (batch, 2), "rubbed": (batch, count)}
+    shapes |= {"record": (batch, rows, 2 + 2 * size), "wanted": (batch, size)}
+    tensors = (reference, numbers, friction, place, bone, rubbed, record, wanted)
+    for (name, shape), tensor in zip(shapes.items(), tensors, strict=True):
+        _check_like(name, tensor, torch.float64, shape)
+    _check_like("steps", steps, torch.int64, (batch,))
+    if count < 3 or (batch and not 0 <= int(steps.min()) <= int(steps.max()) <= rows):
+        raise ValueError(f"{count} elements, steps {steps.tolist()} of {rows}: give 3 or more, and the whole record")
+    given = [tensor.contiguous() for tensor in (*tensors, steps)]
+    found = [torch.empty(batch, last, dtype=torch.float64) for last in (6, count, size)]
+    pointers = (tensor.data_ptr() for tensor in (*given, *found))
+    request = _SkinBack(*pointers, *(batch, count, *held, rows))
+    _call("fingerflow_press_skin_back", ctypes.addressof(request), torch.get_num_threads())
+    return found[0], found[1], found[2]
+
+
 def halve(frames: Tensor) -> Tensor:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
     halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
@@ -788,6 +839,7 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_medians_over_area.argtypes = [pointer, number]
     library.fingerflow_strain_of_triangles.argtypes = [pointer, number]
     library.fingerflow_press_skin.argtypes = [pointer, number]
+    library.fingerflow_press_skin_back.argtypes = [pointer, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

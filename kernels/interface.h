@@ -198,3 +198,14 @@ struct fingerflow_skin_chain {
     double tolerance, duration;
 };
 FINGERFLOW_EXPORT int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);
+
+// Derivatives back along a record of the above, as fingerflow/models/skin_adjoint.py has them: begun at place, bone and
+// rubbed, steps (batch) of the record; wanted and result (batch, 3 count + 2) of places, bone and friction at its end and at
+// its beginning, stiffness (batch, 6) and of_friction (batch, count).
+struct fingerflow_skin_back {
+    const double *reference, *numbers, *friction, *place, *bone, *rubbed, *record, *wanted;
+    const std::int64_t* steps;
+    double *stiffness, *of_friction, *result;
+    std::int64_t batch, count, held_x, held_z, record_steps;
+};
+FINGERFLOW_EXPORT int fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads);

@@ -18,3 +18,15 @@ int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads) try {
 } catch (const std::exception&) {
     return 1;
 }
+
+int fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads) try {
+    using namespace fingerflow;
+    const SkinGroup group = FINGERFLOW_PICK(skin_group)(given->count, 1);
+    parallel_for(given->batch, threads, [&](std::int64_t chain) {
+        void* const memory = workspace(static_cast<std::size_t>(group.bytes));
+        FINGERFLOW_PICK(press_skin_back)(*given, chain, memory);
+    });
+    return 0;
+} catch (const std::exception&) {
+    return 1;
+}

@@ -305,16 +305,17 @@ struct Press {
         return membrane * sum;
     }
 
-    // Dahl's force of element i after a slide, and its slopes along and above the plate.
-    void rub(std::int64_t i, Pair<T> from, Pair<T> to, T before, T& force, T& along, T& above) const {
+    // Dahl's force of an element after a slide and its slopes: with the place along and above the plate, with the force
+    // before, the height it slid from, mu k_c and sigma_0. With the place it slid from along the plate: minus the first.
+    struct Rubbed {
+        T force, along, above, before, from_above, steep, spring;
+    };
+    Rubbed rub(std::int64_t i, Pair<T> from, Pair<T> to, T before) const {
         const T none = all<T>(0);
-        force = along = above = none;
-        const T steep = mu[i] * contact;
-        const auto pressed = to.z < none;
-        const T last = steep * greater(-to.z, none);
-        const T mean = 0.5 * (last + steep * greater(-from.z, none));
-        const auto active = (mean > none) & pressed;
-        if (!any(active)) return;
+        const T steep = mu[i] * contact, deep = greater(-to.z, none), was_deep = greater(-from.z, none);
+        const T last = steep * deep, mean = 0.5 * (last + steep * was_deep);
+        const auto active = (mean > none) & (to.z < none);
+        if (!any(active)) return {none, none, none, none, none, none, none};
         const T limit = pick(active, mean, all<T>(1.0)), slid = to.x - from.x;
         const T sign = pick(slid < none, all<T>(-1.0), all<T>(1.0));
         const T held = lesser(greater(before, -limit), limit);
@@ -332,13 +333,19 @@ struct Press {
         const T kept = pick(some, exponential(log_kept), none);
         const T rest = pick(some, exponential(log_kept * exponent), none);
         const T after = pick(done, sign * limit, held + sign * limit * left * (1.0 - kept));
-        const T of_left = pick(held == before, sign * held / (limit * limit), none);
+        const auto uncut = held == before;
+        const T of_left = pick(uncut, sign * held / (limit * limit), none);
         const T of_limit = pick(done, sign, sign * (1.0 - left * kept) -
                                                 sign * limit * (rest * of_left + left * rest * distance / limit));
-        const auto over = magnitude(after) > last;
-        force = pick(active, lesser(greater(after, -last), last), none);
-        along = pick(done | over | !active, none, spring * left_power * rest);
-        above = pick(active, pick(over, pick(after < none, steep, -steep), -0.5 * of_limit * steep), none);
+        const auto over = magnitude(after) > last, still = done | over | !active;
+        const T end_sign = pick(after < none, all<T>(-1.0), all<T>(1.0));
+        return {pick(active, lesser(greater(after, -last), last), none),
+                pick(still, none, spring * left_power * rest),
+                pick(active, pick(over, -end_sign * steep, -0.5 * of_limit * steep), none),
+                pick(still | !uncut, none, rest),
+                pick((from.z < none) & active & !over, -0.5 * of_limit * steep, none),
+                pick(active, pick(over, end_sign * deep, 0.5 * of_limit * (deep + was_deep)), none),
+                pick(still, none, left_power * rest * slid)};
     }
     static bool any(bool mask) { return mask; }
 #if defined(__GNUC__) || defined(__clang__)
@@ -357,19 +364,18 @@ struct Press {
     };
     Row assembled(const Body<T>& from, const T* before, std::int64_t i, Pair<T>& held, Block<T>& whole) const {
         const Held own = held_at(end, i);
-        T force, along, above;
-        rub(i, from.at[i], end.at[i], before[i], force, along, above);
+        const Rubbed rubbing = rub(i, from.at[i], end.at[i], before[i]);
         const Pair<T> at = end.at[i], off = known.at[i] - at, pull = drawn(end, i);
         const T none = all<T>(0), links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
         const T touching = pick(at.z < none, contact, none);
         held = own.force;
         whole = scaled(c, own.slope);
         const Block<T> column{-whole.xx, -whole.xz, -whole.zx, -whole.zz};
-        return {{damping + c * (own.slope.xx + links + along), c * (own.slope.xz + above), c * own.slope.xz,
+        return {{damping + c * (own.slope.xx + links + rubbing.along), c * (own.slope.xz + rubbing.above), c * own.slope.xz,
                  damping + c * (own.slope.zz + links + touching)},
                 column,
                 column,
-                {damping * off.x + c * (pull.x - own.force.x - force),
+                {damping * off.x + c * (pull.x - own.force.x - rubbing.force),
                  damping * off.z + c * (pull.z - own.force.z + contact * greater(-at.z, none))}};
     }
     // A row after its neighbour's.
@@ -391,23 +397,24 @@ struct Press {
         }
     }
 
-    // A step of Newton's from `end`: assembled and swept from both ends, then gone along by the lanes `here`, whose matrix
-    // stays for `solve`. The greatest motion.
-    T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
+    // Rows made one by one and swept from both ends; the bone's right-hand side from what its links to elements add up to;
+    // then where each element goes. The swept matrix stays for `solved`, in the lanes `here`. Gives the bone's motion.
+    template <class Make, class Side, class Gone>
+    Pair<T> sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone) {
         const std::int64_t centre = count / 2;
         const T joined = -c * membrane, none = all<T>(0);
         Block<T> of{bone_damping, none, none, bone_damping};
-        Pair<T> on_bone{none, none}, bone{none, none}, held, other_held;
-        Block<T> slope, other_slope;
+        Pair<T> on_bone{none, none}, bone{none, none}, held{}, other_held{};
+        Block<T> slope{}, other_slope{};
         Row left{}, right{};
         for (std::int64_t i = 0; i < centre; ++i) {
             const std::int64_t j = count - 1 - i;
-            Row row = assembled(from, before, i, held, slope);
+            Row row = make(i, held, slope);
             if (i) follow(row, left, joined);
             finish(row, i, here, whole);
             left = row;
             if (j > centre) {
-                row = assembled(from, before, j, other_held, other_slope);
+                row = make(j, other_held, other_slope);
                 if (i) follow(row, right, joined);
                 finish(row, j, here, whole);
                 right = row;
@@ -420,30 +427,21 @@ struct Press {
                 bone = bone + left.to_bone * left.swept;
             }
         }
-        Row row = assembled(from, before, centre, held, slope);
-        Row sum{left.undone + right.undone, left.from_bone + right.from_bone,
-                left.to_bone * left.undone + right.to_bone * right.undone, left.swept + right.swept};
+        Row row = make(centre, held, slope);
+        const Row sum{left.undone + right.undone, left.from_bone + right.from_bone,
+                      left.to_bone * left.undone + right.to_bone * right.undone, left.swept + right.swept};
         row.undone = row.undone - (joined * joined) * sum.undone;
         row.from_bone = row.from_bone - joined * sum.from_bone;
         row.to_bone = row.to_bone - joined * sum.to_bone;
         row.swept = row.swept - joined * sum.swept;
         finish(row, centre, here, whole);
         of = of + slope - row.to_bone * row.from_bone;
-        on_bone = on_bone + held;
         bone = bone + row.to_bone * row.swept;
         if (whole) bone_block = of;
         else take(here, bone_block, of);
 
-        const Pair<T> off = known.bone - end.bone, motion = load - end.bone;
-        const Pair<T> side{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
-        const Pair<T> by = bone_motion(of, side - bone, motion);
-        T most = farthest(none, by);
+        const Pair<T> by = bone_motion(of, side(on_bone + held) - bone, motion);
         Pair<T> last = row.swept - row.from_bone * by, other = last;
-        const auto gone = [&](std::int64_t i, Pair<T> moved) {
-            most = farthest(most, moved);
-            if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
-            else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
-        };
         gone(centre, last);
         for (std::int64_t i = centre - 1; i >= 0; --i) {
             const std::int64_t j = count - 1 - i;
@@ -454,9 +452,26 @@ struct Press {
                 gone(j, other);
             }
         }
-        end.bone = end.bone + Pair<T>{pick(here, by.x, none), pick(here, by.z, none)};
-        bone_gone = by;
-        return most;
+        return by;
+    }
+
+    // A step of Newton's from `end`, gone along by the lanes `here`. The greatest motion.
+    T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
+        const T none = all<T>(0);
+        T most = none;
+        const auto make = [&](std::int64_t i, Pair<T>& held, Block<T>& slope) { return assembled(from, before, i, held, slope); };
+        const auto side = [&](Pair<T> on_bone) {
+            const Pair<T> off = known.bone - end.bone;
+            return Pair<T>{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
+        };
+        const auto gone = [&](std::int64_t i, Pair<T> moved) {
+            most = farthest(most, moved);
+            if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
+            else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
+        };
+        bone_gone = sweep(here, whole, make, side, load - end.bone, gone);
+        end.bone = end.bone + Pair<T>{pick(here, bone_gone.x, none), pick(here, bone_gone.z, none)};
+        return farthest(most, bone_gone);
     }
     Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const {
         if (held_x && held_z) return motion;
@@ -525,10 +540,7 @@ struct Press {
             }
             if (!more) break;
         }
-        for (std::int64_t i = 0; i < count; ++i) {
-            T along, above;
-            rub(i, from.at[i], end.at[i], before[i], after[i], along, above);
-        }
+        for (std::int64_t i = 0; i < count; ++i) after[i] = rub(i, from.at[i], end.at[i], before[i]).force;
     }
 
     // What is out of balance at the start: into `left_over`, and the sum of all of it.
@@ -687,6 +699,141 @@ struct Press {
         for (double k = 0; k > wanted && k > -7; --k) growth /= root;
         return growth;
     }
+    // Derivatives of the end of a record, back along its steps, as fingerflow/models/skin_adjoint.py has them. T is double.
+    // `left_over` is what is wanted of the place, `guess` of what the stage began at; `rubbed_end` of the friction.
+    void back(const fingerflow_skin_back& asked, std::int64_t chain) {
+        load(chain);
+        const std::int64_t size = 3 * count + 2, row = 2 + 2 * size;
+        const double* const record = asked.record + chain * asked.record_steps * row;
+        double* const stiffness = asked.stiffness + 6 * chain;
+        double* const of_mu = asked.of_friction + chain * count;
+        for (int k = 0; k < 6; ++k) stiffness[k] = 0;
+        const double* const wanted = asked.wanted + chain * size;
+        for (std::int64_t i = 0; i < count; ++i) {
+            of_mu[i] = 0;
+            left_over.at[i] = {wanted[2 * i], wanted[2 * i + 1]};
+            rubbed_end[i] = wanted[2 * count + 2 + i];
+            start_speed.at[i] = {0, 0};
+        }
+        left_over.bone = {wanted[2 * count], wanted[2 * count + 1]};
+        start_speed.bone = {0, 0};
+        for (std::int64_t number = asked.steps[chain] - 1; number >= 0; --number) {
+            const double* const step = record + number * row;
+            c = (kGamma / 2) * step[1];
+            // The velocity at the end is (end - known) / c.
+            for (std::int64_t i = 0; i < count; ++i) left_over.at[i] = left_over.at[i] + (1 / c) * start_speed.at[i];
+            left_over.bone = left_over.bone + (1 / c) * start_speed.bone;
+            read(middle, rubbed_middle, step + 2);
+            read(end, nullptr, step + 2 + size);
+            through(middle, rubbed_middle, stiffness, of_mu);
+            // `known` is wanted of what was known, (places later - earlier); `guess` of where the stage slid from.
+            for (std::int64_t i = 0; i < count; ++i) {
+                const Pair<T> of = known.at[i] - (1 / c) * start_speed.at[i];
+                start_speed.at[i] = -kEarlier * of;
+                left_over.at[i] = kLater * of + guess.at[i];
+            }
+            const Pair<T> of = known.bone - (1 / c) * start_speed.bone;
+            const Pair<T> earlier = -kEarlier * of;
+            left_over.bone = kLater * of;
+            end = swapped(end, middle);
+            if (number) read(middle, rubbed_middle, step - row + 2 + size);
+            else for (std::int64_t i = 0; i < count; ++i) middle.at[i] = start.at[i], rubbed_middle[i] = rubbed[i];
+            through(middle, rubbed_middle, stiffness, of_mu);
+            for (std::int64_t i = 0; i < count; ++i) {
+                left_over.at[i] = start_speed.at[i] + known.at[i] + guess.at[i];
+                start_speed.at[i] = c * known.at[i];
+            }
+            left_over.bone = earlier + known.bone;
+            start_speed.bone = c * known.bone;
+            hold(start_speed.bone, {0, 0});
+        }
+        // The first velocity is that of the forces there.
+        for (std::int64_t i = 0; i < count; ++i) start_speed.at[i] = (1 / damping) * start_speed.at[i], end.at[i] = start.at[i];
+        start_speed.bone = (1 / bone_damping) * start_speed.bone;
+        end.bone = start.bone;
+        by_stiffness(start_speed, 1.0, stiffness);
+        double* const result = asked.result + chain * size;
+        Pair<T> on_bone = left_over.bone;
+        for (std::int64_t i = 0; i < count; ++i) {
+            const Pair<T> own = start_speed.at[i], pull = own - start_speed.bone;
+            const Pair<T> held = held_at(end, i).slope * pull;
+            Pair<T> of = left_over.at[i] - held;
+            if (i) of = of + membrane * (start_speed.at[i - 1] - own);
+            if (i + 1 < count) of = of + membrane * (start_speed.at[i + 1] - own);
+            if (end.at[i].z < 0) of.z -= contact * own.z;
+            on_bone = on_bone + held;
+            result[2 * i] = of.x;
+            result[2 * i + 1] = of.z;
+            result[2 * count + 2 + i] = rubbed_end[i] - own.x;
+        }
+        result[2 * count] = on_bone.x;
+        result[2 * count + 1] = on_bone.z;
+    }
+    void read(Body<T>& body, T* rub, const double* from) const {
+        for (std::int64_t i = 0; i < count; ++i) {
+            body.at[i] = {from[2 * i], from[2 * i + 1]};
+            if (rub != nullptr) rub[i] = from[2 * count + 2 + i];
+        }
+        body.bone = {from[2 * count], from[2 * count + 1]};
+    }
+    // The other body becomes what this was, and the other way round.
+    static Body<T> swapped(Body<T> one, Body<T>& other) {
+        const Body<T> before = other;
+        other = one;
+        return before;
+    }
+    // Back through the stage that slid from a place to `end`: `left_over` and `rubbed_end` are what is wanted of its end,
+    // and become `known` of what was known, `guess` of where it slid from, `rubbed_end` of the friction before.
+    void through(const Body<T>& from, const T* before, double* stiffness, double* of_mu) {
+        const auto make = [&](std::int64_t i, Pair<T>& held, Block<T>& slope) {
+            const Held own = held_at(end, i);
+            const Rubbed rubbing = rub(i, from.at[i], end.at[i], before[i]);
+            const double links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
+            const double touching = end.at[i].z < 0 ? contact : 0.0;
+            held = {0, 0};
+            slope = scaled(c, own.slope);
+            const Block<T> column{-slope.xx, -slope.xz, -slope.zx, -slope.zz};
+            return Row{{damping + c * (own.slope.xx + links + rubbing.along), c * own.slope.xz, c * (own.slope.xz + rubbing.above),
+                        damping + c * (own.slope.zz + links + touching)},
+                       column,
+                       column,
+                       left_over.at[i] + Pair<T>{rubbing.along * rubbed_end[i], rubbing.above * rubbed_end[i]}};
+        };
+        const auto side = [&](Pair<T>) { return left_over.bone; };
+        const auto gone = [&](std::int64_t i, Pair<T> by) { known.at[i] = by; };
+        known.bone = sweep(true, true, make, side, {0, 0}, gone);
+        by_stiffness(known, c, stiffness);
+        for (std::int64_t i = 0; i < count; ++i) {
+            const Rubbed rubbing = rub(i, from.at[i], end.at[i], before[i]);
+            const double of = rubbed_end[i] - c * known.at[i].x;
+            guess.at[i] = {-rubbing.along * of, rubbing.from_above * of};
+            rubbed_end[i] = rubbing.before * of;
+            of_mu[i] += rubbing.steep * of * contact;
+            stiffness[4] += rubbing.steep * of * mu[i];
+            stiffness[5] += rubbing.spring * of;
+            known.at[i] = damping * known.at[i];
+        }
+        known.bone = bone_damping * known.bone;
+    }
+    // Membrane, tissue, shear, nail and contact, each by what its forces at `end` do along a motion.
+    void by_stiffness(const Body<T>& along, double times, double* stiffness) const {
+        double sums[5] = {};
+        for (std::int64_t i = 0; i < count; ++i) {
+            const Pair<T> at = end.at[i], line{at.x - end.bone.x, at.z - radius - end.bone.z}, off = at - reference[i] - end.bone;
+            const Pair<T> pull = along.bone - along.at[i];
+            const double ratio = radius / root(line.x * line.x + line.z * line.z), own = pull.x * off.x + pull.z * off.z;
+            sums[1] += (1.0 - ratio) * (pull.x * line.x + pull.z * line.z);
+            sums[2] += own;
+            if (i == 0 || i == count - 1) sums[3] += own;
+            sums[4] += along.at[i].z * greater(-at.z, 0.0);
+            if (i + 1 < count) {
+                const Pair<T> apart = (end.at[i + 1] - reference[i + 1]) - (at - reference[i]), opened = along.at[i + 1] - along.at[i];
+                sums[0] -= apart.x * opened.x + apart.z * opened.z;
+            }
+        }
+        for (int k = 0; k < 5; ++k) stiffness[k] += times * sums[k];
+    }
+
     void hold(Pair<T>& value, Pair<T> by) const {
         if (held_x) value.x = by.x;
         if (held_z) value.z = by.z;
@@ -738,6 +885,21 @@ void press_skin(const fingerflow_skin_chain& given, std::int64_t first, std::int
     }
 #endif
     press_group<double>(given, first, chains, memory);
+}
+
+void press_skin_back(const fingerflow_skin_back& given, std::int64_t chain, void* memory) {
+    fingerflow_skin_chain of{};
+    of.reference = given.reference;
+    of.numbers = given.numbers;
+    of.friction = given.friction;
+    of.place = const_cast<double*>(given.place);
+    of.bone = const_cast<double*>(given.bone);
+    of.rubbed = const_cast<double*>(given.rubbed);
+    of.batch = given.batch;
+    of.count = given.count;
+    of.held_x = given.held_x;
+    of.held_z = given.held_z;
+    Press<double>(of, static_cast<char*>(memory)).back(given, chain);
 }
 
 }  // namespace FINGERFLOW_ISA

@@ -8,10 +8,8 @@ steps are taken as they are: their dependence on the parameters is of the order 
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.friction import dahl_step
 from fingerflow.models.skin_forces import Array, Chain, elastic_forces, elastic_slopes, friction
 from fingerflow.models.skin_implicit import TO_EARLIER, TO_LATER, C
 from fingerflow.models.skin_solve import Arrow
@@ -63,10 +61,11 @@ def stiffness_gradients(
             forces, on_bone = elastic_forces(_alone(chain, name), at, bone_at)
             stiffness[k] += c * float((of_elements * forces).sum() + (of_the_bone * on_bone).sum())
         of_friction = of_rubbed - c * of_elements[:, 0]
-        before_back, start_back, steep_back, spring_back = _friction_back(chain, mu, before, start, at, of_friction)
-        coefficients[:] += steep_back * chain.contact
-        stiffness[4] += float((steep_back * mu).sum())
-        stiffness[5] += spring_back
+        coefficients[:] += rubbing.steep * of_friction * chain.contact
+        stiffness[4] += float((rubbing.steep * of_friction * mu).sum())
+        stiffness[5] += float((rubbing.spring * of_friction).sum())
+        start_back = np.stack((-rubbing.along * of_friction, rubbing.from_above * of_friction), 1)
+        before_back = rubbing.before * of_friction
         return chain.damping * of_elements, chain.bone_damping * of_the_bone, start_back, before_back
 
     for number in range(len(record) - 1, -1, -1):
@@ -103,25 +102,3 @@ def _alone(chain: Chain, name: str) -> Chain:
     """The chain with this stiffness 1 and no other: forces are linear in them."""
     membrane, tissue, shear, nail, contact = (float(name == one) for one in _ELASTIC)
     return chain._replace(membrane=membrane, tissue=tissue, shear=shear, nail=nail, contact=contact)
-
-
-def _friction_back(
-    chain: Chain, mu: Array, before: Array, start: Array, end: Array, wanted: Array
-) -> tuple[Array, Array, Array, float]:
-    """Of `skin_forces.friction`: wanted of F before, of the place it slid from, of mu k_c and of sigma_0."""
-    active = (end[:, 1] < 0) & (mu > 0) & (wanted != 0)
-    results = np.zeros(len(mu)), np.zeros((len(mu), 2)), np.zeros(len(mu))
-    if not active.any():
-        return *results, 0.0
-    with torch.enable_grad():
-        force, old, steep = (torch.from_numpy(x[active]).requires_grad_() for x in (before, start, mu * chain.contact))
-        spring = torch.tensor(chain.friction_stiffness, dtype=torch.float64, requires_grad=True)
-        new = torch.from_numpy(end[active])
-        last = steep * -new[:, 1]
-        middle = (last + steep * (-old[:, 1]).clamp_min(0)) / 2
-        after = dahl_step(force, new[:, 0] - old[:, 0], middle, stiffness=spring, exponent=chain.exponent)
-        after = torch.minimum(torch.maximum(after, -last), last)
-        found = torch.autograd.grad(after, (force, old, steep, spring), torch.from_numpy(wanted[active]))
-    for result, value in zip(results, found, strict=False):
-        result[active] = value.numpy()
-    return *results, float(found[3])

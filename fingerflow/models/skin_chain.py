@@ -263,7 +263,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
 
 
 def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
-    """(..., N - 1) of each link: to where the forces of the last two elements lead to 0, so that contact has no jumps."""
+    """(..., N - 1) of each link: as far as the forces of the last two elements lead to 0, so contact has no jumps."""
     padded = torch.nn.functional.pad(force, (1, 1))
     before, own, after = padded[..., :-3], force[..., :-1], force[..., 1:]
     behind = padded[..., 3:]

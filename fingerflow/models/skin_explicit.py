@@ -59,7 +59,7 @@ def largest_step(chain: Chain) -> float:
     slopes = elastic_slopes(chain, chain.reference, np.zeros(2))
     slopes.touching = np.full(count, chain.contact)
     steep = np.full(count, chain.friction_stiffness * 2**chain.exponent)  # sigma_0 |1 - s F / F_c|^n up to a turn
-    arrow = Arrow(chain, slopes, Friction(steep, steep, np.zeros(count)), 1.0, np.zeros(2, dtype=bool))
+    arrow = Arrow(chain, slopes, Friction(steep, steep, *np.zeros((5, count))), 1.0, np.zeros(2, dtype=bool))
     roots = np.sqrt(np.concatenate((np.full(2 * count, chain.damping), np.full(2, chain.bone_damping))))
 
     def scaled(vector: Array) -> Array:

@@ -95,11 +95,18 @@ def elastic_slopes(chain: Chain, place: Array, bone: Array) -> Slopes:
 
 
 class Friction(NamedTuple):
-    """Dahl's force (N,) after a slide, and its slopes with the place along and above the plate."""
+    """Dahl's force (N,) after a slide, and its slopes.
+
+    That with the place it slid from along the plate is minus the one with the place.
+    """
 
     force: Array
-    along: Array
-    above: Array
+    along: Array  # with the place along the plate
+    above: Array  # and above it
+    before: Array  # with the force before
+    from_above: Array  # with the height it slid from
+    steep: Array  # with mu k_c
+    spring: Array  # with sigma_0
 
 
 def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -> Friction:
@@ -108,11 +115,11 @@ def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -
     With the middle the error of a limit that changes is of third order; cut to the last limit the force never exceeds
     it.
     """
-    pressed = place[:, 1] < 0
-    last = mu * chain.contact * np.maximum(-place[:, 1], 0)
-    middle = (last + mu * chain.contact * np.maximum(-old[:, 1], 0)) / 2
+    steep, deep, was_deep = mu * chain.contact, np.maximum(-place[:, 1], 0), np.maximum(-old[:, 1], 0)
+    last = steep * deep
+    middle = (last + steep * was_deep) / 2
     slid = place[:, 0] - old[:, 0]
-    active = (middle > 0) & pressed
+    active = (middle > 0) & (place[:, 1] < 0)
     limit = np.where(active, middle, 1.0)
     sign = np.where(slid < 0, -1.0, 1.0)
     n, power = chain.exponent, 1 - chain.exponent
@@ -129,14 +136,21 @@ def friction(chain: Chain, mu: Array, before: Array, old: Array, place: Array) -
         kept = base ** (1 / power)  # u / u_0
         rest = np.where(base > 0, base ** (n / power), 0.0)  # its slope with the distance, and (u / u_0)^n
     after = np.where(done, sign * limit, held + sign * limit * left * (1 - kept))
-    along = np.where(done, 0.0, chain.friction_stiffness * left**n * rest)
+    along = chain.friction_stiffness * left**n * rest
     # u^(1-n) = u_0^(1-n) - (1-n) sigma_0 d / F: with the limit both u_0 and the distance in its units change.
     of_left = np.where(cut, 0.0, sign * held / limit**2)
     of_limit = np.where(
         done, sign, sign * (1 - left * kept) - sign * limit * (rest * of_left + left * rest * distance / limit)
     )
     over = np.abs(after) > last
-    force = np.where(active, np.clip(after, -last, last), 0.0)
-    steep = np.where(pressed, -mu * chain.contact, 0.0)  # of the last limit with z
-    above = np.where(over, np.sign(after) * steep, of_limit * steep / 2)
-    return Friction(force, np.where(active & ~over, along, 0.0), np.where(active, above, 0.0))
+    still = done | over | ~active
+    end_sign = np.where(after < 0, -1.0, 1.0)
+    return Friction(
+        force=np.where(active, np.clip(after, -last, last), 0.0),
+        along=np.where(still, 0.0, along),
+        above=np.where(active, np.where(over, -end_sign * steep, -of_limit * steep / 2), 0.0),
+        before=np.where(still | cut, 0.0, rest),
+        from_above=np.where((old[:, 1] < 0) & active & ~over, -of_limit * steep / 2, 0.0),
+        steep=np.where(active, np.where(over, end_sign * deep, of_limit * (deep + was_deep) / 2), 0.0),
+        spring=np.where(still, 0.0, left**n * rest * slid),
+    )

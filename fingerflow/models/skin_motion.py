@@ -219,22 +219,30 @@ class _Moved(torch.autograd.Function):
             gradient.reshape((batch, *part.shape[1:]))
             for gradient, part in zip(wanted, (place, bone, rubbed), strict=False)
         )
-        mu = ctx.coefficient.reshape(batch, count)
+        mu, steps = ctx.coefficient.reshape(batch, count), ctx.steps.reshape(batch)
+        if kernels.serve(place):
+            wanted_flat = torch.cat((of_place.flatten(1), of_bone, of_rubbed), 1)
+            numbers = chains.numbers.reshape(batch, len(NUMBERS))
+            stiffness, friction, begin = kernels.press_skin_back(
+                chains.reference.reshape(batch, count, 2), numbers, mu, place, bone, rubbed, ctx.record, wanted_flat,
+                steps, held=ctx.held,
+            )  # fmt: skip
+            places, bones, rubs = begin[:, : 2 * count], begin[:, 2 * count : 2 * count + 2], begin[:, 2 * count + 2 :]
+        else:
+            results = []
+            for k in range(batch):
+                back = stiffness_gradients(
+                    chains.single(k),
+                    mu[k].numpy(),
+                    (place[k].numpy(), bone[k].numpy(), rubbed[k].numpy()),
+                    np.array(ctx.held),
+                    ctx.record[k, : int(steps[k])].numpy(),
+                    (of_place[k].numpy(), of_bone[k].numpy(), of_rubbed[k].numpy()),
+                )
+                results.append([torch.from_numpy(part) for part in back])
+            stiffness, friction, places, bones, rubs = (torch.stack(parts) for parts in zip(*results, strict=True))
         of_numbers = torch.zeros(batch, len(NUMBERS), dtype=torch.float64)
-        results = []
-        for k in range(batch):
-            back = stiffness_gradients(
-                chains.single(k),
-                mu[k].numpy(),
-                (place[k].numpy(), bone[k].numpy(), rubbed[k].numpy()),
-                np.array(ctx.held),
-                ctx.record[k, : int(ctx.steps.reshape(-1)[k])].numpy(),
-                (of_place[k].numpy(), of_bone[k].numpy(), of_rubbed[k].numpy()),
-            )
-            for name, value in zip(STIFFNESSES, back.stiffness, strict=True):
-                of_numbers[k, NUMBERS.index(name)] = value
-            results.append([torch.from_numpy(part) for part in (back.friction, back.place, back.bone, back.rubbed)])
-        friction, places, bones, rubs = (torch.stack(parts) for parts in zip(*results, strict=True))
+        of_numbers[:, [NUMBERS.index(name) for name in STIFFNESSES]] = stiffness
         shape = chains.shape
         return (
             friction.reshape(*shape, count),

@@ -177,6 +177,14 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
                                       100000, steps, 1e-6, 5e-4};
     expect(fingerflow_press_skin(&given, threads) == 0, "skin chain");
     expect(time[0] == 5e-4, "skin chain, to its end");
+    const auto numbers_each = static_cast<std::size_t>(3 * count + 2);
+    std::vector<double> wanted(size * numbers_each, 1), result(wanted.size()), stiffness(6 * size), of_friction(mu.size());
+    const std::vector<std::int64_t> kept(size, steps);
+    const std::vector<double> still(2 * size), none(mu.size());
+    const fingerflow_skin_back back{reference.data(), numbers.data(), mu.data(), reference.data(), still.data(), none.data(),
+                                    record.data(), wanted.data(), kept.data(), stiffness.data(), of_friction.data(), result.data(),
+                                    batch, count, 0, 0, steps};
+    expect(fingerflow_press_skin_back(&back, threads) == 0, "skin chain, back");
 }
 
 template <class Real>
