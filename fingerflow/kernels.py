@@ -713,8 +713,8 @@ def press_skin_back(
     """Derivatives back along the record of `press_skin`, to rounding what `models.skin_adjoint` gives.
 
     Arguments as there, ``place``, ``bone`` and ``rubbed`` those at the beginning; ``wanted`` (B, 3 N + 2) of places,
-    bone and friction at the end, ``steps`` (B,) int64 of the record. Gives those of stiffnesses (B, 6), of friction (B, N)
-    and, as wanted, of the beginning (B, 3 N + 2).
+    bone and friction at the end, ``steps`` (B,) int64 of the record. Gives those of stiffnesses (B, 6), of friction
+    (B, N) and, as wanted, of the beginning (B, 3 N + 2).
 
     Raises:
         ValueError: another dtype, shapes that do not belong together, or more steps than the record has.

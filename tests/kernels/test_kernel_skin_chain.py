@@ -15,6 +15,15 @@ Portable = Callable[[Callable[[], object]], Any]
 FRICTIONS = torch.tensor([0.0, 0.03, 0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 2.0], dtype=torch.float64)  # more than a vector
 
 
+PORTABLE: dict[object, Any] = {}  # of each case once, whatever the instruction sets are
+
+
+def once(portable: Portable, case: object, call: Callable[[], object]) -> Any:
+    if case not in PORTABLE:
+        PORTABLE[case] = portable(call)
+    return PORTABLE[case]
+
+
 def same(found: Press, expected: Press) -> None:
     assert torch.equal(found.steps, expected.steps)
     for field in fields(Press):
@@ -24,13 +33,13 @@ def same(found: Press, expected: Press) -> None:
         torch.testing.assert_close(one, other, rtol=0, atol=limit, equal_nan=True)
 
 
-@pytest.mark.parametrize("elements", [4, 5, 40, 61])
+@pytest.mark.parametrize("elements", [5, 40])
 def test_same_press(
     instruction_set: int, portable: Portable, torch_threads: Callable[[int], None], elements: int
 ) -> None:
     torch_threads(1)
     found = press(FRICTIONS, elements=elements, tangential_n=0.05)
-    same(found, portable(lambda: press(FRICTIONS, elements=elements, tangential_n=0.05)))
+    same(found, once(portable, elements, lambda: press(FRICTIONS, elements=elements, tangential_n=0.05)))
     torch_threads(2)
     again = press(FRICTIONS, elements=elements, tangential_n=0.05)
     assert torch.equal(again.position, found.position)
@@ -46,14 +55,15 @@ def test_same_laws_and_motions(
     instruction_set: int, portable: Portable, exponent: float, given: dict[str, float]
 ) -> None:
     skin = replace(PARAMETERS["lab"], friction_exponent=exponent)
-    same(
-        press(torch.tensor([0.2, 0.6]), skin, elements=21, **given),
-        portable(lambda: press(torch.tensor([0.2, 0.6]), skin, elements=21, **given)),
-    )
+
+    def call() -> Press:
+        return press(torch.tensor([0.2, 0.6]), skin, elements=21, **given)
+
+    same(call(), once(portable, (exponent, *given), call))
 
 
 @pytest.mark.parametrize("given", [{"tangential_n": 0.05}, {"indentation_m": 2e-4, "slide_m": 2e-5}])
-@pytest.mark.parametrize("elements", [4, 41])
+@pytest.mark.parametrize("elements", [9, 40])
 def test_same_derivatives(instruction_set: int, portable: Portable, elements: int, given: dict[str, float]) -> None:
     def slopes() -> list[torch.Tensor]:
         names = ("membrane_stiffness", "tissue_stiffness", "contact_stiffness", "friction_stiffness", "poisson_ratio")
@@ -66,7 +76,7 @@ def test_same_derivatives(instruction_set: int, portable: Portable, elements: in
         )
         return list(torch.autograd.grad(wanted, [mu, *values]))
 
-    for found, expected in zip(slopes(), portable(slopes), strict=True):
+    for found, expected in zip(slopes(), once(portable, (elements, *given), slopes), strict=True):
         assert expected.abs().max() > 0
         torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9 * expected.abs().max().item())
 

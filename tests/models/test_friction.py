@@ -33,11 +33,11 @@ def test_the_closed_form_solves_equation_7(n: float, before: float, slid: float)
 
 
 def test_a_slide_in_pieces_is_the_whole_slide() -> None:
-    """Sticking does not depend on the step: 1 or 1000 steps end at the same force, to rounding."""
+    """Sticking does not depend on the step: 1 or 200 steps end at the same force, to rounding."""
     for n in (0.3, 0.7, 1.0, 2.0):
         force = torch.tensor(-0.03, dtype=torch.float64)
-        for _ in range(1000):
-            force = dahl_step(force, 1e-7, 0.05, exponent=n)
+        for _ in range(200):
+            force = dahl_step(force, 5e-7, 0.05, exponent=n)
         assert force.item() == pytest.approx(dahl_step(-0.03, 1e-4, 0.05, exponent=n).item(), rel=1e-11)
 
 
@@ -73,8 +73,8 @@ def test_energy_is_never_created() -> None:
     generator = torch.Generator().manual_seed(1)
     exponent = torch.linspace(0, 3, 13, dtype=torch.float64)
     force, energy, lost = torch.zeros(3, 13, dtype=torch.float64)
-    pieces = 200
-    for _ in range(60):
+    pieces = 100
+    for _ in range(20):
         slid = 2e-4 * torch.randn(13, generator=generator, dtype=torch.float64)
         limit = 0.05 * torch.rand(13, generator=generator, dtype=torch.float64)
         before = force.square() / 1000
@@ -87,7 +87,7 @@ def test_energy_is_never_created() -> None:
             work += (force + after) / 2 * slid / pieces  # by the trapezium, to its error
             force = after
         dissipated = work - (force.square() / 1000 - cut)
-        assert bool((dissipated >= -1e-4 * work.abs()).all())
+        assert bool((dissipated >= -4e-4 * work.abs()).all())
         lost += dissipated
         energy += work
     assert bool((lost[1:] > 0.1 * energy[1:].abs()).all())  # and most is lost

@@ -118,8 +118,8 @@ def test_converges_with_the_step_in_second_order(monkeypatch: pytest.MonkeyPatch
         assert (state.place[:, 1] < 0).sum() == (first.place[:, 1] < 0).sum() == 5
         return state.place
 
-    fine = end(1280)
-    errors = [np.abs(end(count) - fine).max() for count in (40, 80, 160)]
+    fine = end(640)
+    errors = [np.abs(end(count) - fine).max() for count in (20, 40, 80)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 1.8).all(), (errors, orders)
     assert (orders < 2.3).all(), (errors, orders)

@@ -59,15 +59,16 @@ def test_stiffness_from_contact_alone() -> None:
     assert found.friction_interval is None
 
 
-def test_a_friction_under_which_all_sticks_has_a_wide_interval() -> None:
-    divergence, contact = curves(0.5, LAB, 7)
-    try:
-        found = fit_skin(LOADS, divergence, contact, **ERRORS, elements=201)
-    except ValueError as error:
-        assert "do not determine" in str(error)  # noqa: PT017
-    else:
+def test_a_friction_under_which_nearly_all_sticks_has_a_wide_interval() -> None:
+    """At 0.5 the upper end is some times the lower one; at 0.06 with the same noise it is not twice that."""
+    ratios = []
+    for friction in (0.06, 0.5):
+        found = fit_skin(LOADS, *curves(friction, LAB, 7), **ERRORS, elements=201)
+        assert holds(found.friction_interval, friction)
         assert found.friction_interval is not None
-        assert found.friction_interval[1] / found.friction_interval[0] > 5
+        ratios.append(found.friction_interval[1] / found.friction_interval[0])
+    assert ratios[0] < 2
+    assert ratios[1] > 3
 
 
 def test_bad_curves_are_refused() -> None:
