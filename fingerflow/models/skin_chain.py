@@ -31,8 +31,8 @@ displacement and divergence along the contact cannot.
 
 The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed
 up by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is
-negative, and most of an area of revolution lies there: a median by area would rise with friction, from a few um/mm
-below 0.
+negative, and most of an area of revolution lies there: a median by area says little of friction (5, 9 and 8 um/mm at
+mu = 0, 0.05 and 1 with the lab's numbers and 3 N, where the one along the contact has 44, 22 and 16).
 """
 
 import math

@@ -40,6 +40,16 @@ def test_a_mirrored_press_to_rounding(pressed: Press) -> None:
     assert pressed.bone[:, 0].abs().max() < 1e-17
 
 
+def test_both_halves_are_one_skin(pressed: Press) -> None:
+    """The published term in nu pushes them apart as blocks: all of the way in one step at the middle element."""
+    along = pressed.displacement[..., 0].diff(dim=-1)
+    middle = along.shape[-1] // 2
+    whole = 2 * pressed.displacement[..., 0].amax(-1)
+    assert bool((along[:, middle] > 0).all())
+    assert bool((along[:, middle] < 0.15 * whole).all())
+    torch.testing.assert_close(along[:, middle], along[:, middle + 1], rtol=0.1, atol=0)
+
+
 def test_more_friction_less_divergence(pressed: Press) -> None:
     assert bool((pressed.divergence.diff() < 0).all())
     assert pressed.divergence[0] > 2 * pressed.divergence[-1] > 0
