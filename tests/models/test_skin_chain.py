@@ -47,7 +47,7 @@ def test_both_halves_are_one_skin(pressed: Press) -> None:
     whole = 2 * pressed.displacement[..., 0].amax(-1)
     assert bool((along[:, middle] > 0).all())
     assert bool((along[:, middle] < 0.15 * whole).all())
-    torch.testing.assert_close(along[:, middle], along[:, middle + 1], rtol=0.1, atol=0)
+    torch.testing.assert_close(along[:, middle], along[:, middle + 1], rtol=0.3, atol=0)
 
 
 def test_more_friction_less_divergence(pressed: Press) -> None:
