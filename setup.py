@@ -30,6 +30,7 @@ PLAIN = [
     "otsu",
     "parallel",
     "search",
+    "skin_chain",
     "templates",
     "touching",
     "triangle_strain",
@@ -51,6 +52,7 @@ ROUNDED = [
     "light_gain_rows",
     "local_fit_block",
     "search_points",
+    "skin_chain_press",
     "templates_points",
     "triangle_strain_frame",
 ]

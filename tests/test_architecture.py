@@ -19,7 +19,7 @@ ARROWS: dict[str, set[str]] = {
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},
     "graphs": {"ops"},
-    "models": {"errors"},
+    "models": {"errors", "kernels"},
     "recordings": {"errors"},
     "calibration": {"errors", "toml_string", "views"},
     "scene": {"calibration", "errors", "strict", "toml_string", "views"},
