@@ -55,7 +55,9 @@ class Flow(NamedTuple):
         displacement: (B, 2, H, W) px as (u, v), where what stands at each pixel of the first image has moved to; NaN
             outside the mask, and where that lies outside the current image.
         covariance: (B, 2, 2, H, W) px^2, of the noise of both images; NaN as the displacement, and where the texture
-            does not stand out of the noise in any direction: there the displacement is that of the surroundings.
+            does not stand out of the noise in any direction: there the displacement is that of the surroundings. What
+            smoothing takes off the motion comes on top: nothing to speak of where ridges run in all directions, once
+            more the deviation where they run in one.
         residual: (B, 1, H, W) grey levels, root mean square over the window of what displacement and light left
             unexplained before the last step; NaN as the displacement. Noise alone leaves 0.42 of its deviation.
     """

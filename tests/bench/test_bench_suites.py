@@ -13,6 +13,7 @@ from bench.suites import (
     dense,
     dic,
     drift,
+    flow,
     gpu,
     growth,
     image_ops,
@@ -38,6 +39,7 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     for suite in (
         dense,
         dic,
+        flow,
         gpu,
         image_ops,
         interpolant,
@@ -70,6 +72,19 @@ def test_tracking() -> None:
             assert ours["accepted"] == theirs["accepted"] == 1
             assert "ms" in ours
     assert number(one(rows, noise=0, start="whole pixel", shift="all", tracker="opencv"), "over_bound") > 2
+
+
+def test_flow() -> None:
+    """0.015 px on ridges in all directions. Where there is one direction, as in this part of the whorl, motion along
+    the ridges is smoothed from farther away: an error that is no noise, and not in the deviation."""
+    rows = flow.run(quick=True)
+    for scene, error, z in (("ridges", 0.015, 1.25), ("whorl", 0.03, 2.3)):
+        peer = one(rows, scene=scene, way="opencv Farneback")
+        for way in ("fingerflow, cold", "fingerflow, warm"):
+            row = one(rows, scene=scene, way=way)
+            assert number(row, "epe_px") < min(error, 0.7 * number(peer, "epe_px"))
+            assert number(row, "div") < 0.6 * number(peer, "div")
+        assert 0.8 < number(one(rows, scene=scene, way="fingerflow, cold"), "z") < z
 
 
 def test_large_motion() -> None:
