@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from tqdm import tqdm
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import plan
 from fingerflow.result import Outcome, label
-from fingerflow.scene import Scene
+from fingerflow.scene import Scene, load_scene
 from fingerflow.stages import deformation
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.inputs import Inputs, open_inputs
@@ -31,7 +32,7 @@ _Result = TypeVar("_Result")
 
 
 def process(
-    scene: Scene,
+    scene: Scene | str | Path,
     outputs: Iterable[str] | None = None,
     device: str = "auto",
     progress: bool = False,
@@ -40,7 +41,7 @@ def process(
     """Computes ``outputs`` of a scene, and only what they need.
 
     Args:
-        scene: from :func:`~fingerflow.scene.load_scene`.
+        scene: from :func:`~fingerflow.scene.load_scene`, or the path of its file.
         outputs: names of variables, or one name, see ``fingerflow.plan.OUTPUTS``; None for all that the scene allows.
         device: "auto" (CUDA where it is there), "cpu", "cuda" ...
         progress: show a bar.
@@ -53,6 +54,7 @@ def process(
     Raises:
         FingerflowError: whatever the user can put right, named with its file and value.
     """
+    scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
     stages = plan(wanted, scene.views.topography is not None, scene.forces is not None)
     seconds: dict[str, float] = {}

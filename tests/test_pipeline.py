@@ -148,6 +148,13 @@ def test_area_alone_never_looks_at_the_topography(scene: Scene, monkeypatch: pyt
     assert np.isfinite(areas["real_contact_area"]).all()
 
 
+def test_a_path_is_a_scene(press: Path, scene: Scene) -> None:
+    for path in (press / "scene.toml", str(press / "scene.toml")):
+        xr.testing.assert_equal(process(path, "normal_force"), process(scene, "normal_force"))
+    with pytest.raises(FingerflowError, match="no_such"):
+        process(press / "no_such.toml")
+
+
 def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     from fingerflow.recordings.frames.npy import NpyRecording
 

@@ -1,12 +1,11 @@
 """The graphs of a recipe: module, and name, type and unit of everything that goes in and out."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.utils import _pytree as tree
 
 from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.graphs import Contact, ContactGraph, KeyGraph, Light, LightGraph
@@ -80,8 +79,17 @@ class _Flat(nn.Module):
             held: list[Any] = [None if place is None else tensors[place] for place in self.held]
             own = len(Prepared._fields)
             arguments = (*arguments, Held(Prepared(*held[:own]), *held[own:]))
-        results = tree.tree_leaves(self.module(*arguments))
+        results = list(_leaves(self.module(*arguments)))
         return tuple(results[place] for place in self.kept)
+
+
+def _leaves(results: Any) -> Iterator[Any]:
+    """Of nested tuples, in order."""
+    for one in results:
+        if isinstance(one, tuple):
+            yield from _leaves(one)
+        else:
+            yield one
 
 
 _MEASURED = tuple(name for name in Contact._fields if name != "excess")
