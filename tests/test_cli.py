@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
+import fingerflow
 from fingerflow import cli, load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
@@ -48,6 +49,16 @@ def test_info_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     assert main_with(monkeypatch, "info", str(tmp_path / "frames.npy"), "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["frames"], facts["rows"], facts["columns"], facts["frame_rate_hz"]) == (5, 8, 10, None)
+
+
+def test_version_of_the_command_and_of_the_module(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main_with(monkeypatch, "--version") == 0
+    said = capsys.readouterr().out
+    assert said == f"fingerflow {fingerflow.__version__}\n"
+    command = [sys.executable, "-m", "fingerflow", "--version"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == said
 
 
 def test_init_never_overwrites(

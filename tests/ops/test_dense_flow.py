@@ -289,7 +289,7 @@ def test_compiled_warp_is_the_portable_one(most: int, monkeypatch: pytest.Monkey
 
 
 def test_the_portable_form_has_no_branch_on_data() -> None:
-    """What `torch.export` takes. The exporter to ONNX needs a minute for the 3,700 standard operators that this becomes;
+    """What `torch.export` takes. The exporter to ONNX needs a minute for the 3,700 operators that this becomes;
     by ONNX Runtime they give the same to 1e-6 px."""
     first, current, truth = pair(wave, noise=2.0, shape=(9, 12))
     template = prepare_flow(photograph(first))
