@@ -144,7 +144,7 @@ def calibrate(
 
 @app.command()
 def simulate(
-    kind: Annotated[str, typer.Argument(help="press or slide")],
+    kind: Annotated[str, typer.Argument(help="press, slide or partial-slip")],
     folder: Path,
     skin: Annotated[
         str | None,
@@ -314,9 +314,9 @@ def main() -> None:
 def _simulate(
     kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
 ) -> None:
-    from fingerflow.synthetic import FingerprintTexture, Press, Scene, Slide, scene_of_print, write_recording
+    from fingerflow.synthetic import FingerprintTexture, PartialSlip, Press, Scene, Slide, scene_of_print, write_recording
 
-    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide}
+    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide, "partial-slip": PartialSlip}
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:
