@@ -314,7 +314,15 @@ def main() -> None:
 def _simulate(
     kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
 ) -> None:
-    from fingerflow.synthetic import FingerprintTexture, PartialSlip, Press, Scene, Slide, scene_of_print, write_recording
+    from fingerflow.synthetic import (
+        FingerprintTexture,
+        PartialSlip,
+        Press,
+        Scene,
+        Slide,
+        scene_of_print,
+        write_recording,
+    )
 
     kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide, "partial-slip": PartialSlip}
     if kind not in kinds:

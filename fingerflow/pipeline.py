@@ -20,6 +20,7 @@ from fingerflow.stages import deformation
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.loading import load
+from fingerflow.stages.slip import find_slip
 from fingerflow.stages.tracking import TrackingStage, TrackSeries
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def process(
         FingerflowError: whatever the user can put right, named with its file and value.
     """
     wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
-    stages = plan(wanted, scene.views.topography is not None, scene.forces is not None)
+    is_slip = "slip" in scene.model_fields_set
+    stages = plan(wanted, scene.views.topography is not None, scene.forces is not None, is_slip)
     seconds: dict[str, float] = {}
     runtime = _onnx_runtime(engine, device)
     inputs = open_inputs(scene, device if runtime is None else "cpu")
@@ -66,7 +68,7 @@ def process(
             outcome.loading = load(inputs)
         with _timed(seconds, "contact"):
             normal = None if outcome.loading is None else outcome.loading.normal
-            contact = ContactStage(inputs, normal) if "contact" in stages else None
+            contact = ContactStage(inputs, normal, "slip" in stages) if "contact" in stages else None
             tracking = _tracking(inputs, contact) if contact and "tracking" in stages else None
         if contact is not None:
             covered = _stream(inputs, contact, tracking, seconds, progress)
@@ -81,6 +83,10 @@ def process(
                     outcome.fields = deformation.fields(inputs, outcome.displacement, outcome.contact)
                 if "strain" in stages and outcome.displacement is not None:
                     outcome.strain = deformation.strains(inputs, outcome.displacement, outcome.contact)
+            if "slip" in stages and contact is not None:
+                with _timed(seconds, "slip"):
+                    regions = contact.regions, contact.cell_px
+                    outcome.slip = find_slip(inputs, outcome.tracks, outcome.contact, *regions, outcome.loading)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     return label(outcome)

@@ -13,7 +13,7 @@ from fingerflow.synthetic.motion import SlideMotion
 from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
-_ROUNDED = 0.02  # relative radius over which the skin beside the stuck part takes up its stretch
+_ROUNDED = 0.1  # relative radius over which the skin beside the stuck part takes up its stretch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class PartialSlipMotion(SlideMotion):
     """A `SlideMotion` whose stuck ellipse has the area of the model, its load even in progress up to `loaded`.
 
     With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has gone
-    creep (f(r - s) - f(r - 1)), f(x) = sqrt(x² + 0.02²) - 0.02 for x > 0 and 0 below: from the border of the stuck part
+    creep (f(r - s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below: from the border of the stuck part
     it takes up an even stretch, and beyond the contact it moves as one. Nothing has moved where s = 1.
 
     Args:

@@ -80,7 +80,9 @@ def rebuild_scene(folder: Path) -> Scene:
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, Scene):
-        raise FingerflowError(f"{path} describes a {type(scene).__name__}, where a Press, a Slide or a PartialSlip is needed")
+        raise FingerflowError(
+            f"{path} describes a {type(scene).__name__}, where a Press, a Slide or a PartialSlip is needed"
+        )
     return scene
 
 
@@ -129,6 +131,7 @@ def _scene_file(scene: Scene) -> str:
         forces="forces.csv",
         calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
         region=_region(scene),
+        slip=isinstance(scene, PartialSlip),
     )
 
 
