@@ -215,6 +215,34 @@ def report(
 
 
 @app.command()
+def slip(
+    scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
+    figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+) -> None:
+    """Judge whether the stuck area of each trial vanishes abruptly or fades."""
+    from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
+    from fingerflow.scene import load_scene
+
+    trials, failed = [], 0
+    for path in scenes:
+        try:
+            result = _process(load_scene(path), ["stuck_ratio"], quiet=True)
+        except FingerflowError as error:
+            failed += 1
+            typer.echo(f"{path}: not judged: {error}")
+            continue
+        trials.append(SlipTrial.of(result, str(path)))
+        typer.echo(verdict_line(trials[-1]))
+        for warning in json.loads(result.attrs["warnings"]):
+            typer.echo(f"warning: {path}: {warning}", err=True)
+    typer.echo(summary(trials, failed))
+    if figure is not None and trials:
+        typer.echo(f"figures: {write_figures(trials, figure)}")
+    if not trials:
+        raise typer.Exit(2)
+
+
+@app.command()
 def export(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, such as export/exact.toml.")],
     bundle: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],

@@ -223,6 +223,12 @@ def _slip(outcome: Outcome) -> None:
     }
     name = "stuck area over gross contact area, d²"
     outcome.add("stuck_ratio", frame, slip.stuck_ratio, "1", name, **limit, **judged)
+    cells = ("frame", "cell_row", "cell_column")
+    size = {
+        "cell_mm": slip.cell_px * outcome.inputs.mm_per_px,
+        "first_cell_mm": (slip.cell_px - 1) / 2 * outcome.inputs.mm_per_px,
+    }
+    outcome.add("stuck_region", cells, slip.region.astype(np.uint8), "1", "1 where the skin has not slipped", **size)
     name = "share of the gross contact in which the displacement since the first frame is known"
     outcome.add("slip_coverage", frame, slip.coverage, "1", name)
 

@@ -23,7 +23,7 @@ from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import Loading
 from fingerflow.stages.tracking import TrackSeries
 
-GIVES = frozenset({"stuck_area", "stuck_ratio", "slip_coverage"})
+GIVES = frozenset({"stuck_area", "stuck_ratio", "stuck_region", "slip_coverage"})
 LEAST_COVERAGE = 0.8  # of the contact in which the displacement must be known
 
 
@@ -34,6 +34,7 @@ class SlipSeries:
     Attributes:
         stuck_area: (F,) mm^2; NaN without contact, and where too little of it is known.
         stuck_ratio: (F,) d^2, the stuck area over the gross contact area.
+        region: (F, h, w) bool, the stuck part on cells of `cell_px` px of the contact view.
         coverage: (F,) share of the gross contact in which the displacement is known; NaN without contact.
         verdict: of Terekhov & Hayward's rule.
         fit, curves: of the frames of slow loading, where there is a verdict; else None.
@@ -41,6 +42,8 @@ class SlipSeries:
 
     stuck_area: NDArray[np.float64]
     stuck_ratio: NDArray[np.float64]
+    region: NDArray[np.bool_]
+    cell_px: int
     coverage: NDArray[np.float64]
     verdict: TrialVerdict
     fit: FrictionFit | None
@@ -72,6 +75,7 @@ def find_slip(
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
     reach = inputs.scene.tracking.window_px / 2 * float(scale)
     ratio, coverage = np.full(len(moved), np.nan), np.full(len(moved), np.nan)
+    stuck = np.zeros_like(regions)
     for frame in np.flatnonzero(regions.any((1, 2)) & np.isfinite(contact.gross_area)):
         region = regions[frame]
         displacement = displacement_at(places[region], position[frame], moved[frame], reach)
@@ -80,21 +84,17 @@ def find_slip(
         if coverage[frame] >= LEAST_COVERAGE:
             still = np.zeros_like(region)
             still[region] = np.linalg.norm(displacement, axis=-1) < inputs.scene.slip.stuck_mm
-            stuck = largest_component(torch.from_numpy(still)[None, None])
+            stuck[frame] = largest_component(torch.from_numpy(still)[None, None])[0, 0]
             # What is not known counts like the rest: skin at the rim, which new skin may have replaced.
-            ratio[frame] = int(stuck.sum()) / int(known.sum())
+            ratio[frame] = int(stuck[frame].sum()) / int(known.sum())
     _warn_of_unknown(inputs, coverage)
     verdict = _judged(inputs, contact, loading, ratio)
-    judged = verdict.outcome != "inconclusive" and loading is not None and loading.ratio is not None
-    slow = (ratio[verdict.loading()], loading.ratio[verdict.loading()]) if judged else None
-    return SlipSeries(
-        ratio * contact.gross_area,
-        ratio,
-        coverage,
-        verdict,
-        None if slow is None else fit_friction(*slow),
-        None if slow is None else compare_curves(*slow),
-    )
+    fit, curves = None, None
+    if verdict.outcome != "inconclusive" and loading is not None and loading.ratio is not None:
+        slow = verdict.loading()
+        fit = fit_friction(ratio[slow], loading.ratio[slow])
+        curves = compare_curves(ratio[slow], loading.ratio[slow])
+    return SlipSeries(ratio * contact.gross_area, ratio, stuck, cell_px, coverage, verdict, fit, curves)
 
 
 def displacement_at(
@@ -149,7 +149,7 @@ def _warn_of_unknown(inputs: Inputs, coverage: NDArray[np.float64]) -> None:
         first = int(low[0]) + inputs.scene.recording.first_frame
         inputs.warnings.append(
             f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less than "
-            f"{LEAST_COVERAGE:.0%} of the contact, down to {np.min(coverage[low]):.0%}: their stuck area is NaN. Points "
-            f"were lost there, or skin came into contact that was in no point's window: raise [tracking] points or "
-            f"search_px"
+            f"{LEAST_COVERAGE:.0%} of the contact, down to {np.min(coverage[low]):.0%}: their stuck area is NaN. "
+            f"Points were lost there, or skin came into contact that was in no point's window: raise [tracking] points "
+            f"or search_px"
         )
