@@ -498,7 +498,7 @@ depth_mm = 2.0                # of skin that the strain energy is integrated ove
 rate_window_s = 0.05
 
 {loaded}[slip]                        # of a trial of tangential loading
-{loaded}stuck_mm = 0.04               # skin that has moved by less since the first frame is stuck
+{loaded}stuck_mm = 0.04               # skin that has moved by less since the first frame is stuck; the paper has 0.04
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
