@@ -20,6 +20,7 @@ PLAIN = [
     "corners",
     "dense_region",
     "ellipse",
+    "flow",
     "instruction_sets",
     "light_gain",
     "local_fit",
@@ -29,6 +30,7 @@ PLAIN = [
     "otsu",
     "parallel",
     "search",
+    "skin_chain",
     "templates",
     "touching",
     "triangle_strain",
@@ -46,9 +48,11 @@ EXACT = [
 ROUNDED = [
     "area_medians_block",
     "dense_region_cells",
+    "flow_rows",
     "light_gain_rows",
     "local_fit_block",
     "search_points",
+    "skin_chain_press",
     "templates_points",
     "triangle_strain_frame",
 ]

@@ -11,6 +11,7 @@ import functools
 import importlib.util
 import logging
 import os
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -19,7 +20,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
-_INTERFACE = 19  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 31  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -626,6 +627,181 @@ def triangle_strain(
     return results
 
 
+class _FlowLevel(ctypes.Structure):
+    """`fingerflow_flow_level` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("tensor", "right", "down", "inverse", "inside")),
+        *((name, ctypes.c_int64) for name in ("height", "width")),
+    )
+
+
+class _FlowCycles(ctypes.Structure):
+    """`fingerflow_flow_cycles_of` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("levels", "right_side", "solution")),
+        *((name, ctypes.c_int64) for name in ("count", "batch")),
+        *((name, ctypes.c_int32) for name in ("cycles", "sweeps", "coarsest")),
+        ("damping", ctypes.c_float),
+    )
+
+
+def flow_cycles(
+    levels: Sequence[Sequence[Tensor]], right_side: Tensor, cycles: int, sweeps: int, coarsest: int, damping: float
+) -> Tensor:
+    """(B, 2, H, W), as `ops.flow_multigrid.solve` has it to rounding, of levels (tensor, right, down, inverse,
+    inside), all float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    batch, _, height, width = right_side.shape
+    _check_like("right_side", right_side, torch.float32, (batch, 2, height, width))
+    described, kept = [], []
+    for tensors in levels:
+        channels = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
+        for tensor, (count, rows, columns) in zip(tensors, channels, strict=True):
+            _check_like("a level", tensor, torch.float32, (batch, count, height + rows, width + columns))
+        planes = [tensor.contiguous() for tensor in tensors]
+        kept.append(planes)
+        described.append(_FlowLevel(*(plane.data_ptr() for plane in planes), height, width))
+        height, width = (height + 1) // 2, (width + 1) // 2
+    right_side, solution = right_side.contiguous(), torch.empty(right_side.shape)
+    array = (_FlowLevel * len(described))(*described)
+    pointers = (ctypes.addressof(array), right_side.data_ptr(), solution.data_ptr())
+    request = _FlowCycles(*pointers, len(described), batch, cycles, sweeps, coarsest, damping)
+    _call("fingerflow_flow_cycles", ctypes.addressof(request), torch.get_num_threads())
+    return solution
+
+
+def flow_warp(coefficients: Tensor, flow: Tensor) -> Tensor:
+    """(B, 1, H, W), the spline of coefficients (B, 1, H, W) at pixels displaced by a finite flow (B, 2, H, W), float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    _check_frames(coefficients, (torch.float32,))
+    batch, _, height, width = coefficients.shape
+    _check_like("flow", flow, torch.float32, (batch, 2, height, width))
+    coefficients, flow, values = coefficients.contiguous(), flow.contiguous(), torch.empty(coefficients.shape)
+    pointers = (coefficients.data_ptr(), flow.data_ptr(), values.data_ptr())
+    _call("fingerflow_flow_warp", *pointers, batch, height, width, torch.get_num_threads())
+    return values
+
+
+class _SkinChain(ctypes.Structure):
+    """`fingerflow_skin_chain` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("reference", "numbers", "friction", "load", "rest")),
+        *((name, ctypes.c_void_p) for name in ("place", "bone", "rubbed", "step", "time", "counts", "record")),
+        *((name, ctypes.c_int64) for name in ("batch", "count", "held_x", "held_z", "most_steps", "record_steps")),
+        *((name, ctypes.c_double) for name in ("tolerance", "duration")),
+    )
+
+
+def press_skin(
+    reference: Tensor,
+    numbers: Tensor,
+    friction: Tensor,
+    load: Tensor,
+    rest: Tensor,
+    place: Tensor,
+    bone: Tensor,
+    rubbed: Tensor,
+    step: Tensor,
+    *,
+    held: tuple[bool, bool],
+    most_steps: int,
+    tolerance: float,
+    duration: float,
+    record_steps: int = 0,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Goes on with B chains of N elements, as `models.skin_implicit.advance` does, to rounding; all float64, SI units.
+
+    Reference (B, N, 2), numbers (B, 10) in the order of `models.skin_forces.Chain`, friction (B, N),
+    load (B, 2, 2) first and last, rest (B,). Place (B, N, 2), bone (B, 2), rubbed (B, N) and step (B,) are changed.
+    Gives time (B,), counts (B, 3) int64 of steps, rejected ones and iterations, and of up to ``record_steps`` steps
+    (B, record_steps, 2 + 2 (3 N + 2)) time, length, and of both stages place, bone and friction.
+
+    Raises:
+        ValueError: another dtype, or shapes that do not belong together.
+    """
+    batch, count = friction.shape
+    shapes = {"reference": (batch, count, 2), "numbers": (batch, 10), "load": (batch, 2, 2)}
+    state = {"place": (batch, count, 2), "bone": (batch, 2), "rubbed": (batch, count), "step": (batch,)}
+    given = {"reference": reference, "numbers": numbers, "friction": friction, "load": load, "rest": rest}
+    changed = {"place": place, "bone": bone, "rubbed": rubbed, "step": step}
+    for name, shape in {**shapes, "friction": (batch, count), "rest": (batch,), **state}.items():
+        _check_like(name, {**given, **changed}[name], torch.float64, shape)
+    if count < 3 or not all(tensor.is_contiguous() for tensor in changed.values()):
+        raise ValueError(f"a chain of {count} elements: give 3 or more, and a state in one piece")
+    kept = [tensor.contiguous() for tensor in given.values()]
+    time, counts = torch.zeros(batch, dtype=torch.float64), torch.zeros(batch, 3, dtype=torch.int64)
+    record = torch.zeros(batch, record_steps, 2 + 2 * (3 * count + 2), dtype=torch.float64)
+    pointers = (tensor.data_ptr() for tensor in (*kept, *changed.values(), time, counts))
+    request = _SkinChain(
+        *pointers,
+        record.data_ptr() if record_steps else None,
+        *(batch, count, *held, most_steps, record_steps),
+        *(tolerance, duration),
+    )
+    _call("fingerflow_press_skin", ctypes.addressof(request), torch.get_num_threads())
+    return time, counts, record
+
+
+class _SkinBack(ctypes.Structure):
+    """`fingerflow_skin_back` of kernels/interface.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("reference", "numbers", "friction", "place", "bone", "rubbed")),
+        *((name, ctypes.c_void_p) for name in ("record", "wanted", "steps", "stiffness", "of_friction", "result")),
+        *((name, ctypes.c_int64) for name in ("batch", "count", "held_x", "held_z", "record_steps")),
+    )
+
+
+def press_skin_back(
+    reference: Tensor,
+    numbers: Tensor,
+    friction: Tensor,
+    place: Tensor,
+    bone: Tensor,
+    rubbed: Tensor,
+    record: Tensor,
+    wanted: Tensor,
+    steps: Tensor,
+    *,
+    held: tuple[bool, bool],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Derivatives back along the record of `press_skin`, to rounding what `models.skin_adjoint` gives.
+
+    Arguments as there, ``place``, ``bone`` and ``rubbed`` those at the beginning; ``wanted`` (B, 3 N + 2) of places,
+    bone and friction at the end, ``steps`` (B,) int64 of the record. Gives those of stiffnesses (B, 6), of friction
+    (B, N) and, as wanted, of the beginning (B, 3 N + 2).
+
+    Raises:
+        ValueError: another dtype, shapes that do not belong together, or more steps than the record has.
+    """
+    batch, count = friction.shape
+    size, rows = 3 * count + 2, record.shape[1]
+    shapes = {"reference": (batch, count, 2), "numbers": (batch, 10), "friction": (batch, count)}
+    shapes |= {"place": (batch, count, 2), "bone": (batch, 2), "rubbed": (batch, count)}
+    shapes |= {"record": (batch, rows, 2 + 2 * size), "wanted": (batch, size)}
+    tensors = (reference, numbers, friction, place, bone, rubbed, record, wanted)
+    for (name, shape), tensor in zip(shapes.items(), tensors, strict=True):
+        _check_like(name, tensor, torch.float64, shape)
+    _check_like("steps", steps, torch.int64, (batch,))
+    if count < 3 or (batch and not 0 <= int(steps.min()) <= int(steps.max()) <= rows):
+        raise ValueError(f"{count} elements, steps {steps.tolist()} of {rows}: give 3 or more, and the whole record")
+    given = [tensor.contiguous() for tensor in (*tensors, steps)]
+    found = [torch.empty(batch, last, dtype=torch.float64) for last in (6, count, size)]
+    pointers = (tensor.data_ptr() for tensor in (*given, *found))
+    request = _SkinBack(*pointers, *(batch, count, *held, rows))
+    _call("fingerflow_press_skin_back", ctypes.addressof(request), torch.get_num_threads())
+    return found[0], found[1], found[2]
+
+
 def halve(frames: Tensor) -> Tensor:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS."""
     halved = torch.empty((*frames.shape[:2], frames.shape[2] // 2, frames.shape[3] // 2))
@@ -726,6 +902,10 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_local_gradients.argtypes = [pointer, double, double, number, number]
     library.fingerflow_medians_over_area.argtypes = [pointer, number]
     library.fingerflow_strain_of_triangles.argtypes = [pointer, number]
+    library.fingerflow_flow_cycles.argtypes = [pointer, number]
+    library.fingerflow_flow_warp.argtypes = [*[pointer] * 3, *[count] * 3, number]
+    library.fingerflow_press_skin.argtypes = [pointer, number]
+    library.fingerflow_press_skin_back.argtypes = [pointer, number]
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]

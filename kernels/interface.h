@@ -182,3 +182,51 @@ struct fingerflow_triangle_strain {
     double direct, between, shear;
 };
 FINGERFLOW_EXPORT int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
+
+// V-cycles of the multigrid of fingerflow/ops/flow_multigrid.py from 0: levels from the finest on, their planes those of
+// all images of the batch; right_side and solution (batch, 2, height, width) of the finest.
+struct fingerflow_flow_level {
+    const float *tensor, *right, *down, *inverse, *inside;
+    std::int64_t height, width;
+};
+struct fingerflow_flow_cycles_of {
+    const fingerflow_flow_level* levels;
+    const float* right_side;
+    float* solution;
+    std::int64_t count, batch;
+    std::int32_t cycles, sweeps, coarsest;
+    float damping;
+};
+FINGERFLOW_EXPORT int fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads);
+
+// The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
+// repeated, as fingerflow/ops/flow.py has it.
+FINGERFLOW_EXPORT int fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
+                                           std::int64_t height, std::int64_t width, int threads);
+
+// Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
+// count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
+// and z, or where it is held the bone's displacement, rest (batch). Place (batch, count, 2), bone (batch, 2), rubbed
+// (batch, count) and step (batch) are what was and become what is; time (batch) that has gone, counts (batch, 3) of steps,
+// of those not kept, and of solutions. Record (batch, record_steps, 2 + 2 (3 count + 2)) or null takes the kept steps:
+// time, length, and of both stages places, bone and friction. At least three elements.
+struct fingerflow_skin_chain {
+    const double *reference, *numbers, *friction, *load, *rest;
+    double *place, *bone, *rubbed, *step, *time;
+    std::int64_t* counts;
+    double* record;
+    std::int64_t batch, count, held_x, held_z, most_steps, record_steps;
+    double tolerance, duration;
+};
+FINGERFLOW_EXPORT int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);
+
+// Derivatives back along a record of the above, as fingerflow/models/skin_adjoint.py has them: begun at place, bone and
+// rubbed, steps (batch) of the record; wanted and result (batch, 3 count + 2) of places, bone and friction at its end and at
+// its beginning, stiffness (batch, 6) and of_friction (batch, count).
+struct fingerflow_skin_back {
+    const double *reference, *numbers, *friction, *place, *bone, *rubbed, *record, *wanted;
+    const std::int64_t* steps;
+    double *stiffness, *of_friction, *result;
+    std::int64_t batch, count, held_x, held_z, record_steps;
+};
+FINGERFLOW_EXPORT int fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads);

@@ -19,7 +19,7 @@ ARROWS: dict[str, set[str]] = {
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},
     "graphs": {"ops"},
-    "models": {"errors"},
+    "models": {"errors", "kernels"},
     "recordings": {"errors"},
     "calibration": {"errors", "toml_string", "views"},
     "scene": {"calibration", "errors", "strict", "toml_string", "views"},
@@ -30,8 +30,8 @@ ARROWS: dict[str, set[str]] = {
     "synthetic": {"errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
-    "export": {"errors", "graphs", "ops", "strict", "synthetic"},
-    "player": set(),
+    "export": {"errors", "graphs", "kernels", "ops", "strict", "synthetic"},
+    "player": {"errors", "export"},  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below
 }

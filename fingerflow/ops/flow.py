@@ -29,15 +29,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
 from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.flow_multigrid import Level, applied, doubled, halved, laplacian, pyramid, v_cycle
+from fingerflow.ops.flow_multigrid import Level, halved, laplacian, magnified, pyramid, solve
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients, spline_weights
 
 _ROUNDING = 1 / 12  # variance that whole grey levels have against the light
 _RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
 _COURSE_CELLS = 9
+_CYCLES = 2  # of multigrid a warp
 _NARROW = (
     0.01  # share of the square of the trace that the determinant of moments in a plane has at least; a disc's is 1/4
 )
@@ -53,7 +55,9 @@ class Flow(NamedTuple):
         displacement: (B, 2, H, W) px as (u, v), where what stands at each pixel of the first image has moved to; NaN
             outside the mask, and where that lies outside the current image.
         covariance: (B, 2, 2, H, W) px^2, of the noise of both images; NaN as the displacement, and where the texture
-            does not stand out of the noise in any direction: there the displacement is that of the surroundings.
+            does not stand out of the noise in any direction: there the displacement is that of the surroundings. What
+            smoothing takes off the motion comes on top: nothing to speak of where ridges run in all directions, once
+            more the deviation where they run in one.
         residual: (B, 1, H, W) grey levels, root mean square over the window of what displacement and light left
             unexplained before the last step; NaN as the displacement. Noise alone leaves 0.42 of its deviation.
     """
@@ -72,6 +76,7 @@ class FlowTemplate(NamedTuple):
     levels: list[Level]
     variance: Tensor  # (B,) of white noise in a pixel, grey levels^2
     alpha: Tensor  # (B,)
+    covariance: Tensor  # (B, 2, 2, H, W) for a gain of 1
     box: int
     coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
 
@@ -145,7 +150,8 @@ def _prepared(first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness
         # A mean of four has a fourth of the noise. Where one of the four is not known it is not either.
         half = functional.avg_pool2d(first, 2)
         coarser = _prepared(half, -functional.max_pool2d(-inside, 2), variance / 4, box, roughness)
-    return FlowTemplate(value, gradient, inside, pyramid(tensor, inside, alpha), variance, alpha, box, coarser)
+    spread = _covariance(tensor, variance, alpha, box)
+    return FlowTemplate(value, gradient, inside, pyramid(tensor, inside, alpha), variance, alpha, spread, box, coarser)
 
 
 def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = None, warps: int = 3) -> Flow:
@@ -162,7 +168,8 @@ def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = 
     else:
         flow = torch.where(initial.abs() < math.inf, initial, 0.0).to(given.dtype)
     flow, left, seen, gain = _refined(template, given, flow, warps)
-    spread = _covariance(template.levels[0].tensor, template, gain)
+    # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
+    spread = template.covariance * ((1 + 1 / (gain * gain)) / 2)[:, :, None]
     residual = (_integrated(left * left, template.box) / _integrated(seen, template.box).clamp_min(_TINY)).sqrt()
     lost = torch.where(_arrives(flow, template.inside) > 0, 0.0, torch.nan)
     return Flow(flow + lost, spread + lost[:, :, None], residual + lost)
@@ -177,7 +184,7 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int) -> Tensor
     half = functional.avg_pool2d(current, 2)
     found = _refined(coarser, half, _from_nothing(coarser, half, warps), warps)[0]
     # The middle of a pair of pixels is the place of the halved one: as far from both.
-    wide = 2 * doubled(doubled(found, 2), 3)
+    wide = 2 * magnified(found, 2)
     return functional.pad(wide, (0, width % 2, 0, height % 2), mode="replicate")
 
 
@@ -198,8 +205,7 @@ def _refined(
         departure = flow - course
         # The equations of the first image, scaled by the square of the gain: with r = - data they give the step.
         right_side = -data / (gain * gain) - laplacian(level, departure)
-        step = v_cycle(template.levels, right_side)
-        flow = flow + step + v_cycle(template.levels, right_side - applied(level, step))
+        flow = flow + solve(template.levels, right_side, _CYCLES)
     return flow, left, seen, gain
 
 
@@ -228,6 +234,15 @@ def _slopes(coefficients: Tensor) -> Tensor:
 
 def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     """Which pixels of the mask arrive where the spline knows the image, and its values there (B, 1, H, W)."""
+    values = _sampled(coefficients, flow)
+    finite = values.abs() < math.inf
+    return _arrives(flow, inside, _MARGIN) * finite.to(values.dtype), torch.where(finite, values, 0.0)
+
+
+def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
+    """The spline (B, 1, H, W) where the pixels have moved to; beyond the border its coefficients are repeated."""
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow):
+        return kernels.flow_warp(coefficients, flow)
     height, width = coefficients.shape[-2:]
     whole = flow.floor()
     (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
@@ -235,15 +250,14 @@ def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor,
     row = torch.arange(height, device=flow.device)[:, None] + whole[:, 1:].to(torch.int64)
     columns = [(column + k).clamp(0, width - 1) for k in range(-1, 3)]
     flat = coefficients.flatten(1)
-    values = torch.zeros_like(inside)
+    values = torch.zeros_like(coefficients)
     for k in range(4):
         start = (row + (k - 1)).clamp(0, height - 1) * width
-        line = torch.zeros_like(inside)
+        line = torch.zeros_like(coefficients)
         for weight, place in zip(weights_x, columns, strict=True):
             line = line + weight * flat.gather(1, (start + place).flatten(1)).unflatten(1, (1, height, width))
         values = values + weights_y[k] * line
-    finite = values.abs() < math.inf
-    return _arrives(flow, inside, _MARGIN) * finite.to(values.dtype), torch.where(finite, values, 0.0)
+    return values
 
 
 def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
@@ -271,67 +285,68 @@ def _course(flow: Tensor, seen: Tensor) -> Tensor:
     """(B, 2, H, W): the plane that fits the flow best where it is seen, and beside that, for the rest, planes that fit
     it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other."""
     height, width = flow.shape[-2:]
-    plane = _plane(flow, seen)
-    share = halved(halved(seen))
-    rest = halved(halved(seen * (flow - plane)))
-    # From the middle of the image, in boxes.
+    share, total = halved(halved(seen)), halved(halved(seen * flow))
     x, y = (
         (torch.arange(count, dtype=flow.dtype, device=flow.device) - (count - 1) / 2) / _COURSE_CELLS
         for count in (share.shape[-1], share.shape[-2])
     )
-    y = y[:, None]
-    moments = torch.cat(
-        (share, share * x, share * y, share * x * x, share * x * y, share * y * y, rest, rest * x, rest * y), dim=1
+    whole = _planes(_moments(share, total, x, y[:, None]).sum((2, 3), keepdim=True))
+    rest = total - share * _heights(whole, x, y[:, None])
+    around = _planes(_integrated(_moments(share, rest, x, y[:, None]), _COURSE_CELLS))
+    beside = magnified(_heights(around, x, y[:, None]), 4)
+    # Pixels lie at -3/8, -1/8, 1/8 and 3/8 of a cell from its middle.
+    fine_x, fine_y = (
+        ((torch.arange(count, dtype=flow.dtype, device=flow.device) - 1.5) / 4 - (cells - 1) / 2) / _COURSE_CELLS
+        for count, cells in ((width, share.shape[-1]), (height, share.shape[-2]))
     )
-    around, mean_x, mean_y, xx, xy, yy, *of_rest = _integrated(moments, _COURSE_CELLS).split(
-        (1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1
-    )
+    return _heights(whole, fine_x, fine_y[:, None]) + beside[..., :height, :width]
+
+
+class _Planes(NamedTuple):
+    """u = height + x slope_x + y slope_y, two components (B, 2, ., .) each."""
+
+    height: Tensor
+    slope_x: Tensor
+    slope_y: Tensor
+
+
+def _moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """(B, 12, h, w) of weights (B, 1, h, w) and a weighted field (B, 2, h, w): what a plane through it asks for."""
+    along, down = share * x, share * y
+    return torch.cat((share, along, down, along * x, along * y, down * y, field, field * x, field * y), dim=1)
+
+
+def _planes(moments: Tensor) -> _Planes:
+    """Least squares; the mean where cells do not span a plane, 0 where there are none."""
+    around, *sums = moments.split((1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1)
     some = torch.where(around > _TINY, around, 1.0)
-    mean_x, mean_y, xx, xy, yy = (one / some for one in (mean_x, mean_y, xx, xy, yy))
-    mean, by_x, by_y = (one / some for one in of_rest)
+    mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (one / some for one in sums)
     xx, xy, yy = xx - mean_x * mean_x, xy - mean_x * mean_y, yy - mean_y * mean_y
     by_x, by_y = by_x - mean_x * mean, by_y - mean_y * mean
     determinant = xx * yy - xy * xy
-    wide = determinant > _NARROW * (xx + yy).square()  # else the mean alone
-    determinant = torch.where(wide, determinant, torch.inf)
-    along_x, along_y = (by_x * yy - by_y * xy) / determinant, (by_y * xx - by_x * xy) / determinant
-    course = mean + along_x * (x - mean_x) + along_y * (y - mean_y)
-    for _ in range(2):
-        course = doubled(doubled(course, 2), 3)
-    return plane + course[..., :height, :width]
+    spanned = (determinant > _NARROW * (xx + yy).square()) & (determinant > _TINY)
+    determinant = torch.where(spanned, determinant, torch.inf)
+    slope_x, slope_y = (by_x * yy - by_y * xy) / determinant, (by_y * xx - by_x * xy) / determinant
+    return _Planes(mean - slope_x * mean_x - slope_y * mean_y, slope_x, slope_y)
 
 
-def _plane(flow: Tensor, inside: Tensor) -> Tensor:
-    """(B, 2, H, W): the plane that fits the flow best over the mask, without its constant, which has no roughness."""
-    height, width = flow.shape[-2:]
-    count = inside.sum((2, 3), keepdim=True).clamp_min(1)
-    # Sides of the image for unit: sums of squares keep their digits.
-    x = ((torch.arange(width, dtype=flow.dtype, device=flow.device) + 0.5) / width - 0.5).expand(height, width)
-    y = ((torch.arange(height, dtype=flow.dtype, device=flow.device) + 0.5) / height - 0.5)[:, None].expand_as(x)
-    x, y = x - (inside * x).sum((2, 3), keepdim=True) / count, y - (inside * y).sum((2, 3), keepdim=True) / count
-    xx, xy, yy, ux, uy = (
-        (inside * one).sum((2, 3), keepdim=True) / count for one in (x * x, x * y, y * y, flow * x, flow * y)
-    )
-    determinant = xx * yy - xy * xy
-    some = torch.where(determinant > _TINY, determinant, 1.0)
-    regular = (determinant > _TINY).to(flow.dtype)
-    return regular * ((ux * yy - uy * xy) / some * x + (uy * xx - ux * xy) / some * y)
+def _heights(planes: _Planes, x: Tensor, y: Tensor) -> Tensor:
+    return planes.height + planes.slope_x * x + planes.slope_y * y
 
 
-def _covariance(tensor: Tensor, template: FlowTemplate, gain: Tensor) -> Tensor:
-    """(B, 2, 2, H, W) of the noise of both images.
+def _covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, box: int) -> Tensor:
+    """(B, 2, 2, H, W) of the noise of both images, in the same light.
 
     Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
     that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
     s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha.
     """
-    alpha = template.alpha[:, None, None, None]
-    rho_square = max(2 * (template.box**2 - 1) / 12, 0.25)  # a pixel is a window too
+    alpha, variance = alpha[:, None, None, None], variance[:, None, None, None]
+    rho_square = max(2 * (box**2 - 1) / 12, 0.25)  # a pixel is a window too
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2
     apart = (half * half + xy * xy).sqrt()
-    variance = template.variance[:, None, None, None]
-    density = variance * (1 + 1 / (gain * gain)) * _RIDGE_NOISE
+    density = 2 * variance * _RIDGE_NOISE
     of_larger, of_smaller = (
         density / (4 * math.pi * alpha) * _passed(rho_square * (one / alpha).clamp_min(_TINY))
         for one in (mean + apart, (mean - apart).clamp_min(0))

@@ -15,9 +15,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
+
 DAMPING = 0.8  # of a Jacobi step
 SWEEPS = 2  # before and after the coarser levels
 COARSEST_SWEEPS = 20
+_REGULAR = 1e-6
 SMALLEST_SIDE = 4  # px: a level with a side of so few or fewer is the last
 
 
@@ -52,16 +55,14 @@ def pyramid(tensor: Tensor, mask: Tensor, alpha: Tensor) -> list[Level]:
     return levels
 
 
-def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    """An approximate solution (B, 2, H, W), from 0."""
-    level, coarser = levels[0], levels[1:]
-    solution = DAMPING * _times(level.inverse, right_side)
-    if not coarser:
-        return _relaxed(level, solution, right_side, COARSEST_SWEEPS)
-    solution = _relaxed(level, solution, right_side, SWEEPS - 1)
-    correction = v_cycle(coarser, halved(right_side - applied(level, solution)))
-    solution = solution + _spread(correction, coarser[0].inside, level.inside)
-    return _relaxed(level, solution, right_side, SWEEPS)
+def solve(levels: list[Level], right_side: Tensor, cycles: int) -> Tensor:
+    """The solution (B, 2, H, W) after so many V-cycles from 0."""
+    if right_side.dtype == torch.float32 and kernels.serve(right_side, *levels[0]):
+        return kernels.flow_cycles(levels, right_side, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING)
+    solution = _v_cycle(levels, right_side)
+    for _ in range(cycles - 1):
+        solution = solution + _v_cycle(levels, right_side - applied(levels[0], solution))
+    return solution
 
 
 def applied(level: Level, field: Tensor) -> Tensor:
@@ -82,14 +83,30 @@ def halved(cells: Tensor) -> Tensor:
     return _halved(_even(_even(cells, 2), 3), (2, 2))
 
 
+def magnified(cells: Tensor, times: int) -> Tensor:
+    """Bilinear between the middles of cells, on so many times as many places each way, the border repeated."""
+    return functional.interpolate(cells, scale_factor=times, mode="bilinear", align_corners=False)
+
+
 def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
     pad = functional.pad
     edges = pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
     xx, xy, yy = tensor[:, :1] + edges, tensor[:, 1:2], tensor[:, 2:] + edges
     determinant = xx * yy - xy * xy
-    known = determinant > 0
+    known = determinant > _REGULAR * (xx + yy).square()  # not a single cell with a slope in one direction
     inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)
     return Level(tensor, right, down, torch.where(known, inverse, 0.0), mask)
+
+
+def _v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
+    level, coarser = levels[0], levels[1:]
+    solution = DAMPING * _times(level.inverse, right_side)
+    if not coarser:
+        return _relaxed(level, solution, right_side, COARSEST_SWEEPS)
+    solution = _relaxed(level, solution, right_side, SWEEPS - 1)
+    correction = _v_cycle(coarser, halved(right_side - applied(level, solution)))
+    solution = solution + _spread(correction, coarser[0].inside, level.inside)
+    return _relaxed(level, solution, right_side, SWEEPS)
 
 
 def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) -> Tensor:
@@ -101,17 +118,9 @@ def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) ->
 def _spread(coarse: Tensor, known: Tensor, inside: Tensor) -> Tensor:
     """Bilinear between the cells that are known, on the finer level: 9/16, 3/16, 3/16 and 1/16 of the four nearest."""
     height, width = inside.shape[-2:]
-    both = doubled(doubled(torch.cat((coarse * known, known), dim=1), 2), 3)[..., :height, :width]
+    both = magnified(torch.cat((coarse * known, known), dim=1), 2)[..., :height, :width]
     share = both[:, 2:]
     return inside * both[:, :2] / torch.where(share > 0, share, 1.0)
-
-
-def doubled(cells: Tensor, dim: int) -> Tensor:
-    """Linear to twice as many places along a dimension, the border repeated."""
-    count = cells.shape[dim]
-    before = torch.cat((cells.narrow(dim, 0, 1), cells.narrow(dim, 0, count - 1)), dim=dim)
-    after = torch.cat((cells.narrow(dim, 1, count - 1), cells.narrow(dim, count - 1, 1)), dim=dim)
-    return torch.stack((0.75 * cells + 0.25 * before, 0.75 * cells + 0.25 * after), dim=dim + 1).flatten(dim, dim + 1)
 
 
 def _even(cells: Tensor, dim: int) -> Tensor:

@@ -13,6 +13,7 @@ from bench.suites import (
     dense,
     dic,
     drift,
+    flow,
     gpu,
     growth,
     image_ops,
@@ -20,6 +21,7 @@ from bench.suites import (
     large_motion,
     memory,
     pipeline,
+    skin_chain,
     speed_against_error,
     tracking,
 )
@@ -34,7 +36,19 @@ def _few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
         assert rounds >= 2
         return {name: timing.Timing(1.0, 1.0, 1.0, 1.0) for name in candidates}
 
-    for suite in (dense, dic, gpu, image_ops, interpolant, large_motion, pipeline, speed_against_error, tracking):
+    for suite in (
+        dense,
+        dic,
+        flow,
+        gpu,
+        image_ops,
+        interpolant,
+        large_motion,
+        pipeline,
+        skin_chain,
+        speed_against_error,
+        tracking,
+    ):
         monkeypatch.setattr(suite, "time_in_turns", once)
 
 
@@ -58,6 +72,19 @@ def test_tracking() -> None:
             assert ours["accepted"] == theirs["accepted"] == 1
             assert "ms" in ours
     assert number(one(rows, noise=0, start="whole pixel", shift="all", tracker="opencv"), "over_bound") > 2
+
+
+def test_flow() -> None:
+    """0.015 px on ridges in all directions. Where there is one direction, as in this part of the whorl, motion along
+    the ridges is smoothed from farther away: an error that is no noise, and not in the deviation."""
+    rows = flow.run(quick=True)
+    for scene, error, z in (("ridges", 0.015, 1.25), ("whorl", 0.03, 2.3)):
+        peer = one(rows, scene=scene, way="opencv Farneback")
+        for way in ("fingerflow, cold", "fingerflow, warm"):
+            row = one(rows, scene=scene, way=way)
+            assert number(row, "epe_px") < min(error, 0.7 * number(peer, "epe_px"))
+            assert number(row, "div") < 0.6 * number(peer, "div")
+        assert 0.8 < number(one(rows, scene=scene, way="fingerflow, cold"), "z") < z
 
 
 def test_large_motion() -> None:
@@ -168,6 +195,17 @@ def test_dense() -> None:
         assert row["wrong"] == 0, row
         assert 0.4 < number(row, "over_bound") < 3, row
     assert 0.8 < number(one(rows, motion="5 px", way="fingerflow"), "over_bound") < 1.2
+
+
+def test_skin_chain() -> None:
+    """A smaller tolerance is a smaller error; both forms and the published integrator go to the same place."""
+    rows = {str(row["way"]): row for row in skin_chain.run(quick=True)}
+    errors = [number(row, "error_um") for way, row in rows.items() if way.endswith(("5e-07", "5e-08", "5e-09"))]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[1] < 0.3
+    assert errors[3] == pytest.approx(errors[1], abs=1e-4)  # the portable form
+    assert number(rows["published Runge-Kutta, NumPy"], "error_um") < 0.05
+    assert rows[skin_chain.PEER]["error_um"] is None
 
 
 def test_growth(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,5 @@
 // Every kernel on images of awkward sizes whose memory ends right behind them, for a build with sanitizers.
+#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -153,6 +154,39 @@ void try_triangles(std::int64_t points, std::int64_t count, int threads) {
     }
 }
 
+void try_skin(std::int64_t batch, std::int64_t count, int threads) {
+    std::vector<double> reference, load, place;
+    for (std::int64_t chain = 0; chain < batch; ++chain) {
+        for (std::int64_t i = 0; i < count; ++i) {
+            const double angle = 3.14159 * (static_cast<double>(i) / static_cast<double>(count - 1) - 0.5);
+            reference.insert(reference.end(), {8e-3 * std::sin(angle), 8e-3 * (1 - std::cos(angle))});
+        }
+        load.insert(load.end(), {0.1, -1.0, 0.1, -3.0});
+    }
+    place = reference;
+    std::vector<double> numbers, mu(static_cast<std::size_t>(batch * count), 0.3), rest(static_cast<std::size_t>(batch), 1e-9);
+    for (std::int64_t chain = 0; chain < batch; ++chain)
+        numbers.insert(numbers.end(), {8e-3, 2500, 200, 110, 2500, 31000, 0.1, 0.1, 500, 0.7});
+    const auto size = static_cast<std::size_t>(batch);
+    std::vector<double> bone(2 * size), rubbed(mu.size()), step(size, 1e-6), time(size);
+    const std::int64_t steps = 3;
+    std::vector<double> record(size * static_cast<std::size_t>(steps * (2 + 2 * (3 * count + 2))));
+    std::vector<std::int64_t> counts(3 * size);
+    const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
+                                      rubbed.data(), step.data(), time.data(), counts.data(), record.data(), batch, count, 0, 0,
+                                      100000, steps, 1e-6, 5e-4};
+    expect(fingerflow_press_skin(&given, threads) == 0, "skin chain");
+    expect(time[0] == 5e-4, "skin chain, to its end");
+    const auto numbers_each = static_cast<std::size_t>(3 * count + 2);
+    std::vector<double> wanted(size * numbers_each, 1), result(wanted.size()), stiffness(6 * size), of_friction(mu.size());
+    const std::vector<std::int64_t> kept(size, steps);
+    const std::vector<double> still(2 * size), none(mu.size());
+    const fingerflow_skin_back back{reference.data(), numbers.data(), mu.data(), reference.data(), still.data(), none.data(),
+                                    record.data(), wanted.data(), kept.data(), stiffness.data(), of_friction.data(), result.data(),
+                                    batch, count, 0, 0, steps};
+    expect(fingerflow_press_skin_back(&back, threads) == 0, "skin chain, back");
+}
+
 template <class Real>
 void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components, std::int64_t geometries, int threads) {
     const std::int64_t batch = 2;
@@ -186,6 +220,8 @@ int main() {
             try_medians(300, 100, threads);
             try_triangles(3, 1, threads);
             try_triangles(50, 97, threads);
+            try_skin(1, 9, threads);
+            try_skin(5, 4, threads);
             for (std::int64_t geometries : {1, 2}) {
                 try_fits<float>(300, 50, 2, geometries, threads);
                 try_fits<double>(37, 1, 3, geometries, threads);

@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.flow_multigrid import applied, pyramid, v_cycle
+from fingerflow import kernels
+from fingerflow.ops.flow_multigrid import applied, pyramid, solve
 
 
 def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, Tensor, Tensor]:
@@ -30,9 +31,7 @@ def test_cycles_end_at_the_direct_solution(height: int, width: int, masked: bool
     known = mask.expand(1, 2, height, width).flatten() > 0
     direct = torch.zeros_like(right_side).flatten()
     direct[known] = torch.linalg.solve(matrix[known][:, known], right_side.flatten()[known])
-    found = torch.zeros_like(right_side)
-    for _ in range(30):
-        found = found + v_cycle(levels, right_side - applied(levels[0], found))
+    found = solve(levels, right_side, 30)
     torch.testing.assert_close(found.flatten(), direct, rtol=0, atol=1e-9 * float(direct.abs().max()))
     assert (found.flatten()[~known] == 0).all()
 
@@ -43,9 +42,7 @@ def test_a_cycle_leaves_a_quarter_of_the_residual_at_any_size(masked: bool) -> N
     rates = []
     for height, width in ((32, 40), (61, 83), (128, 160)):
         levels, right_side, _ = system(height, width, masked)
-        found = torch.zeros_like(right_side)
-        for _ in range(5):
-            found = found + v_cycle(levels, right_side - applied(levels[0], found))
+        found = solve(levels, right_side, 5)
         left = right_side - applied(levels[0], found)
         rates.append(float(left.norm() / right_side.norm()) ** 0.2)
     assert max(rates) < 0.25
@@ -60,3 +57,26 @@ def test_a_constant_has_no_laplacian() -> None:
             torch.zeros_like(constant),
         )
     assert mask.sum() < mask.numel()
+
+
+@pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
+@pytest.mark.parametrize("most", [0, 1, 2])
+@pytest.mark.parametrize(("height", "width"), [(5, 9), (37, 53), (64, 80), (120, 33), (8, 1000)])
+def test_compiled_cycles_are_the_portable_ones(
+    height: int, width: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the rounding of float32, in every instruction set, over a mask with holes, for a batch."""
+    generator = torch.Generator().manual_seed(height)
+    mask = (torch.rand(2, 1, height, width, generator=generator) > 0.1).float()
+    slopes = 5 * torch.randn(2, 2, height, width, generator=generator)
+    tensor = torch.cat((slopes[:, :1] ** 2, slopes[:, :1] * slopes[:, 1:], slopes[:, 1:] ** 2), dim=1) * mask
+    levels = pyramid(tensor, mask, torch.tensor([40.0, 3.0]))
+    right_side = torch.randn(2, 2, height, width, generator=generator) * mask
+    kernels.limit_instruction_set(most)
+    try:
+        compiled = solve(levels, right_side, 2)
+    finally:
+        kernels.limit_instruction_set(-1)
+    monkeypatch.setattr(kernels, "serve", lambda *_: False)
+    portable = solve(levels, right_side, 2)
+    torch.testing.assert_close(compiled, portable, rtol=0, atol=5e-6 * float(portable.abs().max()))

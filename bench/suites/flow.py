@@ -1,0 +1,175 @@
+"""Dense flow on skin: an error for every pixel, and the divergence that follows from it.
+
+Views of 480 x 640 px (smaller with --quick), 8 bit, noise of 2 grey levels; a smooth field of up to 1.6 px, four waves
+of 200 to 400 px. `whorl` is the skin of the other suites, one direction of ridges in most places, 15 px apart; `ridges`
+runs in all directions, 9 to 22 px apart. `epe_px` is the mean length of the error, `div` the RMS error of the
+divergence of the field smoothed with sigma 8 px, in 1e-3; 24 px of border are left out, as the peers know nothing
+there. `z` is the RMS of the error over the stated deviation.
+
+`cold` prepares the first image and starts from nothing, three warps; `warm` has it prepared and begins with nine tenths
+of what was found, with one warp, as frame after frame of a recording.
+
+`dimetrodon` is a real pair with its true flow (Middlebury; where `../shared/data` is): up to 4.3 px, with edges of
+motion, for which fingerflow is made less smooth (roughness 0.4): `epe_px`, and `angle_deg` the mean angular error.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from skimage.registration import optical_flow_ilk
+from torch import Tensor
+
+from bench.rows import Row
+from bench.skin import deformed_picture, grey, photograph
+from bench.timing import time_in_turns
+from fingerflow.ops.flow import Flow, dense_flow, find_flow, prepare_flow
+from fingerflow.synthetic import texture_image
+
+DATA = Path(__file__).resolve().parents[3] / "shared/data/flow"
+NOISE, BORDER, SIGMA = 2.0, 24, 8.0
+PEER = "opencv Farneback"
+Way = Callable[[], Tensor]
+
+
+def run(quick: bool) -> list[Row]:
+    """A row a scene and way."""
+    shape = (160, 200) if quick else (480, 640)
+    rows: list[Row] = []
+    for scene, texture in (("whorl", grey), ("ridges", _ridges())):
+        first, current, truth = _pair(texture, shape)
+        ways, flow = _ways(first, current)
+        times = time_in_turns(ways, PEER, rounds=2 if quick else 7)
+        for name, way in ways.items():
+            found = way()
+            rows.append(
+                {
+                    "scene": scene,
+                    "way": name,
+                    "epe_px": _inner((found - truth).norm(dim=1)).nanmean().item(),
+                    "div": 1e3 * _inner(_divergence(found) - _divergence(truth)).square().nanmean().sqrt().item(),
+                    "z": _z(flow, truth) if name == "fingerflow, cold" else None,
+                    **times[name].cells(),
+                }
+            )
+    return rows + _dimetrodon()
+
+
+def _ridges(count: int = 300) -> Callable[[Tensor, Tensor], Tensor]:
+    """Grey level at real positions in px: waves of 9 to 22 px in all directions."""
+    generator = torch.Generator().manual_seed(3)
+    period, angle, phase = torch.rand(3, count, generator=generator, dtype=torch.float64)
+    turn = 2 * math.pi / (9 + 13 * period)
+    waves = torch.stack((turn * (2 * math.pi * angle).cos(), turn * (2 * math.pi * angle).sin(), 2 * math.pi * phase))
+
+    def level(x: Tensor, y: Tensor) -> Tensor:
+        total = torch.zeros_like(x)
+        for right, down, begin in waves.T.tolist():
+            total += torch.cos(right * x + down * y + begin)
+        return 110 + 40 * total / math.sqrt(count / 2)
+
+    return level
+
+
+def _motion(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Displacement (u, v) px of what is at (x, y) in the first image."""
+    generator = torch.Generator().manual_seed(7)
+    along_x, along_y = torch.zeros_like(x), torch.zeros_like(x)
+    for angle, period, first, second in torch.rand(4, 4, generator=generator, dtype=torch.float64).tolist():
+        turn = 2 * math.pi / (200 + 200 * period)
+        phase = turn * (math.cos(2 * math.pi * angle) * x + math.sin(2 * math.pi * angle) * y)
+        along_x += 0.5 * torch.sin(phase + 2 * math.pi * first)
+        along_y += 0.5 * torch.sin(phase + 2 * math.pi * second)
+    return along_x, along_y
+
+
+def _pair(texture: Callable[[Tensor, Tensor], Tensor], shape: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    def material(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        there_x, there_y = x, y
+        for _ in range(20):  # the strain is a few percent: each time the error is so much smaller
+            along_x, along_y = _motion(there_x, there_y)
+            there_x, there_y = x - along_x, y - along_y
+        return there_x, there_y
+
+    if texture is grey:
+        clean = deformed_picture(shape, lambda x, y: (x, y)), deformed_picture(shape, material)
+    else:
+        clean = texture_image(texture, shape, 1.0), texture_image(texture, shape, 1.0, material)
+    y, x = torch.meshgrid(*(torch.arange(side, dtype=torch.float64) for side in shape), indexing="ij")
+    first, current = (photograph(one, NOISE, seed) for seed, one in enumerate(clean))
+    return first, current, torch.stack(_motion(x, y))[None]
+
+
+def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
+    one, other = first[0, 0].numpy(), current[0, 0].numpy()
+    template, found = prepare_flow(first), dense_flow(first, current)
+    before = 0.9 * found.displacement
+    medium = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+
+    def of(flow: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.moveaxis(flow, 2, 0).astype(np.float64))[None]
+
+    def ilk() -> Tensor:
+        down, right = optical_flow_ilk(one, other, radius=10, dtype=np.float32)
+        return of(np.stack((right, down), axis=-1))
+
+    ways: dict[str, Way] = {
+        PEER: lambda: of(cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 4, 21, 3, 7, 1.5, 0)),  # type: ignore[call-overload]
+        "opencv DIS, medium": lambda: of(medium.calc(one, other, None)),  # type: ignore[call-overload]
+        "scikit-image ILK": ilk,
+        "fingerflow, cold": lambda: dense_flow(first, current).displacement.double(),
+        "fingerflow, warm": lambda: find_flow(template, current, before, warps=1).displacement.double(),
+    }
+    return ways, found
+
+
+def _dimetrodon() -> list[Row]:
+    if not DATA.is_dir():
+        return []
+    one, other = (cv2.imread(str(DATA / f"dimetrodon_frame{number}.png"), cv2.IMREAD_GRAYSCALE) for number in (10, 11))
+    raw = np.fromfile(DATA / "dimetrodon_flow10.flo", np.float32)
+    width, height = np.frombuffer(raw[1:3].tobytes(), np.int32)
+    truth = raw[3:].reshape(height, width, 2)
+    known = np.abs(truth).max(axis=-1) < 1e9
+    first, current = (torch.from_numpy(image)[None, None] for image in (one, other))
+    medium = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    ways: dict[str, Callable[[], np.ndarray]] = {
+        PEER: lambda: cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 4, 21, 3, 7, 1.5, 0),  # type: ignore[call-overload]
+        "opencv DIS, medium": lambda: medium.calc(one, other, None),  # type: ignore[call-overload]
+        "fingerflow, cold": lambda: np.moveaxis(
+            dense_flow(first, current, box=3, roughness=0.4, warps=5).displacement[0].numpy(), 0, 2
+        ),
+    }
+    rows: list[Row] = []
+    for name, way in ways.items():
+        found = way()
+        length = np.sqrt((1 + (found**2).sum(-1)) * (1 + (truth**2).sum(-1)))
+        angle = np.degrees(np.arccos(np.clip((1 + (found * truth).sum(-1)) / length, -1, 1)))
+        counted = known & np.isfinite(angle)
+        rows.append(
+            {
+                "scene": "dimetrodon",
+                "way": name,
+                "epe_px": float(np.linalg.norm(found - truth, axis=-1)[counted].mean()),
+                "angle_deg": float(angle[counted].mean()),
+            }
+        )
+    return rows
+
+
+def _inner(field: Tensor) -> Tensor:
+    return field[..., BORDER:-BORDER, BORDER:-BORDER]
+
+
+def _divergence(flow: Tensor) -> Tensor:
+    """(1, H, W) of the field smoothed with sigma 8 px; what is not known at the border is taken from beside it."""
+    planes = [cv2.GaussianBlur(plane.nan_to_num(0.0).numpy(), (0, 0), SIGMA) for plane in flow[0]]
+    return torch.from_numpy(np.gradient(planes[0], axis=1) + np.gradient(planes[1], axis=0))[None]
+
+
+def _z(flow: Flow, truth: Tensor) -> float:
+    variance = torch.stack((flow.covariance[:, 0, 0], flow.covariance[:, 1, 1]), dim=1)
+    return float(_inner((flow.displacement - truth).square() / variance).nanmean().sqrt())

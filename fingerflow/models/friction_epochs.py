@@ -1,0 +1,156 @@
+"""Friction coefficient against vibration amplitude, from a tribometer trace (Willemet et al. 2021, figure S1 A and B).
+
+The plate's ultrasonic vibration is modulated with a sinusoid of 4 Hz while a finger slides to and fro. An epoch is a
+half period in which the envelope rises and the finger moves from right to left throughout; the coefficient is T / N.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+_PARTS = 25  # of a half period, over each of which the finger's velocity is a straight line's slope
+_LEAST_SAMPLES = 8  # of an epoch
+
+
+@dataclass(frozen=True)
+class FrictionEpochs:
+    """E epochs and A bins of amplitude; NaN where an epoch has no sample in a bin."""
+
+    start: Tensor  # (E,) int64, first sample
+    stop: Tensor  # (E,) int64, behind the last
+    edges: Tensor  # (A + 1,) m of amplitude
+    median: Tensor  # (E, A) of T / N
+    spread: Tensor  # (E, A) between the quartiles of T / N
+    count: Tensor  # (E, A) int64 samples
+
+    def over_epochs(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Of each bin (A,): the median of the epochs' medians, the distance of their quartiles, number of epochs."""
+        return _summary(self.median)
+
+
+def friction_epochs(
+    time: Tensor,
+    normal: Tensor,
+    tangential: Tensor,
+    position: Tensor,
+    amplitude: Tensor,
+    edges: Tensor,
+    *,
+    modulation_hz: float = 4.0,
+    least_speed: float = 5e-3,
+) -> FrictionEpochs:
+    """Coefficient |T| / N of every epoch in bins of amplitude.
+
+    Whether the envelope rises is read from the sinusoid of ``modulation_hz`` that fits it best, whether the finger
+    moves from slopes of its position over 1 / 25 of a half period: neither depends on the noise of single samples.
+
+    Args:
+        time: (T,) s, in even steps.
+        normal, tangential: (T,) N; a sample counts where both are known and the normal force is positive.
+        position: (T,) m of the finger along the plate, growing to the right.
+        amplitude: (T,) m, the envelope of the vibration.
+        edges: (A + 1,) m, rising: the bins of amplitude.
+        least_speed: m/s to the left, below which the finger does not count as sliding.
+
+    Raises:
+        ValueError: shapes that do not belong together, uneven times, an unknown position or amplitude, no modulation at
+            that frequency, fewer than 8 samples a half period, or normal forces that are nowhere positive.
+    """
+    signals = {"normal": normal, "tangential": tangential, "position": position, "amplitude": amplitude}
+    at, ratio, place, height = _checked(time, signals, edges)
+    step = float(at[-1] - at[0]) / (len(at) - 1)
+    half = 0.5 / modulation_hz
+    if half < _LEAST_SAMPLES * step:
+        raise ValueError(
+            f"a half period of {modulation_hz:g} Hz has {half / step:.1f} samples of {step:g} s: record "
+            f"{2 * _LEAST_SAMPLES * modulation_hz:g} Hz or more"
+        )
+    width = max(1, round(half / step / _PARTS / 2))
+    sliding = _slopes(place, width) / step < -least_speed
+    first, last = [], []
+    for begin in _rises(at, height, modulation_hz):
+        start, stop = np.searchsorted(at, (begin - 1e-6 * half, begin + half * (1 + 1e-6)))
+        if begin >= at[0] - step / 2 and begin + half <= at[-1] + step / 2 and sliding[start:stop].all():
+            first.append(start)
+            last.append(stop)
+    bins = np.searchsorted(edges.numpy(), height, side="right") - 1
+    values = [
+        [ratio[start:stop][(bins[start:stop] == k) & np.isfinite(ratio[start:stop])] for k in range(len(edges) - 1)]
+        for start, stop in zip(first, last, strict=True)
+    ]
+    shape = (len(first), len(edges) - 1)
+    quartiles = [[_quartiles(value) for value in row] for row in values]
+    of = torch.tensor(quartiles, dtype=torch.float64).reshape(*shape, 2)
+    count = torch.tensor([[len(value) for value in row] for row in values], dtype=torch.int64).reshape(shape)
+    begins, ends = (torch.tensor(list(map(int, indices)), dtype=torch.int64) for indices in (first, last))
+    return FrictionEpochs(begins, ends, edges, of[..., 0], of[..., 1], count)
+
+
+def _rises(time: NDArray[np.float64], amplitude: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+    """Times at which the best sinusoid begins to rise."""
+    phase = 2 * np.pi * frequency * (time - time[0])
+    columns = np.stack((np.ones_like(phase), np.cos(phase), np.sin(phase)), 1)
+    fitted = np.linalg.lstsq(columns, amplitude, rcond=None)[0]
+    cosine, sine = fitted[1:].tolist()
+    swing, rest = math.hypot(cosine, sine), float(np.std(amplitude - columns @ fitted))
+    if not swing > rest + 1e-9 * np.abs(amplitude).max():
+        raise ValueError(
+            f"the envelope has {swing:g} m at {frequency:g} Hz and {rest:g} m beside it: it is not modulated with that "
+            "frequency; give modulation_hz, and the envelope rather than the vibration itself"
+        )
+    lowest = (math.atan2(sine, cosine) + math.pi) % (2 * math.pi)  # of cos(phase - angle)
+    periods = np.arange(-1, phase[-1] / (2 * np.pi) + 1)
+    return np.asarray(time[0] + (lowest / (2 * np.pi) + periods) / frequency)
+
+
+def _slopes(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """By straight lines through 2 width + 1 samples, a sample a step; at the ends those of the nearest whole window."""
+    if len(values) < 2 * width + 1:
+        return np.full(len(values), np.nan)
+    offsets = np.arange(-width, width + 1)
+    inside = np.convolve(values, offsets[::-1] / (offsets**2).sum(), mode="valid")
+    return np.pad(inside, width, mode="edge")
+
+
+def _quartiles(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Median, and distance of the quartiles."""
+    if not len(values):
+        return math.nan, math.nan
+    low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
+    return float(middle), float(high - low)
+
+
+def _summary(values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    rows = [_quartiles(column[np.isfinite(column)]) for column in values.T.numpy()]
+    of = torch.tensor(rows, dtype=torch.float64).reshape(-1, 2)
+    return of[:, 0], of[:, 1], values.isfinite().sum(0)
+
+
+def _checked(
+    time: Tensor, signals: dict[str, Tensor], edges: Tensor
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Time, T / N, position and amplitude."""
+    if time.ndim != 1 or len(time) < 2:
+        raise ValueError(f"time is {tuple(time.shape)}: give (T,), two samples or more")
+    for name, signal in signals.items():
+        if signal.shape != time.shape:
+            raise ValueError(f"{name} is {tuple(signal.shape)} beside {len(time)} times: give one sample a time")
+    at, normal, tangential, place, height = (
+        np.asarray(signal.detach().cpu(), dtype=np.float64) for signal in (time, *signals.values())
+    )
+    steps = np.diff(at)
+    if not steps.min() > 0 or steps.max() - steps.min() > 0.01 * steps.mean():
+        raise ValueError(f"steps of time go from {steps.min():g} to {steps.max():g} s: resample to even ones")
+    for name, values in (("position", place), ("amplitude", height)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} is not known at {(~np.isfinite(values)).sum()} samples: fill or cut them")
+    if edges.ndim != 1 or len(edges) < 2 or not bool((edges.diff() > 0).all()):
+        raise ValueError(f"edges of amplitude {edges.tolist()}: give at least two, rising")
+    usable = normal > 0
+    if not usable.any():
+        raise ValueError(f"the normal force is at most {np.nanmax(normal):g} N: pressing must be positive")
+    return at, np.where(usable, np.abs(tangential) / np.where(usable, normal, 1.0), np.nan), place, height

@@ -1,0 +1,228 @@
+"""Stress under a loaded surface, in plane strain: Johnson, Contact Mechanics (1985), equation 2.23.
+
+Along y on the surface, z down into the skin. A pressure p presses the surface down, a traction q pulls it along +y, and
+with r = y - s, R^2 = r^2 + z^2 the stresses are integrals over the surface, of -2 / pi times
+
+    sigma_y:  p z r^2 / R^4 + q r^3 / R^4
+    sigma_z:  p z^3 / R^4   + q z^2 r / R^4
+    tau_yz:   p z^2 r / R^4 + q z r^2 / R^4
+
+(equation 11 of Willemet et al. 2021 has the first two lines; the published script squares r in the p of tau, which
+makes the shear even where it is odd, and leaves q out.) At the surface sigma_z -> -p and tau_yz -> -q.
+
+Every strip is integrated exactly. With phi = atan(r / z) at its ends, theta the difference and Sigma the sum of both:
+
+    integral of 2 z r^2 / R^4 = theta - sin theta cos Sigma = (theta - sin theta) + 2 sin theta sin^2(Sigma / 2)
+    integral of 2 z^3 / R^4   = theta + sin theta cos Sigma = (theta - sin theta) + 2 sin theta cos^2(Sigma / 2)
+    integral of 2 z^2 r / R^4 = sin theta sin Sigma
+    integral of 2 r^3 / R^4   = 2 h - sin theta sin Sigma,  h = log(R_1 / R_2)
+
+The right-hand forms add what has one sign, so that nothing cancels close to the surface, far beside or far below it.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+_PAIRS_AT_ONCE = 1 << 20  # pairs of a place and a strip; a few tens of MB
+_FAR = 2.0  # strip widths: from there on a strip is smooth enough for ten points of Gauss, to the last digit
+_GAUSS = (
+    (0.14887433898163122, 0.29552422471475287),
+    (0.43339539412924721, 0.26926671930999635),
+    (0.67940956829902441, 0.21908636251598204),
+    (0.86506336668898451, 0.14945134915058059),
+    (0.97390652851717172, 0.06667134430868814),
+)
+
+
+class Stress(NamedTuple):
+    """In the unit of the load, tension positive; tau_yz is positive where the upper side is pulled along -y."""
+
+    sigma_y: Tensor
+    sigma_z: Tensor
+    tau_yz: Tensor
+
+
+def stress(
+    y: Tensor | float, z: Tensor | float, edges: Tensor, pressure: Tensor, traction: Tensor | None = None
+) -> Stress:
+    """Stress at places (y, z) under loads that are constant on each strip between two edges, exact to rounding.
+
+    Args:
+        y: place along the surface, of any shape S to which y and z broadcast, in the unit of the edges.
+        z: depth, positive.
+        edges: (..., M + 1), rising; leading dimensions B broadcast with those of the loads.
+        pressure: (..., M) on each strip, compression positive.
+        traction: (..., M) along +y on the surface of the skin; none by default.
+
+    Returns:
+        Each (*B, *S) float64, differentiable in all arguments.
+
+    Raises:
+        ValueError: shapes that do not belong together, edges that do not rise, a depth that is not positive, NaN.
+    """
+    edges, pressure, traction = _checked(edges, pressure, traction, extra=1)
+    return _summed(y, z, edges, pressure, traction)
+
+
+def stress_linear(
+    y: Tensor | float, z: Tensor | float, nodes: Tensor, pressure: Tensor, traction: Tensor | None = None
+) -> Stress:
+    """As `stress`, for loads that are linear between nodes (..., M + 1) with a value (..., M + 1) at each.
+
+    A load that is not 0 at the first or last node ends there with a step.
+    """
+    nodes, pressure, traction = _checked(nodes, pressure, traction, extra=0)
+    constant = [(load[..., 1:] + load[..., :-1]) / 2 for load in (pressure, traction)]
+    rising = [load.diff(dim=-1) / nodes.diff(dim=-1) for load in (pressure, traction)]
+    return _summed(y, z, nodes, *constant, *rising)
+
+
+class _Kernels(NamedTuple):
+    """The four integrals over each strip, (..., points, M)."""
+
+    z_rr: Tensor  # of 2 z r^2 / R^4
+    zzz: Tensor  # of 2 z^3 / R^4
+    zz_r: Tensor  # of 2 z^2 r / R^4
+    rrr: Tensor  # of 2 r^3 / R^4
+
+
+def _summed(
+    y: Tensor | float,
+    z: Tensor | float,
+    edges: Tensor,
+    pressure: Tensor,
+    traction: Tensor,
+    pressure_slope: Tensor | None = None,
+    traction_slope: Tensor | None = None,
+) -> Stress:
+    """Of loads in the middle of strips (..., M), and of their slopes along y."""
+    place, depth = torch.broadcast_tensors(*(torch.as_tensor(given, dtype=torch.float64) for given in (y, z)))
+    if not bool(((depth > 0) & (depth < torch.inf) & place.isfinite()).all()):
+        raise ValueError(
+            f"y from {_least(place)} and z from {_least(depth)}: give finite places with z > 0; the surface "
+            "itself has sigma_z = -pressure and tau_yz = -traction"
+        )
+    at_once = max(1, _PAIRS_AT_ONCE // max(1, edges.numel()))
+    parts = []
+    for along, down in zip(place.reshape(-1, 1).split(at_once), depth.reshape(-1, 1).split(at_once), strict=True):
+        first, second = along - edges[..., None, :-1], along - edges[..., None, 1:]
+        width = edges.diff(dim=-1)[..., None, :]
+        part = _loaded(_integrals(first, second, width, down), pressure, traction)
+        if pressure_slope is not None and traction_slope is not None:
+            # A place of a strip lies at s - middle = -(r - middle of r).
+            part = part - _loaded(_moments(first, second, width, down), pressure_slope, traction_slope)
+        parts.append(part)
+    whole = -torch.cat(parts, -1) / math.pi
+    return Stress(*whole.reshape(*whole.shape[:-1], *place.shape))
+
+
+def _loaded(of: _Kernels, pressure: Tensor, traction: Tensor) -> Tensor:
+    """(3, ..., points): sums over strips, of -pi sigma_y, -pi sigma_z and -pi tau_yz."""
+    pairs = ((of.z_rr, of.rrr), (of.zzz, of.zz_r), (of.zz_r, of.z_rr))
+    return torch.stack([_over_strips(of_p, pressure) + _over_strips(of_q, traction) for of_p, of_q in pairs])
+
+
+def _over_strips(integrals: Tensor, load: Tensor) -> Tensor:
+    return torch.einsum("...km,...m->...k", integrals, load)
+
+
+def _integrals(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
+    """From r at both ends of strips, ``first`` the greater one."""
+    first_squared, second_squared = first * first + z * z, second * second + z * z
+    both = (first_squared * second_squared).sqrt()
+    between = first + second
+    theta = torch.atan2(z * width, z * z + first * second)
+    sine = z * width / both  # of theta
+    sine_sum, cosine_sum = z * between / both, (z * z - first * second) / both
+    ahead = cosine_sum > 0
+    # sin^2 and cos^2 of Sigma / 2: the one that is small from the sine, the other from the cosine.
+    large = (1 + cosine_sum.abs()) / 2
+    small = sine_sum * sine_sum / (4 * large)
+    sine_half, cosine_half = torch.where(ahead, small, large), torch.where(ahead, large, small)
+    excess = _less_sine(theta, sine)
+    zz_r = sine * sine_sum
+    # h = log(R_1 / R_2); 2 h - sin theta sin Sigma = 2 (h - sinh h) + 2 sinh h (sin^2(theta/2) + sin^2(Sigma/2))
+    growth = width * between
+    right = growth >= 0
+    nearer = torch.where(right, second_squared, first_squared)
+    h = torch.where(right, 0.5, -0.5) * torch.log1p(growth.abs() / nearer)
+    sinh = growth / both / 2
+    half = torch.sin(theta / 2)
+    near_one = h.abs() < 1
+    # sinh h - h is the same series as theta - sin theta with all signs positive.
+    careful = 2 * sinh * (half * half + sine_half) - 2 * _sinh_less(torch.where(near_one, h, 0.0))
+    rrr = torch.where(near_one, careful, 2 * h - zz_r)
+    return _Kernels(excess + 2 * sine * sine_half, excess + 2 * sine * cosine_half, zz_r, rrr)
+
+
+def _moments(first: Tensor, second: Tensor, width: Tensor, z: Tensor) -> _Kernels:
+    """Integrals of the same kernels times r - (middle of r), which a linear load adds.
+
+    Near a strip in closed form: r z r^2 is z rrr and so on, and 2 r^4 / R^4 = 2 - 4 z^2 / R^2 + 2 z^4 / R^4. Far from
+    it that is a small difference of large numbers; there the kernels are smooth, and Gauss' rule is exact to rounding.
+    """
+    middle = (first + second) / 2
+    of = _integrals(first, second, width, z)
+    fourth = 2 * (width - z * torch.atan2(z * width, z * z + first * second)) - z * of.z_rr
+    near = _Kernels(
+        z * of.rrr - middle * of.z_rr,
+        z * of.zz_r - middle * of.zzz,
+        z * of.z_rr - middle * of.zz_r,
+        fourth - middle * of.rrr,
+    )
+    far = [torch.zeros_like(part) for part in near]
+    for place, weight in _GAUSS:
+        for side in (-place, place):
+            off = side * width / 2
+            r = middle + off
+            scale = weight * width * off / (r * r + z * z) ** 2
+            powers = (z * r * r, z * z * z, z * z * r, r * r * r)
+            far = [total + scale * power for total, power in zip(far, powers, strict=True)]
+    is_far = middle * middle + z * z > (_FAR * width) ** 2
+    return _Kernels(*(torch.where(is_far, there, here) for there, here in zip(far, near, strict=True)))
+
+
+def _less_sine(angle: Tensor, sine: Tensor) -> Tensor:
+    """angle - sin(angle) >= 0, without cancellation at small angles."""
+    small = angle < 1
+    reduced = torch.where(small, angle, 0.0)
+    return torch.where(small, _odd_series(reduced, -1.0), angle - sine)
+
+
+def _sinh_less(value: Tensor) -> Tensor:
+    """sinh(value) - value of |value| < 1, without cancellation."""
+    return _odd_series(value, 1.0)
+
+
+def _odd_series(value: Tensor, sign: float) -> Tensor:
+    """value^3 / 3! + sign value^5 / 5! + value^7 / 7! + ..."""
+    squared = value * value
+    total = torch.zeros_like(value)
+    for k in range(9, 0, -1):
+        total = sign * squared * total + 1 / math.factorial(2 * k + 1)
+    return total * squared * value
+
+
+def _checked(edges: Tensor, pressure: Tensor, traction: Tensor | None, extra: int) -> tuple[Tensor, Tensor, Tensor]:
+    edges, pressure = (torch.as_tensor(given, dtype=torch.float64) for given in (edges, pressure))
+    traction = torch.zeros_like(pressure) if traction is None else torch.as_tensor(traction, dtype=torch.float64)
+    values = "one value a strip" if extra else "one value a node"
+    for name, load in (("pressure", pressure), ("traction", traction)):
+        if not edges.ndim or not load.ndim or load.shape[-1] != edges.shape[-1] - extra or not load.shape[-1]:
+            raise ValueError(
+                f"{name} {tuple(load.shape)} on edges {tuple(edges.shape)}: give {values}, that is "
+                f"{(edges.shape[-1] if edges.ndim else 1) - extra} in the last dimension, "
+                "`stress` for constant and `stress_linear` for linear loads"
+            )
+        if not bool(load.isfinite().all()):
+            raise ValueError(f"{name} has a value that is not finite: leave the frames out that are not known")
+    if not bool((edges.diff(dim=-1) > 0).all()) or not bool(edges.isfinite().all()):
+        raise ValueError("edges do not rise from each to the next: sort strips along y and leave empty ones out")
+    return edges, pressure, traction
+
+
+def _least(values: Tensor) -> float:
+    return float(values.min()) if values.numel() else math.nan

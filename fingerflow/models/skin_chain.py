@@ -1,0 +1,298 @@
+"""A chain of skin around a bone, pressed on a plate with friction (Willemet et al. 2021, supplement, "Skin deformation
+model"), derived from an energy.
+
+**Energy.** Elements i at X_i = (x, z), the plate at z = 0, hang on a rigid bone displaced by U; X_i0 is the undeformed
+half-circle of radius R, u_i = X_i - X_i0, and P the bone's point in its centre.
+
+    E = 1/2 k_m sum |u_(i+1) - u_i|^2                  links between neighbours
+      + 1/2 (k_t - k_s) sum (|X_i - P| - R)^2          tissue along the line to the bone
+      + 1/2 k_s sum |u_i - U|^2                        tissue in every direction, k_s = k_t / (2 (1 + nu))
+      + 1/2 k_m sum over both ends |u_i - U|^2         the nail
+      + 1/2 k_c sum min(z_i, 0)^2                      the plate, a penalty
+
+A column of tissue has the stiffness k_t along itself and, as a solid's shear modulus is E / (2 (1 + nu)), k_s across.
+All is damped, zeta dX_i/dt = -dE/dX_i - F_i, the bone likewise with the load on it; F_i is Dahl's friction along x
+under the limit mu k_c max(-z_i, 0), see `friction`. Without load the power zeta |dX/dt|^2 + F dx/dt is all that E
+loses.
+
+**What makes skin spread.** A column that is flattened leans outward from the bone, so that its compression has a
+component along the plate, (k_t - k_s) times the slope of the arc: the chord it is laid on is too short for it. Friction
+points against the motion of each element and holds part of that back: more friction, less divergence.
+
+**Where this departs from print.** The links' force is equation 4 with its first sign put right, +k_m (U_(i-1) - 2 U_i +
+U_(i+1)); as printed it is unstable. Links that resist their length alone would fold: the chain does not resist bending,
+and at the edge of the contact the skin is compressed beyond k_t / (4 k_m), more so with every refinement. The tissue's
+springs act in print by component with k sin(alpha), k cos(alpha), which is no spring's force and couples no direction
+to the other; here they are derivatives of E. The published script's friction points along the sliding velocity and
+feeds energy in. Its term in nu is a sign function along the chain, which pushes both halves apart as blocks with a jump
+in the middle; here nu is in k_s alone. So lateral motion is that of another model: pressure and contact length can be
+compared with the paper's curves, and the direction and the order of size of what friction does; the course of
+displacement and divergence along the contact cannot.
+
+The chain is a section: divergence is that of a finger of revolution around the bone's axis, du/dx + u/x. It is summed
+up by its median along the contact. Towards the edge, where nothing presses outward any more, u falls and du/dx is
+negative, and most of an area of revolution lies there: a median by area says little of friction (5, 9 and 8 um/mm at
+mu = 0, 0.05 and 1 with the lab's numbers and 3 N, where the one along the contact has 44, 22 and 16).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from fingerflow.models.skin_motion import Chains, Motion, moved, stiffness_of
+from fingerflow.models.skin_parameters import Number, SkinParameters, named
+
+Friction = float | Tensor | Callable[[float, Tensor], Tensor]
+TOLERANCE_M = 5e-8  # of a place in one step; after some 150 steps places are right to about twice that
+CONTACT_N = 1e-9  # from which an element touches: rounding leaves less
+REST = 2e-7  # of the load, all that is out of balance added up
+
+
+@dataclass(frozen=True)
+class Press:
+    """Chains of N elements, leading dimensions (...) those of the parameters, after T times of `follow` before them."""
+
+    position: Tensor  # (..., N, 2) m, x along the plate and z above it
+    displacement: Tensor  # (..., N, 2) m from the undeformed chain before it moved
+    normal_force: Tensor  # (..., N) N, of the plate on each element
+    friction_force: Tensor  # (..., N) N along x, of the plate on each element
+    pressure: Tensor  # (..., N) Pa, compression positive
+    traction: Tensor  # (..., N) Pa along x on the skin
+    coefficient: Tensor  # (..., N) of friction
+    strain: Tensor  # (..., N) du/dx, NaN outside of the contact
+    divergence_field: Tensor  # (..., N) du/dx + u/x, NaN outside of the contact
+    divergence: Tensor  # (...) its median along the contact, NaN without one
+    contact_length: Tensor  # (...) m
+    bone: Tensor  # (..., 2) m of displacement
+    balance: Tensor  # (...) N: the absolute values of all that is out of balance on elements and bone, added up
+    time: Tensor  # (...) s that passed until then
+    steps: Tensor  # (...) int64
+
+    def strips(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Edges (..., M + 1) in m, pressure and traction (..., M) in Pa under all contacts, for `half_space.stress`."""
+        touched = (self.normal_force > CONTACT_N).reshape(-1, self.normal_force.shape[-1]).any(0)
+        found = touched.nonzero().flatten()
+        if not len(found):
+            raise ValueError("no element touches the plate: there is no load to look under")
+        first, last = max(1, int(found[0])), min(len(touched) - 2, int(found[-1]))
+        x = self.position[..., first - 1 : last + 2, 0]
+        inside = slice(first, last + 1)
+        return (x[..., 1:] + x[..., :-1]) / 2, self.pressure[..., inside], self.traction[..., inside]
+
+
+def press(
+    friction: Friction,
+    parameters: str | SkinParameters = "lab",
+    load_n: Number = 3.0,
+    *,
+    tangential_n: Number = 0.0,
+    indentation_m: Number | None = None,
+    slide_m: Number | None = None,
+    elements: int = 501,
+    tolerance_m: float = TOLERANCE_M,
+    longest_s: float = 2.0,
+) -> Press:
+    """A load put on at once and held until all forces balance, to 2e-7 of it.
+
+    Friction leaves the rest where the way to it ended: this is the rest after a sudden load. Differentiable in
+    friction, stiffnesses and sigma_0: exactly, along the steps that were taken (their lengths held), by the adjoint of
+    each.
+
+    Args:
+        friction: coefficient mu >= 0, a number or a tensor for many presses; or a function of the time in s and of the
+            places x (..., N) in m that gives the coefficient of each element, here for the undeformed chain at time 0.
+        parameters: "lab", "paper" or `SkinParameters`, whose tensors broadcast with friction and loads.
+        load_n: force that presses the bone down, N; with ``indentation_m`` that motion of the bone instead.
+        tangential_n: force that pulls the bone along +x, N; with ``slide_m`` that motion instead.
+        elements: 4 or more; the parameters are those of 501 and are converted.
+        tolerance_m: error of a place in one step.
+        longest_s: it ends there without rest, which `balance` tells: a bone that is pulled over the limit slides on.
+
+    Raises:
+        ValueError: a negative or unknown friction, parameters that cannot be, fewer than 4 elements.
+        RuntimeError: no step that keeps the tolerance.
+    """
+    chains, start = _begun(friction, parameters, elements, load_n, tangential_n, indentation_m, slide_m)
+    ends, held = _loads(chains.shape, load_n, tangential_n, indentation_m, slide_m)
+    coefficient = _coefficient(friction, 0.0, start.place[..., 0], chains.shape)
+    # Motions that are given are made in the time constant of the skin; a force is there at once.
+    if any(held):
+        ramp = torch.stack((torch.where(torch.tensor(held), 0.0, ends), ends), -2)
+        start = moved(chains, start, coefficient, ramp, held, 0.01, tolerance_m, 0.0)
+    rest = REST * ends.abs().masked_fill(torch.tensor(held), 0).sum(-1).clamp_min(0.1 if any(held) else 1e-3)
+    end = moved(chains, start, coefficient, torch.stack((ends, ends), -2), held, longest_s, tolerance_m, rest)
+    return _measured(chains, end, coefficient, ends, held)
+
+
+def follow(
+    friction: Friction,
+    time: Tensor,
+    load_n: Tensor | float,
+    *,
+    parameters: str | SkinParameters = "lab",
+    tangential_n: Tensor | float = 0.0,
+    indentation_m: Tensor | float | None = None,
+    slide_m: Tensor | float | None = None,
+    elements: int = 501,
+    tolerance_m: float = TOLERANCE_M,
+) -> Press:
+    """The chain at each of the times (T,), under loads that are linear between them, such as a measured force trace.
+
+    Args as in `press`, each load (T,) or (T, ...); it begins undeformed. Friction as a function is asked at each time,
+    at the places where elements then are. Not differentiable; raises ValueError where a derivative is asked for.
+    """
+    steps = time.double().diff()
+    if time.ndim != 1 or len(time) < 2 or not bool((steps > 0).all()):
+        raise ValueError(f"time {tuple(time.shape)} must be (T,), two or more, and rise at every step")
+    traces = {"load_n": load_n, "tangential_n": tangential_n, "indentation_m": indentation_m, "slide_m": slide_m}
+    at: dict[str, Tensor | None] = {name: _trace(name, value, len(time)) for name, value in traces.items()}
+
+    def given(k: int) -> tuple[Tensor | None, ...]:
+        return tuple(None if value is None else value[k] for value in at.values())
+
+    with torch.no_grad():
+        chains, state = _begun(friction, parameters, elements, *given(0))  # type: ignore[arg-type]
+        asked = [getattr(named(parameters), field.name) for field in fields(SkinParameters)]
+        if any(isinstance(value, Tensor) and value.requires_grad for value in (friction, *asked, *traces.values())):
+            raise ValueError("follow is not differentiable: detach friction, parameters and loads, or use press")
+        found = []
+        before, held = _loads(chains.shape, *given(0))  # type: ignore[arg-type]
+        for k in range(len(time)):
+            after, _ = _loads(chains.shape, *given(k))  # type: ignore[arg-type]
+            coefficient = _coefficient(friction, float(time[k]), state.place[..., 0], chains.shape)
+            if k:
+                loads = torch.stack((before, after), -2)
+                state = moved(chains, state, coefficient, loads, held, float(steps[k - 1]), tolerance_m, 0.0)
+            before = after
+            found.append(_measured(chains, state, coefficient, after, held))
+    return Press(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(Press)))
+
+
+def _begun(
+    friction: Friction,
+    parameters: str | SkinParameters,
+    elements: int,
+    load_n: Number,
+    tangential_n: Number,
+    indentation_m: Number | None,
+    slide_m: Number | None,
+) -> tuple[Chains, Motion]:
+    """Chains of all parameter sets, and how they begin."""
+    if elements < 4:
+        raise ValueError(f"{elements} elements: give 4 or more (the paper's chain has 501)")
+    given = [load_n, tangential_n, indentation_m, slide_m, *([] if callable(friction) else [friction])]
+    of = named(parameters)
+    numbers = [getattr(of, field.name) for field in fields(of)]
+    shapes = [torch.as_tensor(value).shape for value in (*given, *numbers) if value is not None]
+    chains = Chains.of(of, elements, torch.broadcast_shapes(*shapes))
+    return chains, chains.undeformed()
+
+
+def _loads(
+    shape: torch.Size,
+    load_n: Number,
+    tangential_n: Number,
+    indentation_m: Number | None,
+    slide_m: Number | None,
+) -> tuple[Tensor, tuple[bool, bool]]:
+    """(..., 2) along x and z, and which of them are motions."""
+    down = load_n if indentation_m is None else indentation_m
+    along = tangential_n if slide_m is None else slide_m
+    both = [torch.as_tensor(value, dtype=torch.float64).expand(shape) for value in (along, down)]
+    if not all(bool(value.isfinite().all()) for value in both):
+        raise ValueError("a load is not finite: cut the trace where force or motion is not known")
+    return torch.stack((both[0], -both[1]), -1), (slide_m is not None, indentation_m is not None)
+
+
+def _trace(name: str, value: Tensor | float | None, count: int) -> Tensor | None:
+    if value is None:
+        return None
+    trace = torch.as_tensor(value, dtype=torch.float64)
+    if trace.ndim and len(trace) != count:
+        raise ValueError(f"{name} is {tuple(trace.shape)} beside {count} times: give a number, (T,) or (T, ...)")
+    return trace if trace.ndim else trace.expand(count)
+
+
+def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) -> Tensor:
+    """(..., N) of each element."""
+    found = friction(time, x) if callable(friction) else torch.as_tensor(friction, dtype=torch.float64)[..., None]
+    coefficient = torch.as_tensor(found, dtype=torch.float64).expand(*shape, x.shape[-1])
+    known = (coefficient >= 0) & (coefficient < math.inf)
+    if not bool(known.all()):
+        raise ValueError(f"friction {float(coefficient[~known].flatten()[0])}: a coefficient is 0 or more")
+    return coefficient
+
+
+def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]) -> Press:
+    x, z = at.place.unbind(-1)
+    reference = chains.reference
+    displacement = at.place - reference
+    contact_stiffness = stiffness_of(chains.numbers, "contact")[..., None]
+    force = contact_stiffness * (-z).clamp_min(0)
+    touching = force > CONTACT_N
+    length = _between_neighbours(x)
+    area = torch.where(touching, length, 1.0) * chains.width[..., None]
+    slope = _between_neighbours(displacement[..., 0]) / _between_neighbours(reference[..., 0])
+    # The part of u that is odd about the axis, over its distance from it; in the middle its slope.
+    across = reference[..., 0] - reference[..., 0].flip(-1)
+    apart = displacement[..., 0] - displacement[..., 0].flip(-1)
+    middle = across == 0
+    hoop = torch.where(middle, slope, apart / torch.where(middle, 1.0, across))
+    on_plate = _share_on_plate(force, touching) * x.diff(dim=-1)
+    weight = (torch.nn.functional.pad(on_plate, (1, 0)) + torch.nn.functional.pad(on_plate, (0, 1))) / 2
+    return Press(
+        position=at.place,
+        displacement=displacement,
+        normal_force=force,
+        friction_force=-at.rubbed,
+        pressure=force / area,
+        traction=torch.where(touching, -at.rubbed / area, 0.0),
+        coefficient=coefficient,
+        strain=torch.where(touching, slope, torch.nan),
+        divergence_field=torch.where(touching, slope + hoop, torch.nan),
+        divergence=_weighted_median(slope + hoop, weight),
+        contact_length=on_plate.sum(-1),
+        bone=at.bone,
+        balance=chains.unbalanced(at, load, held),
+        time=at.time,
+        steps=at.steps,
+    )
+
+
+def _share_on_plate(force: Tensor, touching: Tensor) -> Tensor:
+    """(..., N - 1) of each link: as far as the forces of the last two elements lead to 0, so contact has no jumps."""
+    padded = torch.nn.functional.pad(force, (1, 1))
+    before, own, after = padded[..., :-3], force[..., :-1], force[..., 1:]
+    behind = padded[..., 3:]
+
+    def beyond(last: Tensor, inside: Tensor) -> Tensor:
+        falls = inside > last
+        return torch.where(falls, last / torch.where(falls, inside - last, 1.0), 0.5).clamp(max=1)
+
+    left, right = touching[..., :-1], touching[..., 1:]
+    one = torch.where(left, beyond(own, before), beyond(after, behind))
+    return torch.where(left & right, 1.0, torch.where(left | right, one, 0.0))
+
+
+def _between_neighbours(values: Tensor) -> Tensor:
+    """Half of the difference of both neighbours (..., N), of the one neighbour at an end."""
+    inside = (values[..., 2:] - values[..., :-2]) / 2
+    ends = values[..., 1:2] - values[..., :1], values[..., -1:] - values[..., -2:-1]
+    return torch.cat((ends[0], inside, ends[1]), -1)
+
+
+def _weighted_median(values: Tensor, weights: Tensor) -> Tensor:
+    """(...) where half of the weight lies below, linear between values; NaN without weight."""
+    order = torch.where(weights > 0, values, torch.inf).argsort(-1)
+    values, weights = values.gather(-1, order), weights.gather(-1, order)
+    reached = (weights.cumsum(-1) - weights / 2) / weights.sum(-1, keepdim=True)
+    after = (reached < 0.5).sum(-1, keepdim=True).clamp(1, values.shape[-1] - 1)
+    low, high = reached.gather(-1, after - 1), reached.gather(-1, after)
+    share = (0.5 - low) / torch.where(high > low, high - low, 1.0)
+    first, second = values.gather(-1, after - 1), values.gather(-1, after)
+    # With a single weight nothing lies below or above.
+    share = torch.where(low > 0.5, 0.0, share.clamp(0, 1))
+    return torch.where(weights.sum(-1) > 0, (first + share * (second - first))[..., 0], torch.nan)

@@ -1,0 +1,88 @@
+"""Strain of a solid that follows its stress with a delay: equation 12 of Willemet et al. 2021.
+
+    eta de_y/dt + E e_y = sigma_y - nu sigma_z,   eta de_z/dt + E e_z = sigma_z - nu sigma_y
+
+E / eta = 100 1/s is the rate of this: a time constant of 10 ms, and a corner of 100 / (2 pi) = 15.9 Hz, where the text
+has 100 Hz. The Poisson ratio of this equation is not in print; 0.4 is the paper's, from its strain energy.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+RECEPTOR_DEPTHS_M = (1.2e-3, 2e-3)  # where the paper has its mechanoreceptors
+
+
+class Strain(NamedTuple):
+    """Without unit, extension positive."""
+
+    along_y: Tensor
+    along_z: Tensor
+
+
+def viscoelastic_strain(
+    sigma_y: Tensor,
+    sigma_z: Tensor,
+    time: Tensor,
+    *,
+    young_modulus: Tensor | float = 1.1e6,
+    rate: Tensor | float = 100.0,
+    poisson_ratio: Tensor | float = 0.4,
+) -> Strain:
+    """Strain (T, ...) under stresses (T, ...) that are linear between the times (T,): exact for these, at any step.
+
+    The solid is at rest before the first time, whatever the stress is then.
+
+    Args:
+        sigma_y, sigma_z: Pa, tension positive, as `half_space.stress` has them, time in the first dimension.
+        time: s, rising.
+        young_modulus: E in Pa, positive; with ``rate`` E / eta in 1/s, positive, and ``poisson_ratio`` nu a number or
+            what broadcasts with the stress of one time.
+
+    Raises:
+        ValueError: stresses of another shape, times that do not rise, a modulus or a rate that is not positive.
+    """
+    if sigma_y.shape != sigma_z.shape or not sigma_y.ndim or tuple(time.shape) != (len(sigma_y),):
+        raise ValueError(
+            f"sigma_y {tuple(sigma_y.shape)}, sigma_z {tuple(sigma_z.shape)}, time {tuple(time.shape)}: give (T, ...), "
+            "the same, and (T,)"
+        )
+    if not bool((time.diff() > 0).all()):
+        raise ValueError(f"time has a smallest step of {float(time.diff().min())} s: every step must be positive")
+    for name, value, unit in (("young_modulus", young_modulus, "Pa"), ("rate", rate, "1/s")):
+        if not bool((torch.as_tensor(value) > 0).all()):
+            raise ValueError(f"{name} {torch.as_tensor(value).min().item()} {unit}: give a positive one")
+    across = torch.stack((sigma_y - poisson_ratio * sigma_z, sigma_z - poisson_ratio * sigma_y), 1)
+    elastic = across.double() / young_modulus  # the strain that each stress would end at
+    rates = torch.as_tensor(rate, dtype=torch.float64)
+    delays = rates * time.double().diff().reshape(-1, *[1] * max(rates.ndim, elastic.ndim - 2))
+    early, late = (share[:, None] for share in _shares(delays))
+    left, gained = torch.exp(-delays)[:, None], early * elastic[:-1] + late * elastic[1:]
+    strain = torch.zeros_like(elastic[0])
+    strains = [strain]
+    for kept, added in zip(left, gained, strict=True):
+        strain = kept * strain + added
+        strains.append(strain)
+    return Strain(*torch.stack(strains, 1))
+
+
+def _shares(delay: Tensor) -> tuple[Tensor, Tensor]:
+    """Of x = rate times step: how much of the stress at the step's beginning and at its end the strain takes over.
+
+    (1 - exp(-x) (1 + x)) / x and (x - 1 + exp(-x)) / x, both x / 2 for a small step, without cancellation.
+    """
+    small = delay < 0.5
+    large, reduced = torch.where(small, 1.0, delay), torch.where(small, delay, 0.0)
+    late = torch.where(small, _late(reduced), 1 + torch.expm1(-large) / large)
+    early = torch.where(small, -torch.exp(-reduced) * _late(-reduced), 1 - torch.exp(-large) - late)
+    return early, late
+
+
+def _late(x: Tensor) -> Tensor:
+    """(x - 1 + exp(-x)) / x = x / 2! - x^2 / 3! + ..."""
+    total = torch.zeros_like(x)
+    for k in range(14, 0, -1):
+        total = x * (1 / math.factorial(k + 1) - total)
+    return total

@@ -1,0 +1,209 @@
+// One row at a time; the cells at either end of it by themselves, those between as vectors.
+#include "flow_rows.h"
+
+#include <math.h>
+
+#include "lanes.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+// What one row of the operator reads; beyond the first and last row, weights of 0 and the row itself.
+struct Stencil {
+    const float *FINGERFLOW_RESTRICT xx, *FINGERFLOW_RESTRICT xy, *FINGERFLOW_RESTRICT yy;
+    const float *FINGERFLOW_RESTRICT right, *FINGERFLOW_RESTRICT up, *FINGERFLOW_RESTRICT down;
+    const float *u, *u_up, *u_down, *v, *v_up, *v_down;
+
+    Stencil(const FlowLevel& level, const FlowField& of, const float* zeros, std::int64_t y) {
+        const std::int64_t width = level.width, plane = level.height * width, at = y * width;
+        xx = level.tensor + at;
+        xy = xx + plane;
+        yy = xy + plane;
+        right = level.right + y * (width - 1);
+        const bool first = y == 0, last = y == level.height - 1;
+        up = first ? zeros : level.down + at - width;
+        down = last ? zeros : level.down + at;
+        u = of.u + at;
+        v = of.v + at;
+        u_up = first ? u : u - width;
+        v_up = first ? v : v - width;
+        u_down = last ? u : u + width;
+        v_down = last ? v : v + width;
+    }
+};
+
+inline void applied(const Stencil& s, std::int64_t x, float before, float after, std::int64_t left, std::int64_t right,
+                    float& on_u, float& on_v) {
+    const float u = s.u[x], v = s.v[x];
+    on_u = s.xx[x] * u + s.xy[x] * v + (before * (u - s.u[left]) - after * (s.u[right] - u)) +
+           (s.up[x] * (u - s.u_up[x]) - s.down[x] * (s.u_down[x] - u));
+    on_v = s.xy[x] * u + s.yy[x] * v + (before * (v - s.v[left]) - after * (s.v[right] - v)) +
+           (s.up[x] * (v - s.v_up[x]) - s.down[x] * (s.v_down[x] - v));
+}
+
+// Calls work(x, on_u, on_v) for every cell of a row.
+template <class Work>
+inline void along_row(const Stencil& s, std::int64_t width, const Work& work) {
+    float on_u, on_v;
+    applied(s, 0, 0.0f, width > 1 ? s.right[0] : 0.0f, 0, width > 1 ? 1 : 0, on_u, on_v);
+    work(0, on_u, on_v);
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 1; x < width - 1; ++x) {
+        float a, b;
+        applied(s, x, s.right[x - 1], s.right[x], x - 1, x + 1, a, b);
+        work(x, a, b);
+    }
+    if (width > 1) {
+        applied(s, width - 1, s.right[width - 2], 0.0f, width - 2, width - 1, on_u, on_v);
+        work(width - 1, on_u, on_v);
+    }
+}
+
+}  // namespace
+
+void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y) {
+    const std::int64_t width = level.width, plane = level.height * width, at = y * width;
+    const float *FINGERFLOW_RESTRICT xx = level.inverse + at, *FINGERFLOW_RESTRICT xy = xx + plane, *FINGERFLOW_RESTRICT yy = xy + plane;
+    const float *FINGERFLOW_RESTRICT ru = right_side.u + at, *FINGERFLOW_RESTRICT rv = right_side.v + at;
+    float *FINGERFLOW_RESTRICT u = to.u + at, *FINGERFLOW_RESTRICT v = to.v + at;
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < width; ++x) {
+        u[x] = damping * (xx[x] * ru[x] + xy[x] * rv[x]);
+        v[x] = damping * (xy[x] * ru[x] + yy[x] * rv[x]);
+    }
+}
+
+void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to, float damping,
+                    const float* zeros, std::int64_t y) {
+    const std::int64_t width = level.width, plane = level.height * width, at = y * width;
+    const float *FINGERFLOW_RESTRICT xx = level.inverse + at, *FINGERFLOW_RESTRICT xy = xx + plane, *FINGERFLOW_RESTRICT yy = xy + plane;
+    const float *FINGERFLOW_RESTRICT ru = right_side.u + at, *FINGERFLOW_RESTRICT rv = right_side.v + at;
+    float *FINGERFLOW_RESTRICT u = to.u + at, *FINGERFLOW_RESTRICT v = to.v + at;
+    const Stencil stencil(level, from, zeros, y);
+    along_row(stencil, width, [&](std::int64_t x, float on_u, float on_v) {
+        const float left_u = ru[x] - on_u, left_v = rv[x] - on_v;
+        u[x] = stencil.u[x] + damping * (xx[x] * left_u + xy[x] * left_v);
+        v[x] = stencil.v[x] + damping * (xy[x] * left_u + yy[x] * left_v);
+    });
+}
+
+void flow_residual_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
+                       const float* zeros, std::int64_t y) {
+    const std::int64_t at = y * level.width;
+    const float *FINGERFLOW_RESTRICT ru = right_side.u + at, *FINGERFLOW_RESTRICT rv = right_side.v + at;
+    float *FINGERFLOW_RESTRICT u = to.u + at, *FINGERFLOW_RESTRICT v = to.v + at;
+    along_row(Stencil(level, from, zeros, y), level.width, [&](std::int64_t x, float on_u, float on_v) {
+        u[x] = ru[x] - on_u;
+        v[x] = rv[x] - on_v;
+    });
+}
+
+void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,
+                       const FlowField& to, const float* zeros, float* memory, std::int64_t y) {
+    const std::int64_t width = level.width;
+    float *FINGERFLOW_RESTRICT u = memory, *FINGERFLOW_RESTRICT v = memory + 2 * width;
+    const std::int64_t rows = 2 * y + 1 < level.height ? 2 : 1;
+    for (std::int64_t row = 0; row < rows; ++row) {
+        const std::int64_t at = (2 * y + row) * width;
+        const float *FINGERFLOW_RESTRICT ru = right_side.u + at, *FINGERFLOW_RESTRICT rv = right_side.v + at;
+        const bool second = row == 1;
+        along_row(Stencil(level, from, zeros, 2 * y + row), width, [&](std::int64_t x, float on_u, float on_v) {
+            u[x] = (second ? u[x] : 0.0f) + (ru[x] - on_u);
+            v[x] = (second ? v[x] : 0.0f) + (rv[x] - on_v);
+        });
+    }
+    float *FINGERFLOW_RESTRICT sum_u = to.u + y * coarser.width, *FINGERFLOW_RESTRICT sum_v = to.v + y * coarser.width;
+    const std::int64_t pairs = width / 2;
+    for (std::int64_t x = 0; x < pairs; ++x) {
+        sum_u[x] = (u[2 * x] + u[2 * x + 1]) / 4;
+        sum_v[x] = (v[2 * x] + v[2 * x + 1]) / 4;
+    }
+    if (pairs < coarser.width) {
+        sum_u[pairs] = u[2 * pairs] / 4;
+        sum_v[pairs] = v[2 * pairs] / 4;
+    }
+}
+
+void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const FlowField& from, const FlowField& to, float* memory,
+                     std::int64_t y) {
+    const std::int64_t cells = coarser.width, near = y / 2;
+    const std::int64_t next = y % 2 ? (near + 1 < coarser.height ? near + 1 : near) : (near > 0 ? near - 1 : 0);
+    float *FINGERFLOW_RESTRICT u = memory, *FINGERFLOW_RESTRICT v = memory + cells, *FINGERFLOW_RESTRICT share = memory + 2 * cells;
+    const float *FINGERFLOW_RESTRICT one = coarser.inside + near * cells, *FINGERFLOW_RESTRICT other = coarser.inside + next * cells;
+    for (std::int64_t x = 0; x < cells; ++x) {
+        u[x] = 0.75f * (from.u[near * cells + x] * one[x]) + 0.25f * (from.u[next * cells + x] * other[x]);
+        v[x] = 0.75f * (from.v[near * cells + x] * one[x]) + 0.25f * (from.v[next * cells + x] * other[x]);
+        share[x] = 0.75f * one[x] + 0.25f * other[x];
+    }
+    const float* FINGERFLOW_RESTRICT inside = level.inside + y * level.width;
+    float *FINGERFLOW_RESTRICT to_u = to.u + y * level.width, *FINGERFLOW_RESTRICT to_v = to.v + y * level.width;
+    for (std::int64_t x = 0; x < level.width; ++x) {
+        const std::int64_t a = x / 2, b = x % 2 ? (a + 1 < cells ? a + 1 : a) : (a > 0 ? a - 1 : 0);
+        const float known = 0.75f * share[a] + 0.25f * share[b], by = known > 0 ? known : 1.0f;
+        to_u[x] += inside[x] * (0.75f * u[a] + 0.25f * u[b]) / by;
+        to_v[x] += inside[x] * (0.75f * v[a] + 0.25f * v[b]) / by;
+    }
+}
+
+namespace {
+
+inline void weights_of(float fraction, float (&weights)[4]) {
+    const float rest = 1 - fraction, square = fraction * fraction, rest_square = rest * rest;
+    weights[0] = rest_square * rest / 6;
+    weights[1] = 2.0f / 3 + square * (fraction / 2 - 1);
+    weights[2] = 2.0f / 3 + rest_square * (rest / 2 - 1);
+    weights[3] = square * fraction / 6;
+}
+
+inline std::int64_t within(std::int64_t value, std::int64_t count) { return value < 0 ? 0 : value < count ? value : count - 1; }
+
+}  // namespace
+
+void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v, float* values,
+                   std::int64_t y) {
+    const float farthest = 1e6f;  // px: as far outside as anything
+    for (std::int64_t begin = 0, end; begin < width; begin = end) {
+        // Pixels in a row whose displacements have one whole part: their taps lie side by side.
+        const float whole_u = floorf(u[begin]), whole_v = floorf(v[begin]);
+        for (end = begin + 1; end < width && u[end] >= whole_u && u[end] < whole_u + 1 && v[end] >= whole_v && v[end] < whole_v + 1;) ++end;
+        const auto right = static_cast<std::int64_t>(fminf(fmaxf(whole_u, -farthest), farthest)) - 1;
+        const auto below = static_cast<std::int64_t>(fminf(fmaxf(whole_v, -farthest), farthest)) - 1;
+        const float* lines[4];
+        for (int k = 0; k < 4; ++k) lines[k] = coefficients + within(y + below + k, height) * width;
+        // The first and last of them whose taps all lie in the image.
+        const std::int64_t first = begin + right < 0 ? (-right < end ? -right : end) : begin;
+        const std::int64_t limit = width - 3 - right, last = limit < end ? (limit > first ? limit : first) : end;
+        const auto slowly = [&](std::int64_t from, std::int64_t to) {
+            for (std::int64_t x = from; x < to; ++x) {
+                float across[4], down[4], value = 0;
+                weights_of(u[x] - whole_u, across);
+                weights_of(v[x] - whole_v, down);
+                for (int k = 0; k < 4; ++k) {
+                    float line = 0;
+                    for (int j = 0; j < 4; ++j) line += across[j] * lines[k][within(x + right + j, width)];
+                    value += down[k] * line;
+                }
+                values[x] = value;
+            }
+        };
+        slowly(begin, first);
+        const float *FINGERFLOW_RESTRICT l0 = lines[0] + right, *FINGERFLOW_RESTRICT l1 = lines[1] + right;
+        const float *FINGERFLOW_RESTRICT l2 = lines[2] + right, *FINGERFLOW_RESTRICT l3 = lines[3] + right;
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = first; x < last; ++x) {
+            float a[4], d[4];
+            weights_of(u[x] - whole_u, a);
+            weights_of(v[x] - whole_v, d);
+            const float line0 = a[0] * l0[x] + a[1] * l0[x + 1] + a[2] * l0[x + 2] + a[3] * l0[x + 3];
+            const float line1 = a[0] * l1[x] + a[1] * l1[x + 1] + a[2] * l1[x + 2] + a[3] * l1[x + 3];
+            const float line2 = a[0] * l2[x] + a[1] * l2[x + 1] + a[2] * l2[x + 2] + a[3] * l2[x + 3];
+            const float line3 = a[0] * l3[x] + a[1] * l3[x + 1] + a[2] * l3[x + 2] + a[3] * l3[x + 3];
+            values[x] = d[0] * line0 + d[1] * line1 + d[2] * line2 + d[3] * line3;
+        }
+        slowly(last, end);
+    }
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow

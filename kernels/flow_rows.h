@@ -1,0 +1,45 @@
+// Rows of the multigrid of dense flow, and of an image warped by it, as fingerflow/ops/flow_multigrid.py and flow.py have
+// them.
+#pragma once
+
+#include <cstdint>
+
+#include "instruction_sets.h"
+
+namespace fingerflow {
+
+// Operator on height x width cells: planes of tensor and inverse (3), right (height, width - 1), down (height - 1, width).
+struct FlowLevel {
+    const float *tensor, *right, *down, *inverse, *inside;
+    std::int64_t height, width;
+};
+
+// A field of two planes, one behind the other.
+struct FlowField {
+    float* u;
+    float* v;
+};
+
+// clang-format off
+FINGERFLOW_FOR_EACH_SET(
+    // damping inverse r, the first sweep from 0.
+    void flow_start_row(const FlowLevel& level, const FlowField& right_side, const FlowField& to, float damping, std::int64_t y);
+    // One sweep: to = from + damping inverse (r - A from).
+    void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
+                        float damping, const float* zeros, std::int64_t y);
+    // to = r - A from.
+    void flow_residual_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
+                           const float* zeros, std::int64_t y);
+    // Means of 2 x 2 of r - A from: row y of the coarser level. `memory` holds 4 rows.
+    void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,
+                           const FlowField& to, const float* zeros, float* memory, std::int64_t y);
+    // Adds what the coarser level has found. `memory` holds 3 rows of it.
+    void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const FlowField& from, const FlowField& to,
+                         float* memory, std::int64_t y);
+    // The spline with these coefficients (height, width) at (x + u, y + v), the border repeated.
+    void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v,
+                       float* values, std::int64_t y);
+)
+// clang-format on
+
+}  // namespace fingerflow

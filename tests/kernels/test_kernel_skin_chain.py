@@ -1,0 +1,106 @@
+"""The compiled chain beside the portable one: the same steps, and the same numbers to rounding."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+import torch
+
+from fingerflow import kernels
+from fingerflow.models.skin_chain import Press, press
+from fingerflow.models.skin_parameters import PARAMETERS
+
+Portable = Callable[[Callable[[], object]], Any]
+FRICTIONS = torch.tensor([0.0, 0.03, 0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 2.0], dtype=torch.float64)  # more than a vector
+
+
+PORTABLE: dict[object, Any] = {}  # of each case once, whatever the instruction sets are
+
+
+def once(portable: Portable, case: object, call: Callable[[], object]) -> Any:
+    if case not in PORTABLE:
+        PORTABLE[case] = portable(call)
+    return PORTABLE[case]
+
+
+def same(found: Press, expected: Press) -> None:
+    assert torch.equal(found.steps, expected.steps)
+    for field in fields(Press):
+        one, other = getattr(found, field.name), getattr(expected, field.name)
+        size = other.nan_to_num(0.0).abs().max().item()
+        limit = {"balance": 1e-7}.get(field.name, 1e-7 * size)
+        torch.testing.assert_close(one, other, rtol=0, atol=limit, equal_nan=True)
+
+
+@pytest.mark.parametrize("elements", [5, 40])
+def test_same_press(
+    instruction_set: int, portable: Portable, torch_threads: Callable[[int], None], elements: int
+) -> None:
+    torch_threads(1)
+    found = press(FRICTIONS, elements=elements, tangential_n=0.05)
+    same(found, once(portable, elements, lambda: press(FRICTIONS, elements=elements, tangential_n=0.05)))
+    torch_threads(2)
+    again = press(FRICTIONS, elements=elements, tangential_n=0.05)
+    assert torch.equal(again.position, found.position)
+    one = press(FRICTIONS[5], elements=elements, tangential_n=0.05)
+    torch.testing.assert_close(one.position, found.position[5], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 1.5])
+@pytest.mark.parametrize(
+    "given", [{}, {"indentation_m": 2e-4}, {"slide_m": 5e-5}, {"indentation_m": 2e-4, "slide_m": 5e-5}]
+)
+def test_same_laws_and_motions(
+    instruction_set: int, portable: Portable, exponent: float, given: dict[str, float]
+) -> None:
+    skin = replace(PARAMETERS["lab"], friction_exponent=exponent)
+
+    def call() -> Press:
+        return press(torch.tensor([0.2, 0.6]), skin, elements=21, **given)
+
+    same(call(), once(portable, (exponent, *given), call))
+
+
+@pytest.mark.parametrize("given", [{"tangential_n": 0.05}, {"indentation_m": 2e-4, "slide_m": 2e-5}])
+@pytest.mark.parametrize("elements", [9, 40])
+def test_same_derivatives(instruction_set: int, portable: Portable, elements: int, given: dict[str, float]) -> None:
+    def slopes() -> list[torch.Tensor]:
+        names = ("membrane_stiffness", "tissue_stiffness", "contact_stiffness", "friction_stiffness", "poisson_ratio")
+        mu = torch.tensor([0.04, 0.5, 1.0], dtype=torch.float64, requires_grad=True)
+        skin = PARAMETERS["lab"]
+        values = [torch.tensor(getattr(skin, name), dtype=torch.float64, requires_grad=True) for name in names]
+        found = press(mu, replace(skin, **dict(zip(names, values, strict=True))), elements=elements, **given)
+        wanted = (
+            found.position[..., 0].square().sum() + found.friction_force[..., elements // 2 :].sum() + found.bone.sum()
+        )
+        return list(torch.autograd.grad(wanted, [mu, *values]))
+
+    for found, expected in zip(slopes(), once(portable, (elements, *given), slopes), strict=True):
+        assert expected.abs().max() > 0
+        torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9 * expected.abs().max().item())
+
+
+def test_steps_that_never_keep_the_tolerance_end(instruction_set: int, portable: Portable) -> None:
+    def lost() -> None:
+        with pytest.raises(RuntimeError, match="raise the tolerance"):
+            press(0.3, elements=5, tolerance_m=1e-30)
+
+    lost()
+    portable(lost)
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    count, kind = 5, torch.float64
+    reference = torch.zeros(1, count, 2, dtype=kind)
+    state = [torch.zeros(shape, dtype=kind) for shape in ((1, count, 2), (1, 2), (1, count), (1,))]
+    numbers, mu, load = (torch.zeros(shape, dtype=kind) for shape in ((1, 10), (1, count), (1, 2, 2)))
+    rest = torch.zeros(1, dtype=kind)
+    settings: dict[str, Any] = {"held": (False, False), "most_steps": 0, "tolerance": 1.0, "duration": 1.0}
+    with pytest.raises(ValueError, match="numbers is"):
+        kernels.press_skin(reference, numbers[:, :9], mu, load, rest, *state, **settings)
+    with pytest.raises(ValueError, match="place is"):
+        kernels.press_skin(reference, numbers, mu, load, rest, state[0].float(), *state[1:], **settings)
+    few = [state[0][:, :2], state[1], state[2][:, :2], state[3]]
+    with pytest.raises(ValueError, match="2 elements"):
+        kernels.press_skin(reference[:, :2], numbers, mu[:, :2], load, rest, *few, **settings)

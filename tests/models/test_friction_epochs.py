@@ -1,0 +1,112 @@
+"""Epochs of a simulated tribometer: which half periods count, and the coefficient they were made with."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
+
+EDGES = 1e-6 * torch.tensor([-0.1, 0.5, 1.0, 1.5, 2.0, 2.5, 3.1])  # the envelope is noisy, also below 0
+Trace = dict[str, Tensor]
+
+
+def trace(rate: float = 2000.0, noise: float = 0.02, seconds: float = 8.0) -> Trace:
+    """Strokes of 2 s to the left and 2 s to the right; mu = 0.9 - 0.2 amplitude / um where the envelope rises.
+
+    Where it falls, friction is another one, and so it is to the right: neither may come in.
+    """
+    generator = np.random.default_rng(5)
+    time = np.arange(round(rate * seconds)) / rate
+    phase = 2 * math.pi * 4 * time + 1.0
+    amplitude = 1.5e-6 * (1 - np.cos(phase))
+    rising = np.sin(phase) > 0
+    leftwards = time % 4 < 2
+    stroke = time % 2
+    position = np.where(leftwards, 0.1 - 0.05 * stroke, 0.05 * stroke)
+    mu = 0.9 - 0.2e6 * amplitude + 0.3 * ~rising + 0.5 * ~leftwards
+    normal = 0.5 + 0.05 * np.sin(3 * time)
+    tangential = np.where(leftwards, 1, -1) * mu * normal
+    signals = {
+        "normal": normal + noise * 0.02 * generator.standard_normal(len(time)),
+        "tangential": tangential + noise * generator.standard_normal(len(time)) * 0.5,
+        "position": position + 1e-6 * generator.standard_normal(len(time)),
+        "amplitude": amplitude + 2e-8 * generator.standard_normal(len(time)),
+    }
+    return {name: torch.from_numpy(values) for name, values in {"time": time, **signals}.items()}
+
+
+@pytest.fixture(scope="module")
+def found() -> FrictionEpochs:
+    return friction_epochs(**trace(), edges=EDGES)
+
+
+def test_epochs_are_the_rising_halves_to_the_left(found: FrictionEpochs) -> None:
+    """8 periods a stroke of 2 s; the one that lies across a turn is left out."""
+    starts = found.start / 2000
+    rises = (np.arange(0, 32) - 1.0 / (2 * math.pi)) / 4
+    expected = [rise for rise in rises if rise >= 0 and rise % 4 >= 0.003 and rise % 4 + 0.125 <= 1.997]
+    assert starts.tolist() == pytest.approx(expected, abs=1e-3)
+    assert ((found.stop - found.start) / 2000).tolist() == pytest.approx([0.125] * len(expected), abs=1e-3)
+    assert len(expected) == 14
+
+
+def friction_at_the_bins() -> list[float]:
+    """Of the middle phase of each bin, as time is even in the phase."""
+    phases = np.arccos(1 - np.clip(EDGES.numpy() / 1.5e-6, 0, 2))
+    return [float(mu) for mu in 0.9 - 0.3 * (1 - np.cos((phases[1:] + phases[:-1]) / 2))]
+
+
+def test_the_coefficient_falls_with_the_amplitude(found: FrictionEpochs) -> None:
+    median, spread, epochs = found.over_epochs()
+    assert median.tolist() == pytest.approx(friction_at_the_bins(), abs=0.006)
+    assert bool((spread < 0.03).all())
+    assert epochs.tolist() == [14] * 6
+    assert found.median.shape == (14, 6)
+    assert bool((found.count > 5).all())
+    assert bool((found.spread > 0.01).all())
+
+
+def test_the_other_halves_would_be_seen() -> None:
+    """Turned round, the same trace gives the friction of the other strokes: 0.5 more."""
+    turned = trace()
+    turned["position"] = -turned["position"]
+    median, _, _ = friction_epochs(**turned, edges=EDGES).over_epochs()
+    assert median.tolist() == pytest.approx([mu + 0.5 for mu in friction_at_the_bins()], abs=0.012)
+
+
+def test_unknown_forces_and_lifted_fingers_do_not_count() -> None:
+    holes = trace()
+    holes["normal"][::7], holes["tangential"][3::7] = 0.0, math.nan
+    median, _, _ = friction_epochs(**holes, edges=EDGES).over_epochs()
+    assert median.tolist() == pytest.approx(friction_at_the_bins(), abs=0.01)
+
+
+def test_a_finger_at_rest_has_no_epoch() -> None:
+    still = trace()
+    still["position"] = torch.zeros_like(still["position"])
+    none = friction_epochs(**still, edges=EDGES)
+    assert none.median.shape == (0, 6)
+    median, spread, count = none.over_epochs()
+    assert bool(median.isnan().all() & spread.isnan().all())
+    assert count.tolist() == [0] * 6
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "match"),
+    [
+        ("time", lambda time: time**1.01, "even"),
+        ("time", lambda time: 40 * time, "samples"),
+        ("normal", lambda force: -force, "pressing must be positive"),
+        ("normal", lambda force: force[:-1], "one sample a time"),
+        ("amplitude", lambda height: 0 * height + 1e-6, "not modulated"),
+        ("position", lambda place: place * math.nan, "not known"),
+    ],
+)
+def test_bad_traces_are_refused(name: str, change: object, match: str) -> None:
+    bad = trace()
+    bad[name] = change(bad[name])  # type: ignore[operator]
+    with pytest.raises(ValueError, match=match):
+        friction_epochs(**bad, edges=EDGES)

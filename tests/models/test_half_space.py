@@ -1,0 +1,219 @@
+"""Stress at depth against closed forms in 60 digits, against equilibrium, and against each published error."""
+
+import math
+from collections.abc import Callable
+
+import mpmath
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.models.half_space import Stress, stress, stress_linear
+
+PLACES = [0.0, 0.1, 0.4999, 0.5, 0.6, 3.0, -70.0]  # strip widths from the middle
+DEPTHS = [1e-6, 1e-3, 0.1, 1.0, 2.1, 10.0, 300.0]
+STRIP = torch.tensor([-0.5, 0.5], dtype=torch.float64)
+ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+
+
+def tensor(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def strip_exactly(y: float, z: float, mean: float, slope: float, load: str) -> list[float]:
+    """Antiderivatives of the six kernels for a load mean + slope s on -1/2 to 1/2."""
+    with mpmath.workdps(60):
+        y, z = mpmath.mpf(y), mpmath.mpf(z)
+        # Of 2 r^k z^(3-k) / R^4, k = 0 to 4 (with one more power of z taken off for the last).
+        primitives = [
+            lambda r: r * z / (r * r + z * z) + mpmath.atan(r / z),
+            lambda r: -z * z / (r * r + z * z),
+            lambda r: mpmath.atan(r / z) - r * z / (r * r + z * z),
+            lambda r: mpmath.log(r * r + z * z) + z * z / (r * r + z * z),
+            lambda r: 2 * r + r * z * z / (r * r + z * z) - 3 * z * mpmath.atan(r / z),
+        ]
+        a, b = y + 0.5, y - 0.5
+        k = [primitive(a) - primitive(b) for primitive in primitives]
+        # s = y - r: the load is (mean + slope y) - slope r; r times a kernel is the next one, z times but for the last.
+        more = [z * k[1], z * k[2], z * k[3], k[4]]
+        at = [(mean + slope * y) * k[i] - slope * more[i] for i in range(4)]
+        powers = {"pressure": (2, 0, 1), "traction": (3, 1, 2)}[load]
+        return [float(-at[i] / mpmath.pi) for i in powers]
+
+
+@pytest.mark.parametrize("load", ["pressure", "traction"])
+@pytest.mark.parametrize("z", DEPTHS)
+def test_a_uniform_strip_to_12_digits(z: float, load: str) -> None:
+    loads = (ONE, NONE) if load == "pressure" else (NONE, ONE)
+    for y in PLACES:
+        found = [part.item() for part in stress(y, z, STRIP, *loads)]
+        assert found == pytest.approx(strip_exactly(y, z, 1, 0, load), rel=1e-12, abs=0), y
+
+
+@pytest.mark.parametrize("load", ["pressure", "traction"])
+@pytest.mark.parametrize("z", DEPTHS)
+def test_a_linear_strip_to_12_digits(z: float, load: str) -> None:
+    """Relative to the same load without its sign: 1 + 3 s changes sign, and its stress passes through 0."""
+    ends = tensor(-0.5, 2.5)
+    loads = (ends, 0 * ends) if load == "pressure" else (0 * ends, ends)
+    for y in PLACES:
+        found = [part.item() for part in stress_linear(y, z, STRIP, *loads)]
+        expected = strip_exactly(y, z, 1, 3, load)
+        scale = [abs(part) for part in strip_exactly(y, z, 1, 0, load)]
+        for one, exact, size in zip(found, expected, scale, strict=True):
+            assert abs(one - exact) <= 1e-12 * max(abs(exact), size), (y, one, exact)
+
+
+def test_many_strips_are_the_sum_of_each() -> None:
+    generator = torch.Generator().manual_seed(1)
+    edges = torch.rand(12, generator=generator, dtype=torch.float64).cumsum(0)
+    pressure, traction = torch.rand(2, 11, generator=generator, dtype=torch.float64)
+    y, z = torch.linspace(-1, 7, 9)[:, None], torch.tensor([0.1, 2.0])
+    whole = torch.stack(stress(y, z, edges, pressure, traction))
+    assert whole.shape == (3, 9, 2)
+    each = sum(torch.stack(stress(y, z, edges[k : k + 2], pressure[k : k + 1], traction[k : k + 1])) for k in range(11))
+    torch.testing.assert_close(whole, each, rtol=1e-12, atol=1e-14)
+    # Linear loads that happen to be constant are the constant ones; a fine staircase comes near a linear one.
+    level = stress_linear(y, z, edges, torch.full((12,), 0.7), torch.full((12,), -0.2))
+    same = stress(y, z, edges, torch.full((11,), 0.7), torch.full((11,), -0.2))
+    torch.testing.assert_close(torch.stack(level), torch.stack(same), rtol=1e-12, atol=1e-14)
+
+
+def test_batches_and_depth_maps_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loads (time, set, M) on edges that move, at a map of places, cut into small pieces."""
+    generator = torch.Generator().manual_seed(2)
+    edges = torch.rand(4, 1, 6, generator=generator, dtype=torch.float64).cumsum(-1)
+    pressure = torch.rand(4, 3, 5, generator=generator, dtype=torch.float64)
+    y, z = torch.linspace(0, 3, 7)[:, None], torch.linspace(0.1, 2, 5)
+    whole = stress(y, z, edges, pressure).sigma_y
+    assert whole.shape == (4, 3, 7, 5)
+    one = stress(y[4], z[2], edges[1, 0], pressure[1, 2]).sigma_y
+    assert whole[1, 2, 4, 2].item() == pytest.approx(one.item(), rel=1e-13)
+    monkeypatch.setattr("fingerflow.models.half_space._PAIRS_AT_ONCE", 100)
+    torch.testing.assert_close(stress(y, z, edges, pressure).sigma_y, whole, rtol=1e-14, atol=0)
+
+
+LOADED = (tensor(-1.0, -0.2, 0.3, 1.5), tensor(1.0, 0.4, 2.0), tensor(-0.5, 0.2, 0.9))
+
+
+def test_stress_is_in_equilibrium() -> None:
+    """d sigma_y / dy + d tau / dz = 0 = d tau / dy + d sigma_z / dz, by differences of fourth order."""
+    y, z = torch.linspace(-2, 2, 23, dtype=torch.float64)[:, None], torch.linspace(0.3, 3, 7, dtype=torch.float64)
+    step = 1e-3
+
+    def slope(component: int, dy: float, dz: float) -> Tensor:
+        def at(k: int) -> Tensor:
+            return stress(y + k * step * dy, z + k * step * dz, *LOADED)[component]
+
+        return (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
+
+    for left, right in ((slope(0, 1, 0), slope(2, 0, 1)), (slope(2, 1, 0), slope(1, 0, 1))):
+        assert left.abs().max() > 0.1
+        torch.testing.assert_close(left, -right, rtol=0, atol=1e-9)
+
+
+def test_the_surface_carries_the_load() -> None:
+    """sigma_z -> -p and tau -> -q, also where published shear has neither."""
+    edges, pressure, traction = LOADED
+    middle = (edges[1:] + edges[:-1]) / 2
+    found = stress(middle, 1e-13, *LOADED)
+    torch.testing.assert_close(found.sigma_z, -pressure, rtol=1e-11, atol=0)
+    torch.testing.assert_close(found.tau_yz, -traction, rtol=1e-11, atol=1e-12)
+
+
+def test_total_load_at_every_depth() -> None:
+    """Planes carry the whole force: integrals of sigma_z and tau over y are minus the loads; also far away."""
+    edges, pressure, traction = LOADED
+    widths = edges.diff()
+    for z in (0.2, 1.0, 5.0):
+        angle = torch.linspace(-math.pi / 2, math.pi / 2, 4003, dtype=torch.float64)[1:-1]
+        y = z * torch.tan(angle)
+        found = stress(y, z, *LOADED)
+        weight = z / torch.cos(angle) ** 2 * (angle[1] - angle[0])
+        assert (found.sigma_z * weight).sum().item() == pytest.approx(-(pressure * widths).sum().item(), rel=1e-3)
+        assert (found.tau_yz * weight).sum().item() == pytest.approx(-(traction * widths).sum().item(), rel=1e-2)
+
+
+def test_decays_as_a_line_load_does() -> None:
+    """Far below, sigma_z = -2 P / (pi z): halved at twice the depth."""
+    total = (LOADED[1] * LOADED[0].diff()).sum().item()
+    for z in (1e3, 2e3):
+        assert stress(0.0, z, *LOADED[:2]).sigma_z.item() == pytest.approx(-2 * total / (math.pi * z), rel=1e-3)
+
+
+def test_below_a_hertzian_line_contact() -> None:
+    """Johnson, equations 4.45: on the axis under p0 sqrt(1 - s^2 / a^2), from 4000 linear pieces."""
+    nodes = torch.sin(torch.linspace(-math.pi / 2, math.pi / 2, 4001, dtype=torch.float64))
+    pressure = (1 - nodes**2).clamp_min(0).sqrt()
+    z = torch.tensor([0.05, 0.5, 0.78, 2.0, 10.0], dtype=torch.float64)
+    found = stress_linear(0.0, z, nodes, pressure)
+    root = (1 + z * z).sqrt()
+    torch.testing.assert_close(found.sigma_y, -((1 + 2 * z * z) / root - 2 * z), rtol=1e-5, atol=1e-8)
+    torch.testing.assert_close(found.sigma_z, -1 / root, rtol=1e-6, atol=0)
+    assert found.tau_yz.abs().max() < 1e-12
+    deep = torch.linspace(0.7, 0.9, 201, dtype=torch.float64)
+    largest = stress_linear(0.0, deep, nodes, pressure)
+    difference = (largest.sigma_y - largest.sigma_z).abs() / 2
+    assert difference.max().item() == pytest.approx(0.30, abs=1e-3)  # at 0.78 a
+    assert deep[difference.argmax()].item() == pytest.approx(0.78, abs=0.01)
+
+
+def quadrature(kernel: Callable[[Tensor, float], Tensor], y: float, z: float) -> float:
+    """Of pressure 1 on the strip."""
+    s = (torch.arange(200000, dtype=torch.float64) + 0.5) / 200000 - 0.5
+    return -2 / math.pi * kernel(y - s, z).mean().item()
+
+
+def test_shear_is_odd_in_the_distance_and_not_squared() -> None:
+    """The published script squares (x - s) in the shear of a pressure, so that shear is the same on both sides."""
+    z, y = 0.4, 0.7
+    for sign in (1, -1):
+        found = stress(sign * y, z, STRIP, ONE).tau_yz.item()
+        right = quadrature(lambda r, z: z * z * r / (r * r + z * z) ** 2, sign * y, z)
+        squared = quadrature(lambda r, z: z * z * r * r / (r * r + z * z) ** 2, sign * y, z)
+        assert found == pytest.approx(right, rel=1e-8)
+        assert abs(found - squared) > 0.3 * abs(found) or sign < 0
+    assert stress(y, z, STRIP, ONE).tau_yz.item() == -stress(-y, z, STRIP, ONE).tau_yz.item()
+
+
+def test_traction_counts_in_all_three() -> None:
+    """The published script leaves the tangential load out."""
+    with_traction, without = stress(0.7, 0.4, STRIP, ONE, ONE), stress(0.7, 0.4, STRIP, ONE)
+    assert all(abs(a.item() - b.item()) > 0.05 for a, b in zip(with_traction, without, strict=True))
+
+
+def test_differentiable() -> None:
+    y = tensor(-3.0, 0.2, 0.5, 40.0).requires_grad_()
+    z = tensor(0.3, 1.0, 5.0, 2.0).requires_grad_()
+    edges = tensor(-0.5, 0.1, 0.7).requires_grad_()
+    pressure, traction = tensor(1.0, 2.0).requires_grad_(), tensor(0.3, -0.4).requires_grad_()
+
+    def each(*given: Tensor) -> Stress:
+        return stress(*given)
+
+    def linear(y: Tensor, z: Tensor, edges: Tensor, pressure: Tensor) -> Stress:
+        return stress_linear(y, z, edges, torch.cat((pressure, pressure[:1])))
+
+    assert torch.autograd.gradcheck(each, (y, z, edges, pressure, traction))
+    assert torch.autograd.gradcheck(linear, (y, z, edges, pressure))
+
+
+@pytest.mark.parametrize(
+    ("y", "z", "edges", "pressure", "match"),
+    [
+        (0.0, 0.0, STRIP, ONE, "z > 0"),
+        (0.0, -1.0, STRIP, ONE, "z > 0"),
+        (math.nan, 1.0, STRIP, ONE, "z > 0"),
+        (0.0, 1.0, STRIP.flip(0), ONE, "rise"),
+        (0.0, 1.0, STRIP, torch.ones(2), "one value a strip"),
+        (0.0, 1.0, STRIP, ONE * math.nan, "not finite"),
+    ],
+)
+def test_bad_input_is_refused(y: float, z: float, edges: Tensor, pressure: Tensor, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        stress(y, z, edges, pressure)
+
+
+def test_a_linear_load_needs_a_value_a_node() -> None:
+    with pytest.raises(ValueError, match="one value a node"):
+        stress_linear(0.0, 1.0, STRIP, ONE)

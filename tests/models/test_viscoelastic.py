@@ -1,0 +1,78 @@
+"""The delayed strain against closed solutions, at steps small and large."""
+
+import math
+
+import pytest
+import torch
+
+from fingerflow.models.viscoelastic import viscoelastic_strain
+
+E, RATE, NU = 1.1e6, 100.0, 0.4
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-5, 3e-3, 0.5])
+def test_a_ramp_of_stress_exactly(step: float) -> None:
+    """sigma_y = c t: e = c / E (t - tau (1 - exp(-t / tau))); the stress across it pulls in by nu."""
+    time = step * torch.arange(9, dtype=torch.float64)
+    found = viscoelastic_strain(5e3 * time, 0 * time, time)
+    expected = [5e3 / E * _lag(float(t)) for t in time]
+    assert found.along_y.tolist() == pytest.approx(expected, rel=1e-12, abs=0)
+    assert found.along_z.tolist() == pytest.approx([-NU * value for value in expected], rel=1e-12, abs=0)
+
+
+def _lag(time: float) -> float:
+    x = RATE * time
+    if x < 1e-2:
+        return sum((-1) ** k * x**k / math.factorial(k) for k in range(2, 9)) / RATE
+    return time + math.expm1(-x) / RATE
+
+
+def test_a_held_stress_needs_no_small_steps() -> None:
+    """One step of 30 ms ends where 3000 do, at (1 - exp(-3)) of the elastic strain."""
+    for count in (1, 3000):
+        time = torch.linspace(0, 0.03, count + 1, dtype=torch.float64)
+        held = torch.full((count + 1, 2), 1e3, dtype=torch.float64)
+        found = viscoelastic_strain(held, 2 * held, time)
+        assert found.along_z[-1, 1].item() == pytest.approx((2 - NU) * 1e3 / E * (1 - math.exp(-3)), rel=1e-12)
+
+
+def test_the_corner_is_at_16_hz_and_not_at_100() -> None:
+    """At 100 / (2 pi) Hz the amplitude is down to 1 / sqrt 2; at the printed 100 Hz to a sixth."""
+    for frequency, gain in ((RATE / (2 * math.pi), 1 / math.sqrt(2)), (100.0, 1 / math.hypot(1, 2 * math.pi))):
+        time = torch.linspace(0, 0.3, 6001, dtype=torch.float64)
+        stress = torch.sin(2 * math.pi * frequency * time)
+        strain = E * viscoelastic_strain(stress, 0 * stress, time).along_y
+        assert strain[time > 0.2].max().item() == pytest.approx(gain, rel=1e-3)
+
+
+def test_parameter_sets_side_by_side() -> None:
+    time = torch.tensor([0.0, 1e-3, 4e-3], dtype=torch.float64)
+    stress = torch.rand(3, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    rates, moduli = torch.tensor([50.0, 200.0], dtype=torch.float64), torch.tensor([1e6, 2e6], dtype=torch.float64)
+    both = viscoelastic_strain(stress, -stress, time, young_modulus=moduli, rate=rates)
+    for k in range(2):
+        one = viscoelastic_strain(
+            stress[:, k], -stress[:, k], time, young_modulus=moduli[k].item(), rate=rates[k].item()
+        )
+        torch.testing.assert_close(both.along_y[:, k], one.along_y, rtol=1e-14, atol=0)
+
+
+def test_differentiable() -> None:
+    time = torch.tensor([0.0, 1e-3, 0.02], dtype=torch.float64)
+    stress = torch.rand(3, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64, requires_grad=True)
+    rate = torch.tensor(1.7, dtype=torch.float64, requires_grad=True)
+
+    def strain(stress: torch.Tensor, rate: torch.Tensor) -> torch.Tensor:
+        return viscoelastic_strain(stress, stress**2, time, young_modulus=2.0, rate=100 * rate).along_y
+
+    assert torch.autograd.gradcheck(strain, (stress, rate))
+
+
+def test_what_cannot_be_is_refused() -> None:
+    time, stress = torch.tensor([0.0, 1.0, 1.0]), torch.zeros(3, 2)
+    with pytest.raises(ValueError, match=r"smallest step of 0\.0 s"):
+        viscoelastic_strain(stress, stress, time)
+    with pytest.raises(ValueError, match=r"give \(T, \.\.\.\)"):
+        viscoelastic_strain(stress, stress[:2], time[:2])
+    with pytest.raises(ValueError, match=r"rate 0\.0 1/s"):
+        viscoelastic_strain(stress[:2], stress[:2], time[:2], rate=0.0)
