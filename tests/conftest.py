@@ -22,7 +22,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def slip_trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders `abrupt` and `fading`: trials of 120 frames of 192 x 240 px views, with windows that fit a small contact."""
+    """Folders `abrupt` and `fading`: trials of 120 frames, views of 192 x 240 px, windows that fit a small contact."""
     folder = tmp_path_factory.mktemp("slip")
     for name, friction in (("abrupt", (0.8, 0.4)), ("fading", (0.6, 0.8))):
         trial = PartialSlip(
