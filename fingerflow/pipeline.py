@@ -69,7 +69,7 @@ def process(
         with _timed(seconds, "contact"):
             normal = None if outcome.loading is None else outcome.loading.normal
             contact = ContactStage(inputs, normal, "slip" in stages) if "contact" in stages else None
-            tracking = _tracking(inputs, contact) if contact and "tracking" in stages else None
+            tracking = _tracking(inputs, contact, "slip" in stages) if contact and "tracking" in stages else None
         if contact is not None:
             covered = _stream(inputs, contact, tracking, seconds, progress)
             outcome.contact = contact.series
@@ -104,9 +104,9 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
     return OnnxRuntime(torch.get_num_threads())
 
 
-def _tracking(inputs: Inputs, contact: ContactStage) -> TrackingStage | None:
+def _tracking(inputs: Inputs, contact: ContactStage, is_slip: bool) -> TrackingStage | None:
     """None where no skin touches, so that there is none to follow."""
-    region = contact.largest()
+    region = contact.first_and_largest(inputs.scene.tracking.window_px) if is_slip else contact.largest()
     if region.any():
         return TrackingStage(inputs, region)
     inputs.warnings.append(

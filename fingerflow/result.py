@@ -229,7 +229,7 @@ def _slip(outcome: Outcome) -> None:
         "first_cell_mm": (slip.cell_px - 1) / 2 * outcome.inputs.mm_per_px,
     }
     outcome.add("stuck_region", cells, slip.region.astype(np.uint8), "1", "1 where the skin has not slipped", **size)
-    name = "share of the gross contact in which the displacement since the first frame is known"
+    name = "share of the gross contact that the windows of tracked points show"
     outcome.add("slip_coverage", frame, slip.coverage, "1", name)
 
 

@@ -11,6 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.cells import mask_of
 from fingerflow.ops.light_gain import light_gain
+from fingerflow.ops.morphology import dilate
 from fingerflow.stages.inputs import Inputs
 
 GIVES = frozenset(
@@ -106,7 +107,15 @@ class ContactStage:
 
     def largest(self) -> Tensor:
         """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
-        contact, _ = self._contact(self._inputs.recording[[self.reference_frame]].read())
+        return self._region_of(self.reference_frame)
+
+    def first_and_largest(self, margin_px: int) -> Tensor:
+        """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
+        margin, so that there are points on both sides of the border of the contact."""
+        return dilate(self._region_of(0) | self.largest(), margin_px)
+
+    def _region_of(self, frame: int) -> Tensor:
+        contact, _ = self._contact(self._inputs.recording[[frame]].read())
         return mask_of(contact.excess, self._graph.cell_px, *contact.touching.shape[2:])
 
     def _contact(self, frames: NDArray[np.generic]) -> tuple[Contact, Tensor]:

@@ -26,7 +26,7 @@ from fingerflow.stages.loading import Loading
 from fingerflow.stages.tracking import TrackSeries
 
 GIVES = frozenset({"stuck_area", "stuck_ratio", "stuck_region", "slip_coverage"})
-LEAST_COVERAGE = 0.8  # of the contact in which the displacement must be known
+LEAST_COVERAGE = 0.9  # of the contact in which the displacement must be known
 
 
 @dataclass
@@ -37,7 +37,7 @@ class SlipSeries:
         stuck_area: (F,) mm^2; NaN without contact, and where too little of it is known.
         stuck_ratio: (F,) d^2, the stuck area over the gross contact area.
         region: (F, h, w) bool, the stuck part on cells of `cell_px` px of the contact view.
-        coverage: (F,) share of the gross contact in which the displacement is known; NaN without contact.
+        coverage: (F,) share of the gross contact that a tracked point's window shows; NaN without contact.
         verdict: of Terekhov & Hayward's rule.
         fit, curves: of the frames of slow loading, where there is a verdict; else None.
     """
@@ -82,15 +82,13 @@ def find_slip(
     stuck = np.zeros_like(regions)
     for frame in np.flatnonzero(regions.any((1, 2)) & np.isfinite(contact.gross_area)):
         region = regions[frame]
-        displacement = displacement_at(places[region], position[frame], moved[frame], reach)
-        known = np.isfinite(displacement).all(-1)
-        coverage[frame] = known.mean()
+        displacement, distance = displacement_at(places[region], position[frame], moved[frame])
+        coverage[frame] = (distance <= reach).mean()
         if coverage[frame] >= LEAST_COVERAGE:
             still = np.zeros_like(region)
             still[region] = np.linalg.norm(displacement, axis=-1) < inputs.scene.slip.stuck_mm
             stuck[frame] = largest_component(torch.from_numpy(still)[None, None])[0, 0]
-            # What is not known counts like the rest: skin at the rim, which new skin may have replaced.
-            ratio[frame] = int(stuck[frame].sum()) / int(known.sum())
+            ratio[frame] = int(stuck[frame].sum()) / int(region.sum())
     _warn_of_unknown(inputs, coverage)
     verdict = _judged(inputs, contact, loading, ratio)
     fit, curves = None, None
@@ -102,30 +100,30 @@ def find_slip(
 
 
 def displacement_at(
-    places: NDArray[np.float64], points: NDArray[np.float64], moved: NDArray[np.float64], reach: float
-) -> NDArray[np.float64]:
-    """Displacement (Q, 2) of the skin at places (Q, 2), from that (N, 2) of points (N, 2); all in mm.
+    places: NDArray[np.float64], points: NDArray[np.float64], moved: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Displacement (Q, 2) of the skin at places (Q, 2), from that (N, 2) of points (N, 2), and the distance (Q,) from
+    the nearest of them; all in mm.
 
     By the smooth surface through the points (Clough & Tocher 1965). Plane fits over as few points as determine them
-    blunt the border of the stuck part, which takes 0.036 from d^2 where this takes 0.015; and noise, which they would
+    blunt the border of the stuck part, which takes up to 0.036 from d^2 where this is off by 0.019; noise, which they would
     average, is a hundredth of the length that matters. Beyond the outermost points the nearest one counts.
 
-    NaN further than `reach` from every point, and where the points known in this frame do not span an area.
+    Points with a NaN are left out. Where the others do not span an area, displacements are NaN and distances infinite.
     """
-    result = np.full(places.shape, np.nan)
+    nothing = np.full(places.shape, np.nan), np.full(len(places), np.inf)
     known = np.isfinite(points).all(-1) & np.isfinite(moved).all(-1)
     if known.sum() < 3:
-        return result
+        return nothing
     points, moved = points[known], moved[known]
     try:
         result = np.asarray(CloughTocher2DInterpolator(points, moved)(places))
     except QhullError:  # all on one line
-        return result
+        return nothing
     distance, nearest = cKDTree(points).query(places)
     beyond = ~np.isfinite(result).all(-1)
     result[beyond] = moved[nearest[beyond]]
-    result[distance > reach] = np.nan
-    return result
+    return result, distance
 
 
 def _judged(

@@ -37,9 +37,9 @@ def verdict_of(result: xr.Dataset) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_stuck_ratio_of_a_small_contact(name: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    """Within 0.04 in every frame, 0.02 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
+    """Within 0.03 in every frame, 0.02 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
     error = np.abs(results[name]["stuck_ratio"].values - truth_of(slip_trials / name))
-    assert error.max() < 0.04
+    assert error.max() < 0.03
     assert np.quantile(error, 0.9) < 0.02
     assert np.sqrt((error**2).mean()) < 0.01
 
@@ -209,7 +209,7 @@ def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
     scene = load_scene(slip_trials / "abrupt" / "scene.toml")
     scene = scene.model_copy(update={"tracking": scene.tracking.model_copy(update={"points": 12})})
     result = process(scene, ["stuck_ratio"])
-    assert (result["slip_coverage"].values < 0.8).all()
+    assert (result["slip_coverage"].values < 0.9).all()
     assert np.isnan(result["stuck_area"].values).all()
     assert any("their stuck area is NaN" in warning for warning in json.loads(result.attrs["warnings"]))
     assert "too little of the contact" in verdict_of(result)["reason"]
@@ -221,14 +221,16 @@ def test_displacement_of_a_linear_field_is_exact() -> None:
     slope = np.array([[0.1, -0.2], [0.05, 0.3]])
     moved = points @ slope + 0.5
     points[7, 0], moved[9] = np.nan, np.nan  # not known
-    np.testing.assert_allclose(displacement_at(places, points, moved, reach=1.0), places @ slope + 0.5, atol=1e-9)
+    np.testing.assert_allclose(displacement_at(places, points, moved)[0], places @ slope + 0.5, atol=1e-9)
 
 
 def test_displacement_is_not_made_up() -> None:
     square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     places = np.array([[0.1, 0.0], [1.1, 1.0], [2.0, 2.0], [0.5, 0.5]])
-    found = displacement_at(places, square, square, reach=0.2)
-    np.testing.assert_allclose(found[:2], [[0.1, 0.0], [1.0, 1.0]], atol=1e-9)
-    assert np.isnan(found[2:]).all()
+    found, distance = displacement_at(places, square, square)
+    np.testing.assert_allclose(found, [[0.1, 0.0], [1.0, 1.0], [1.0, 1.0], [0.5, 0.5]], atol=1e-9)
+    np.testing.assert_allclose(distance, [0.1, 0.1, np.sqrt(2), np.sqrt(0.5)])
     for few in (square[:2], np.outer(np.arange(5), [1.0, 1.0]), np.full((5, 2), np.nan), np.empty((0, 2))):
-        assert np.isnan(displacement_at(places, few, few, reach=9.0)).all()
+        found, distance = displacement_at(places, few, few)
+        assert np.isnan(found).all()
+        assert np.isinf(distance).all()
