@@ -66,8 +66,9 @@ def find_slip(
     Displacement counts against the glass, which rests in the picture. Skin beside the part that has not slipped at all
     has slipped by less than that length too, so this d^2 is larger than the model's: with 40 um by up to 0.19 on the
     trials of `fingerflow.synthetic.PartialSlip`, with 10 um by up to 0.07; below, the windows of the tracked points,
-    which straddle the border, make it too small. Verdicts bear that, coefficients of friction do not: a fit that
-    contradicts the T/N at which adhesion was lost is marked as not identified.
+    which straddle the border, make it too small. With 40 um an area that fades at mu_k of 1.0 to 1.15 mu_s is judged to
+    vanish abruptly. Coefficients of friction that are fitted to it are wrong: a fit that contradicts the T/N at which
+    adhesion was lost is marked as not identified, others deserve no more trust than d^2.
 
     Args:
         regions: (F, h, w) the gross contact on cells of cell_px px of the contact view.
@@ -106,8 +107,8 @@ def displacement_at(
     the nearest of them; all in mm.
 
     By the smooth surface through the points (Clough & Tocher 1965). Plane fits over as few points as determine them
-    blunt the border of the stuck part, which takes up to 0.036 from d^2 where this is off by 0.019; noise, which they would
-    average, is a hundredth of the length that matters. Beyond the outermost points the nearest one counts.
+    blunt the border of the stuck part, which takes up to 0.036 from d^2 where this is off by 0.019; noise, which they
+    would average, is a hundredth of the length that matters. Beyond the outermost points the nearest one counts.
 
     Points with a NaN are left out. Where the others do not span an area, displacements are NaN and distances infinite.
     """

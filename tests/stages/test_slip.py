@@ -13,7 +13,10 @@ from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import plan
 from fingerflow.scene import Scene
-from fingerflow.stages.slip import displacement_at
+from fingerflow.stages.contact import ContactSeries
+from fingerflow.stages.inputs import open_inputs
+from fingerflow.stages.slip import displacement_at, find_slip
+from fingerflow.stages.tracking import TrackSeries
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 
 NAMES = ("abrupt", "fading")
@@ -213,6 +216,33 @@ def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
     assert np.isnan(result["stuck_area"].values).all()
     assert any("their stuck area is NaN" in warning for warning in json.loads(result.attrs["warnings"]))
     assert "too little of the contact" in verdict_of(result)["reason"]
+
+
+def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
+    """Of skin that rests in two places, the larger one counts, as far as it touches."""
+    inputs = open_inputs(load_scene(slip_trials / "abrupt" / "scene.toml").model_copy(update={"forces": None}), "cpu")
+    x, y = np.meshgrid(np.arange(0.0, 240, 4), np.arange(0.0, 192, 4))
+    rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
+    position = np.repeat(np.stack((x, y), -1).reshape(1, -1, 2), 2, axis=0)
+    position[1, ~rests.ravel(), 0] += 2  # px, 0.065 mm
+    number = position.shape[1]
+    one = np.zeros((2, number), np.float32)
+    tracks = TrackSeries(position, one, one, one.astype(np.uint8))
+    scene = inputs.scene
+    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    calibration = scene.calibration.model_copy(update={"topography_to_contact": identity})
+    inputs.scene = scene.model_copy(update={"calibration": calibration})
+    regions = np.zeros((2, 48, 60), bool)
+    regions[:, :40] = True  # rows to 160 px
+    nothing = np.full(2, np.nan)
+    contact = ContactSeries(nothing, nothing, np.full(2, 10.0), nothing, nothing, nothing)
+    found = find_slip(inputs, tracks, contact, regions, 4, None)
+    assert found.stuck_ratio[0] == 1
+    # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
+    assert found.stuck_ratio[1] == pytest.approx(14 * 29 / (60 * 40), abs=2 * (14 + 29) / (60 * 40))
+    assert not found.region[1][:, 36:].any()
+    assert not found.region[1][40:].any()
+    np.testing.assert_allclose(found.stuck_area, 10 * found.stuck_ratio)
 
 
 def test_displacement_of_a_linear_field_is_exact() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, stuck_area
+from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, judge_trial, stuck_area
 from fingerflow.synthetic import Ellipse, PartialSlip
 
 ABRUPT = PartialSlip()
@@ -92,3 +92,22 @@ def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None
         material = ABRUPT.truth.material(rim, ABRUPT.n_frames - 1)
         then = ABRUPT.truth.positions(material, 0) - np.array(first.centre)
         assert (np.hypot(*then) > 5.0) == enters
+
+
+@pytest.mark.parametrize(
+    ("kinetic", "outcome", "with_the_limit"),
+    [
+        (0.4, "vanishes abruptly", "vanishes abruptly"),
+        (0.84, "diminishes", "vanishes abruptly"),
+        (1.0, "diminishes", "diminishes"),
+    ],
+)
+def test_the_limit_of_40_um_shifts_the_verdict_near_equal_friction(
+    kinetic: float, outcome: str, with_the_limit: str
+) -> None:
+    """Without any error of measurement: skin beside the stuck part has not moved by 40 um yet."""
+    trial = PartialSlip(static_friction=0.8, kinetic_friction=kinetic)
+    area, load = area_and_load(trial)
+    assert judge_trial(area, load, trial.times).outcome == outcome
+    slow = [trial.slow_share(frame) for frame in range(trial.n_frames)]
+    assert judge_trial(slow, load, trial.times).outcome == with_the_limit
