@@ -66,7 +66,7 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
         lines.append(rule + ", ".join(f"{name} {count}" for name, count in counts.items()))
     if failed:
         lines.append(f"not judged: {failed}")
-    return f"{len(trials)} trials: " + "; ".join(lines)
+    return f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}: " + "; ".join(lines)
 
 
 def write_figures(trials: Sequence[SlipTrial], folder: Path) -> Path:
