@@ -64,11 +64,12 @@ def find_slip(
     has moved by less than a length since the first frame.
 
     Displacement counts against the glass, which rests in the picture. Skin beside the part that has not slipped at all
-    has slipped by less than that length too, so this d^2 is larger than the model's: with 40 um by up to 0.19 on the
-    trials of `fingerflow.synthetic.PartialSlip`, with 10 um by up to 0.07; below, the windows of the tracked points,
-    which straddle the border, make it too small. With 40 um an area that fades at mu_k of 1.0 to 1.15 mu_s is judged to
-    vanish abruptly. Coefficients of friction that are fitted to it are wrong: a fit that contradicts the T/N at which
-    adhesion was lost is marked as not identified, others deserve no more trust than d^2.
+    has slipped by less than that length too, so this d^2 is larger than the model's: on trials of
+    `fingerflow.synthetic.PartialSlip` whose rim creeps by 0.6 to 1.4 mm by 0.15 to 0.22 at most with 40 um, by 0.05 to
+    0.08 with 10 um. Below, the windows of the tracked points, which straddle the border, make it too small. With 40 um
+    an area that fades at mu_k of 1.0 to 1.15 mu_s is judged to vanish abruptly. Coefficients of friction that are
+    fitted to it are wrong: a fit that contradicts the T/N at which adhesion was lost is marked as not identified,
+    others deserve no more trust than d^2.
 
     Args:
         regions: (F, h, w) the gross contact on cells of cell_px px of the contact view.
