@@ -67,7 +67,7 @@ def find_slip(
     has slipped by less than that length too, so this d^2 is larger than the model's: on trials of
     `fingerflow.synthetic.PartialSlip` whose rim creeps by 0.6 to 1.4 mm by 0.15 to 0.22 at most with 40 um, by 0.05 to
     0.08 with 10 um. Below, the windows of the tracked points, which straddle the border, make it too small. With 40 um
-    an area that fades at mu_k of 1.0 to 1.15 mu_s is judged to vanish abruptly. Coefficients of friction that are
+    an area that fades at mu_k of 1.0 to 1.2 mu_s is judged to vanish abruptly. Coefficients of friction that are
     fitted to it are wrong: a fit that contradicts the T/N at which adhesion was lost is marked as not identified,
     others deserve no more trust than d^2.
 
