@@ -161,7 +161,7 @@ def calibrate(
 
 @app.command()
 def simulate(
-    kind: Annotated[str, typer.Argument(help="press or slide")],
+    kind: Annotated[str, typer.Argument(help="press, slide or partial-slip")],
     folder: Path,
     skin: Annotated[
         str | None,
@@ -229,6 +229,34 @@ def report(
 
     stored = load_result(result or scene.parent / "result.h5")
     typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
+
+
+@app.command()
+def slip(
+    scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
+    figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+) -> None:
+    """Judge whether the stuck area of each trial vanishes abruptly or fades."""
+    from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
+    from fingerflow.scene import load_scene
+
+    trials, failed = [], 0
+    for path in scenes:
+        try:
+            result = _process(load_scene(path), ["stuck_ratio"], quiet=True)
+        except FingerflowError as error:
+            failed += 1
+            typer.echo(f"{path}: not judged: {error}")
+            continue
+        trials.append(SlipTrial.of(result, str(path)))
+        typer.echo(verdict_line(trials[-1]))
+        for warning in json.loads(result.attrs["warnings"]):
+            typer.echo(f"warning: {path}: {warning}", err=True)
+    typer.echo(summary(trials, failed))
+    if figure is not None and trials:
+        typer.echo(f"figures: {write_figures(trials, figure)}")
+    if not trials:
+        raise typer.Exit(2)
 
 
 @app.command()
@@ -331,9 +359,17 @@ def main() -> None:
 def _simulate(
     kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
 ) -> None:
-    from fingerflow.synthetic import FingerprintTexture, Press, Scene, Slide, scene_of_print, write_recording
+    from fingerflow.synthetic import (
+        FingerprintTexture,
+        PartialSlip,
+        Press,
+        Scene,
+        Slide,
+        scene_of_print,
+        write_recording,
+    )
 
-    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide}
+    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide, "partial-slip": PartialSlip}
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:

@@ -21,6 +21,7 @@ from fingerflow.stages import deformation
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.loading import load
+from fingerflow.stages.slip import find_slip
 from fingerflow.stages.tracking import TrackingStage, TrackSeries
 
 if TYPE_CHECKING:
@@ -56,7 +57,8 @@ def process(
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
-    stages = plan(wanted, scene.views.topography is not None, scene.forces is not None)
+    is_slip = "slip" in scene.model_fields_set
+    stages = plan(wanted, scene.views.topography is not None, scene.forces is not None, is_slip)
     seconds: dict[str, float] = {}
     runtime = _onnx_runtime(engine, device)
     inputs = open_inputs(scene, device if runtime is None else "cpu")
@@ -68,8 +70,8 @@ def process(
             outcome.loading = load(inputs)
         with _timed(seconds, "contact"):
             normal = None if outcome.loading is None else outcome.loading.normal
-            contact = ContactStage(inputs, normal) if "contact" in stages else None
-            tracking = _tracking(inputs, contact) if contact and "tracking" in stages else None
+            contact = ContactStage(inputs, normal, "slip" in stages) if "contact" in stages else None
+            tracking = _tracking(inputs, contact, "slip" in stages) if contact and "tracking" in stages else None
         if contact is not None:
             covered = _stream(inputs, contact, tracking, seconds, progress)
             outcome.contact = contact.series
@@ -83,6 +85,10 @@ def process(
                     outcome.fields = deformation.fields(inputs, outcome.displacement, outcome.contact)
                 if "strain" in stages and outcome.displacement is not None:
                     outcome.strain = deformation.strains(inputs, outcome.displacement, outcome.contact)
+            if "slip" in stages and contact is not None:
+                with _timed(seconds, "slip"):
+                    regions = contact.regions, contact.cell_px
+                    outcome.slip = find_slip(inputs, outcome.tracks, outcome.contact, *regions, outcome.loading)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     return label(outcome)
@@ -100,9 +106,9 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
     return OnnxRuntime(torch.get_num_threads())
 
 
-def _tracking(inputs: Inputs, contact: ContactStage) -> TrackingStage | None:
+def _tracking(inputs: Inputs, contact: ContactStage, is_slip: bool) -> TrackingStage | None:
     """None where no skin touches, so that there is none to follow."""
-    region = contact.largest()
+    region = contact.first_and_largest(inputs.scene.tracking.window_px) if is_slip else contact.largest()
     if region.any():
         return TrackingStage(inputs, region)
     inputs.warnings.append(

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 from fingerflow.errors import FingerflowError
-from fingerflow.stages import contact, deformation, loading, tracking
+from fingerflow.stages import contact, deformation, loading, slip, tracking
 
 #: What each stage gives, and which stages it needs, in the order in which they run.
 STAGES: dict[str, tuple[frozenset[str], tuple[str, ...]]] = {
@@ -14,18 +14,26 @@ STAGES: dict[str, tuple[frozenset[str], tuple[str, ...]]] = {
     "displacement": (deformation.DISPLACEMENT_GIVES, ("tracking",)),
     "fields": (deformation.FIELDS_GIVE, ("displacement",)),
     "strain": (deformation.STRAIN_GIVES, ("displacement",)),
+    "slip": (slip.GIVES, ("loading", "contact", "tracking")),
 }
 
 OUTPUTS = tuple(sorted(name for gives, _ in STAGES.values() for name in gives))
 
 
-def plan(outputs: Iterable[str] | None, has_topography: bool, has_forces: bool) -> tuple[str, ...]:
-    """The stages that give these outputs, in order; None asks for everything that the scene allows.
+def plan(
+    outputs: Iterable[str] | None, has_topography: bool, has_forces: bool, is_slip: bool = False
+) -> tuple[str, ...]:
+    """The stages that give these outputs, in order; None asks for everything that the scene allows, and for slip only
+    where the scene says that it is about it: in a press there is none to judge.
 
     Raises FingerflowError for an output that does not exist or that the scene cannot give.
     """
     if outputs is None:
-        return tuple(name for name in STAGES if has_topography or name in ("loading", "contact"))
+        return tuple(
+            name
+            for name in STAGES
+            if name in ("loading", "contact") or (has_topography and (name != "slip" or is_slip))
+        )
     needed: set[str] = set()
     for output in outputs:
         stage = next((name for name, (gives, _) in STAGES.items() if output in gives), None)

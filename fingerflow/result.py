@@ -1,7 +1,8 @@
 """The labelled data set of a trial, and its files: HDF5/NetCDF4, CSV and .mat."""
 
 import json
-from dataclasses import dataclass, field
+import math
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from fingerflow.stages.deformation import (
 )
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import Loading
+from fingerflow.stages.slip import SlipSeries
 from fingerflow.stages.tracking import TrackSeries
 from fingerflow.whole_file import write_whole
 
@@ -40,6 +42,7 @@ class Outcome:
     displacement: Displacement | None = None
     fields: FieldSeries | None = None
     strain: StrainSeries | None = None
+    slip: SlipSeries | None = None
     variables: dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]] = field(default_factory=dict)
 
     def add(self, name: str, dims: tuple[str, ...], values: Any, units: str, long_name: str, **attrs: Any) -> None:
@@ -49,7 +52,7 @@ class Outcome:
 def label(outcome: Outcome) -> xr.Dataset:
     """The results with names, dimensions, coordinates, units and provenance."""
     inputs, scene = outcome.inputs, outcome.inputs.scene
-    for given in (_loading, _contact, _tracks, _displacement, _fields, _strain):
+    for given in (_loading, _contact, _tracks, _displacement, _fields, _strain, _slip):
         given(outcome)
     coordinates: dict[str, Any] = {
         "time": ("frame", inputs.times, {"units": "s", "long_name": "time from the trigger, or from the first frame"}),
@@ -81,6 +84,8 @@ def _loading(outcome: Outcome) -> None:
     if outcome.loading is None:
         return
     outcome.add("normal_force", ("frame",), outcome.loading.normal, "N", "normal force")
+    if outcome.loading.ratio is not None:
+        outcome.add("load_ratio", ("frame",), outcome.loading.ratio, "1", "tangential over normal force, T/N")
     if outcome.loading.tangential is not None:
         outcome.add("tangential_force", ("frame",), outcome.loading.tangential, "N", "tangential force")
 
@@ -203,6 +208,38 @@ def _strain(outcome: Outcome) -> None:
     outcome.add("strain_energy_std", ("frame",), strain.energy_std, "mJ", name, **depth)
     rates = rate(strain.energy, outcome.inputs.times, settings.rate_window_s)
     outcome.add("strain_energy_rate", ("frame",), rates, "mJ/s", "rate of strain_energy")
+
+
+def _slip(outcome: Outcome) -> None:
+    slip = outcome.slip
+    if slip is None:
+        return
+    frame, limit = ("frame",), {"stuck_mm": outcome.inputs.scene.slip.stuck_mm}
+    outcome.add("stuck_area", frame, slip.stuck_area, "mm2", "area of the contact whose skin has not slipped", **limit)
+    judged = {
+        name: json.dumps(_plain(asdict(part)), ensure_ascii=False)
+        for name, part in (("verdict", slip.verdict), ("friction_fit", slip.fit), ("curves", slip.curves))
+        if part is not None
+    }
+    name = "stuck area over gross contact area, d²"
+    outcome.add("stuck_ratio", frame, slip.stuck_ratio, "1", name, **limit, **judged)
+    cells = ("frame", "cell_row", "cell_column")
+    size = {
+        "cell_mm": slip.cell_px * outcome.inputs.mm_per_px,
+        "first_cell_mm": (slip.cell_px - 1) / 2 * outcome.inputs.mm_per_px,
+    }
+    outcome.add("stuck_region", cells, slip.region.astype(np.uint8), "1", "1 where the skin has not slipped", **size)
+    name = "share of the gross contact that the windows of tracked points show"
+    outcome.add("slip_coverage", frame, slip.coverage, "1", name)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can say: null for NaN."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def save_result(result: xr.Dataset, path: Path) -> None:

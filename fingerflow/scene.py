@@ -206,6 +206,12 @@ class FieldSettings(_Table):
     rate_window_s: Positive = 0.05
 
 
+class SlipSettings(_Table):
+    """[slip]: of a trial of tangential loading. Where the scene has it, slip is among what is computed by default."""
+
+    stuck_mm: Positive = 0.04
+
+
 class StreamSettings(_Table):
     """[stream]: what the player of an exported bundle reads beside the rest.
 
@@ -231,6 +237,7 @@ class Scene(_Table):
     contact: ContactSettings = ContactSettings()
     tracking: TrackingSettings = TrackingSettings()
     fields: FieldSettings = FieldSettings()
+    slip: SlipSettings = SlipSettings()
     stream: StreamSettings = StreamSettings()
 
     @model_validator(mode="after")
@@ -422,17 +429,19 @@ def scene_text(
     forces: str | None = None,
     calibration: str = 'file = "calibration.toml"',
     region: View | None = None,
+    slip: bool = False,
 ) -> str:
     """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
 
     ``calibration`` is the content of the table [calibration], in TOML; ``region`` the part of the topography view where
-    points are chosen.
+    points are chosen; with ``slip`` the scene is a trial of tangential loading.
     """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
     trigger = "# trigger_frame = 12" if trigger_frame is None else f"trigger_frame = {trigger_frame}"
     dark_line = f"dark = {toml_string(dark)}" if dark else '# dark = "dark.cine"'
     mark = "" if forces else "# "
     live = "" if region else "# "
+    loaded = "" if slip else "# "
     where = region or View((100, 400), (100, 540))
     return f"""# A scene of fingerflow: what was recorded and what is asked of it. Paths are relative to this file.
 
@@ -487,6 +496,9 @@ young_modulus_mpa = 1.0
 poisson_ratio = 0.4
 depth_mm = 2.0                # of skin that the strain energy is integrated over
 rate_window_s = 0.05
+
+{loaded}[slip]                        # of a trial of tangential loading
+{loaded}stuck_mm = 0.04               # skin that has moved by less since the first frame is stuck; the paper has 0.04
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from fingerflow import kernels
+from fingerflow.synthetic import PartialSlip, write_recording
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -17,6 +18,35 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"the real recordings are not here: {SHARED_DATA} does not exist")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def slip_trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders `abrupt` and `fading`: trials of 120 frames, views of 192 x 240 px, windows that fit a small contact.
+
+    Their scene files do not say where skin touches: a lab's do not either.
+    """
+    folder = tmp_path_factory.mktemp("slip")
+    for name, friction in (("abrupt", (0.8, 0.4)), ("fading", (0.6, 0.8))):
+        trial = PartialSlip(
+            n_frames=120,
+            frames_before_trigger=6,
+            frame_shape=(192, 480),
+            finger=(3.2, 2.7),
+            semi_axes=(2.3, 1.9),
+            creep=0.45,
+            travel=0.8,
+            static_friction=friction[0],
+            kinetic_friction=friction[1],
+        )
+        write_recording(folder / name, trial)
+        scene = folder / name / "scene.toml"
+        text = scene.read_text(encoding="utf-8")
+        for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
+            assert old in text
+            text = text.replace(old, new)
+        scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
+    return folder
 
 
 @pytest.fixture

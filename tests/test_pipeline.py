@@ -19,6 +19,7 @@ from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
+from fingerflow.stages import slip
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from fingerflow.views import View
@@ -113,7 +114,7 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
     for name, values in result.data_vars.items():
         assert values.attrs["units"], name
         assert values.attrs["long_name"], name
-    assert set(OUTPUTS) <= set(map(str, result.data_vars))
+    assert set(OUTPUTS) - slip.GIVES <= set(map(str, result.data_vars))
     assert json.loads(result.attrs["settings"])["tracking"]["window_px"] == 25
 
 
@@ -161,7 +162,7 @@ def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(NpyRecording, "_read_frame", None)
     monkeypatch.setattr(NpyRecording, "mapped", None)
     forces = process(scene, ["normal_force"])
-    assert set(forces.data_vars) == {"normal_force", "tangential_force"}
+    assert set(forces.data_vars) == {"normal_force", "tangential_force", "load_ratio"}
 
 
 def test_results_survive_the_disk(result: xr.Dataset, tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Contact, tracking, deformation and loading: each stage states what it needs and what it gives."""
+"""Contact, tracking, deformation, slip and loading: each stage states what it needs and what it gives."""

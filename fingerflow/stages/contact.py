@@ -11,6 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.cells import mask_of
 from fingerflow.ops.light_gain import light_gain
+from fingerflow.ops.morphology import dilate
 from fingerflow.stages.inputs import Inputs
 
 GIVES = frozenset(
@@ -44,7 +45,8 @@ class ContactSeries:
 class ContactStage:
     """Runs the contact graph over batches of frames; keeps numbers, never pictures."""
 
-    def __init__(self, inputs: Inputs, normal_force: NDArray[np.float64] | None) -> None:
+    def __init__(self, inputs: Inputs, normal_force: NDArray[np.float64] | None, keeps_regions: bool = False) -> None:
+        """With `keeps_regions` the gross region of every frame stays, in `regions`."""
         settings = inputs.scene.contact
         self._inputs = inputs
         self.recording = inputs.recording
@@ -57,6 +59,9 @@ class ContactStage:
         self._threshold = self._fixed_threshold()
         count = len(inputs.recording)
         self._gain = np.full(count, np.nan)  # of the lamp
+        height, width = (-(-side // self._graph.cell_px) for side in self._view.shape)
+        #: (frames, h, w) the gross region on cells of `cell_px` px; no frames where it is not kept.
+        self.regions = np.zeros((count if keeps_regions else 0, height, width), dtype=bool)
         self._blind = np.zeros(count, dtype=bool)  # frames with contact and without glass
         self.series = ContactSeries(
             threshold=np.full(count, np.nan),
@@ -78,6 +83,8 @@ class ContactStage:
         series.center[indices] = contact.center.double().cpu() * size
         series.semi_axes[indices] = contact.semi_axes.double().cpu() * size
         series.angle[indices] = contact.angle.cpu()
+        if len(self.regions):
+            self.regions[indices] = (contact.excess[:, 0] > 0).cpu()
         self._gain[indices] = contact.light_gain.cpu()
         self._blind[indices] = (contact.light_gain.isnan() & (contact.real_area_px > 0)).cpu()
         return contact
@@ -93,9 +100,22 @@ class ContactStage:
                 f"record the empty glass again"
             )
 
+    @property
+    def cell_px(self) -> int:
+        """Side of the cells of `regions`, px."""
+        return self._graph.cell_px
+
     def largest(self) -> Tensor:
         """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
-        contact, _ = self._contact(self._inputs.recording[[self.reference_frame]].read())
+        return self._region_of(self.reference_frame)
+
+    def first_and_largest(self, margin_px: int) -> Tensor:
+        """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
+        margin, so that there are points on both sides of the border of the contact."""
+        return dilate(self._region_of(0) | self.largest(), margin_px)
+
+    def _region_of(self, frame: int) -> Tensor:
+        contact, _ = self._contact(self._inputs.recording[[frame]].read())
         return mask_of(contact.excess, self._graph.cell_px, *contact.touching.shape[2:])
 
     def _contact(self, frames: NDArray[np.generic]) -> tuple[Contact, Tensor]:

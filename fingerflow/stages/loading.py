@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from fingerflow.recordings import open_forces
 from fingerflow.stages.inputs import Inputs
 
-GIVES = frozenset({"normal_force", "tangential_force"})
+GIVES = frozenset({"normal_force", "tangential_force", "load_ratio"})
+_LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: a quotient by less says nothing
 
 
 @dataclass
@@ -17,6 +18,14 @@ class Loading:
 
     normal: NDArray[np.float64]
     tangential: NDArray[np.float64] | None
+
+    @property
+    def ratio(self) -> NDArray[np.float64] | None:
+        """(frames,) T/N; NaN where N is below 0.05 N, None without a tangential force."""
+        if self.tangential is None:
+            return None
+        pressed = self.normal > _LEAST_NORMAL
+        return np.where(pressed, self.tangential / np.where(pressed, self.normal, 1), np.nan)
 
 
 def load(inputs: Inputs) -> Loading | None:

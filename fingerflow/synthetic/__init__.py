@@ -3,6 +3,7 @@
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump, Ellipse
+from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Forces, Scene
@@ -18,6 +19,7 @@ __all__ = [
     "FingerprintTexture",
     "Forces",
     "Medians",
+    "PartialSlip",
     "PictureTexture",
     "Press",
     "RidgeTexture",

@@ -21,7 +21,6 @@ from fingerflow.views import View
 Array = NDArray[np.float64]
 
 FORCE_RATE = 10_000.0
-FORCE_NOISE = 0.005
 EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
@@ -52,6 +51,7 @@ class Scene:
         contact_fraction: share of the gross contact in which ridges touch.
         finger: semi-axes of the visible finger.
         camera: noise and bit depth.
+        force_noise: standard deviation of a sample of the force sensors, white.
     """
 
     n_frames: int = 300
@@ -67,6 +67,7 @@ class Scene:
     contact_fraction: float = 0.5
     finger: tuple[float, float] = (7.6, 6.4)
     camera: Camera = field(default_factory=Camera)
+    force_noise: float = 0.005
 
     @property
     def times(self) -> Array:
@@ -119,10 +120,10 @@ class Scene:
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
     def forces(self) -> Forces:
-        """The force sensors from the first frame to the last, with a noise of 5 mN."""
+        """The force sensors from the first frame to the last, with their noise."""
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
-        noise = np.random.default_rng(self.camera.seed).normal(scale=FORCE_NOISE, size=(2, time.size))
+        noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
         return Forces(
             time=time,
             normal_force=self.normal_force(time) + noise[0],

@@ -18,6 +18,7 @@ from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump
+from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.picture import PictureTexture
 from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Scene
@@ -26,7 +27,10 @@ from fingerflow.synthetic.texture import RidgeTexture
 from fingerflow.views import View
 
 #: What the settings of a scene are made of.
-KINDS = {kind.__name__: kind for kind in (Press, Slide, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)}
+KINDS = {
+    kind.__name__: kind
+    for kind in (Press, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
+}
 FILE = "File"
 REFERENCE_PICTURES = 8
 _LOOKS = 12  # frames whose contact is looked at
@@ -76,7 +80,9 @@ def rebuild_scene(folder: Path) -> Scene:
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, Scene):
-        raise FingerflowError(f"{path} describes a {type(scene).__name__}, where a Press or a Slide is needed")
+        raise FingerflowError(
+            f"{path} describes a {type(scene).__name__}, where a Press, a Slide or a PartialSlip is needed"
+        )
     return scene
 
 
@@ -125,6 +131,7 @@ def _scene_file(scene: Scene) -> str:
         forces="forces.csv",
         calibration=f"mm_per_px = {scene.mm_per_px}\ntopography_to_contact = {matrix}",
         region=_region(scene),
+        slip=isinstance(scene, PartialSlip),
     )
 
 

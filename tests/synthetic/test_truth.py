@@ -7,13 +7,13 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.synthetic import Bump, Ellipse, Press, Scene, Slide
+from fingerflow.synthetic import Bump, Ellipse, PartialSlip, Press, Scene, Slide
 from fingerflow.synthetic.optics import OUTLINE_WIDTH, RIDGE_LEVEL, SKIN_LEVEL, Lights
 
 Array = NDArray[np.float64]
 
-SCENES = [Press(), Slide()]
-ANY_SCENE = pytest.mark.parametrize("scene", SCENES, ids=["press", "slide"])
+SCENES = [Press(), Slide(), PartialSlip()]
+ANY_SCENE = pytest.mark.parametrize("scene", SCENES, ids=["press", "slide", "partial slip"])
 LAST = 299
 
 

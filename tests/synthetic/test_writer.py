@@ -8,7 +8,17 @@ import pytest
 import torch
 
 from fingerflow.errors import FingerflowError
-from fingerflow.synthetic import Bump, Camera, Press, RidgeTexture, Scene, Slide, rebuild_scene, write_recording
+from fingerflow.synthetic import (
+    Bump,
+    Camera,
+    PartialSlip,
+    Press,
+    RidgeTexture,
+    Scene,
+    Slide,
+    rebuild_scene,
+    write_recording,
+)
 
 SMALL: dict[str, Any] = {
     "n_frames": 4,
@@ -24,8 +34,9 @@ SMALL: dict[str, Any] = {
     [
         Press(**SMALL, rise_time=0.01, contact_time=0.0, bumps=(Bump(centre=(0.1, 0.0), width=1.0, dilation=0.02),)),
         Slide(**SMALL, creep=0.1, travel=0.1, camera=Camera(bit_depth=12, seed=5), texture=RidgeTexture(seed=3)),
+        PartialSlip(**SMALL, creep=0.1, travel=0.1, collapse=0.001, force_noise=0.02),
     ],
-    ids=["press 8 bit", "slide 12 bit"],
+    ids=["press 8 bit", "slide 12 bit", "partial slip"],
 )
 def test_folder_holds_the_scene(scene: Scene, tmp_path: Path) -> None:
     folder = tmp_path / "trials" / "one"

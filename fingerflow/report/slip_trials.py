@@ -1,0 +1,144 @@
+"""Trials of tangential loading as a line each, a count and figures, like those of Terekhov & Hayward 2011."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
+from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
+from fingerflow.whole_file import write_whole
+
+_TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+
+
+@dataclass(frozen=True)
+class SlipTrial:
+    """A processed trial: its name, the data set, the verdict and the fit of friction, None where there is none."""
+
+    name: str
+    result: xr.Dataset
+    verdict: TrialVerdict
+    fit: FrictionFit | None
+
+    @classmethod
+    def of(cls, result: xr.Dataset, name: str) -> "SlipTrial":
+        """From a data set with `stuck_ratio`."""
+        stored = result["stuck_ratio"].attrs
+        verdict = TrialVerdict(**_numbers(stored["verdict"]))
+        fit = FrictionFit(**_numbers(stored["friction_fit"])) if "friction_fit" in stored else None
+        return cls(name, result, verdict, fit)
+
+    def load_ratio(self) -> NDArray[np.float64]:
+        """(F,) T/N, NaN where there are no forces."""
+        if "load_ratio" in self.result:
+            return np.asarray(self.result["load_ratio"])
+        return np.full(self.result.sizes["frame"], np.nan)
+
+
+def verdict_line(trial: SlipTrial) -> str:
+    """The verdict by the corrected rule, that by the rule as printed, and the numbers behind them."""
+    found = trial.verdict
+    numbers = [f"as printed: {found.printed_outcome}", found.reason]
+    if math.isfinite(found.loss_load_ratio):
+        numbers.append(f"T/N {found.loss_load_ratio:.2f} at the loss")
+    if found.outcome == "vanishes abruptly":
+        numbers.append(f"extent d {found.critical_extent:.2f}, collapse {found.collapse_ms:.0f} ms")
+    return f"{trial.name}: {found.outcome} ({'; '.join(numbers)})"
+
+
+def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
+    """How many trials have which verdict, by the corrected rule, which counts, and as printed."""
+    lines = []
+    for rule, outcomes in (
+        ("", [trial.verdict.outcome for trial in trials]),
+        ("as printed: ", [trial.verdict.printed_outcome for trial in trials]),
+    ):
+        counts = {name: outcomes.count(name) for name in ("vanishes abruptly", "diminishes", "inconclusive")}
+        lines.append(rule + ", ".join(f"{name} {count}" for name, count in counts.items()))
+    if failed:
+        lines.append(f"not judged: {failed}")
+    return f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}: " + "; ".join(lines)
+
+
+def write_figures(trials: Sequence[SlipTrial], folder: Path) -> Path:
+    """One figure a trial, skin motion, d^2 against T/N and against time, and `trials.png` of them all; the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    taken: set[str] = {"trials"}
+    for trial in trials:
+        path = Path(trial.name)
+        stem = name = path.parent.resolve().name if path.stem == "scene" else path.stem
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{stem}-{number}"
+        taken.add(name)
+        _save(_trial_figure(trial), folder / f"{name}.png")
+    figure = Figure(figsize=(6, 4.5), layout="constrained")
+    draw_trials(
+        figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
+    )
+    _save(figure, folder / "trials.png")
+    return folder
+
+
+def _trial_figure(trial: SlipTrial) -> Figure:
+    result, verdict = trial.result, trial.verdict
+    area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    # The last frame of slow loading: later the stuck part is gone, or as good as.
+    frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
+    position = np.asarray(result["position"])
+    draw_motion(
+        left,
+        position[0],
+        position[frame] - position[0],
+        _contact_outline(result.isel(frame=frame)),
+        _stuck_outline(result["stuck_region"].isel(frame=frame)),
+    )
+    left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
+    draw_trial(middle, area, load, verdict, trial.fit)
+    draw_over_time(right, result["time"], area, verdict)
+    figure.suptitle(f"{trial.name}: {verdict.outcome}, as printed: {verdict.printed_outcome}")
+    return figure
+
+
+def _contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
+    if "ellipse_center" not in frame or not np.isfinite(frame["ellipse_center"]).all():
+        return None
+    along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
+    cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
+    outline: NDArray[np.float64] = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
+    return outline + np.asarray(frame["ellipse_center"])
+
+
+def _stuck_outline(region: xr.DataArray) -> NDArray[np.float64] | None:
+    contours, _ = cv2.findContours(np.asarray(region), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return None
+    longest = max(contours, key=len)[:, 0]
+    return np.asarray(longest * region.attrs["cell_mm"] + region.attrs["first_cell_mm"], dtype=np.float64)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    write_whole(path, lambda part: figure.savefig(part, format="png", dpi=110))
+
+
+def _numbers(stored: str) -> dict[str, Any]:
+    """A dataclass from the attribute of a result: null is NaN again, lists are tuples."""
+
+    def read(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(read(part) for part in value)
+        return math.nan if value is None else value
+
+    return {name: read(value) for name, value in json.loads(stored).items()}

@@ -1,0 +1,103 @@
+"""`fingerflow slip`: a line a trial, a count by both rules, figures, and errors that stop nothing."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import cli, load_scene, process
+from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial, simulate_trial
+from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
+from fingerflow.result import load_result, save_result
+
+
+def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit code of the command line, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def test_two_trials_and_one_that_is_not_there(
+    slip_trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes = [str(slip_trials / name / "scene.toml") for name in ("abrupt", "nothing", "fading")]
+    assert main_with(monkeypatch, "slip", *scenes, "--figure", str(tmp_path / "figures")) == 0
+    abrupt, nothing, fading, count, figures = capsys.readouterr().out.splitlines()
+    assert abrupt.startswith(f"{scenes[0]}: vanishes abruptly (as printed: vanishes abruptly; ")
+    assert "collapse" in abrupt
+    assert nothing.startswith(f"{scenes[1]}: not judged: ")
+    assert "cannot be read" in nothing
+    assert fading.startswith(f"{scenes[2]}: diminishes (as printed: vanishes abruptly; ")
+    assert count == (
+        "2 trials: vanishes abruptly 1, diminishes 1, inconclusive 0; "
+        "as printed: vanishes abruptly 2, diminishes 0, inconclusive 0; not judged: 1"
+    )
+    assert figures == f"figures: {tmp_path / 'figures'}"
+    written = sorted((tmp_path / "figures").iterdir())
+    assert [path.name for path in written] == ["abrupt.png", "fading.png", "trials.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
+
+
+def test_nothing_that_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main_with(monkeypatch, "slip", str(tmp_path / "a.toml"), str(tmp_path / "b.toml")) == 2
+    out = capsys.readouterr().out
+    assert out.count("not judged: ") == 3
+    assert "0 trials" in out
+
+
+def simulated(mu_k: float, reached: float = 1.0, name: str = "one/scene.toml") -> SlipTrial:
+    """A trial without pictures."""
+    trial = simulate_trial(0.8, mu_k, seed=0, reached=reached)
+    frames = len(trial.time)
+    result = xr.Dataset(
+        {
+            "stuck_ratio": ("frame", trial.stuck_area),
+            "load_ratio": ("frame", trial.load_ratio),
+            "position": (("frame", "point", "xy"), np.zeros((frames, 3, 2)) + np.arange(3)[:, None]),
+            "stuck_region": (("frame", "cell_row", "cell_column"), np.zeros((frames, 4, 4), np.uint8), {}),
+        },
+        coords={"time": ("frame", trial.time)},
+    )
+    return SlipTrial(name, result, judge_trial(trial.stuck_area, trial.load_ratio, trial.time), None)
+
+
+def test_the_count_is_the_papers() -> None:
+    trials = [simulated(0.3), simulated(0.4), simulated(1.1), simulated(0.4, reached=0.6)]
+    assert summary(trials) == (
+        "4 trials: vanishes abruptly 2, diminishes 1, inconclusive 1; "
+        "as printed: vanishes abruptly 3, diminishes 0, inconclusive 1"
+    )
+    line = verdict_line(trials[3])
+    assert line.startswith("one/scene.toml: inconclusive (as printed: inconclusive; no full slip")
+    assert "nan" not in line
+
+
+def test_trials_of_one_name_have_figures_of_their_own(tmp_path: Path) -> None:
+    names = ("a/one/scene.toml", "b/one/scene.toml", "trials.toml")
+    trials = [simulated(0.4, reached, name) for name, reached in zip(names, (1.0, 0.6, 1.0), strict=True)]
+    write_figures(trials, tmp_path / "new" / "figures")
+    assert sorted(path.name for path in (tmp_path / "new" / "figures").iterdir()) == [
+        *("one-2.png", "one.png", "trials-2.png", "trials.png")
+    ]
+
+
+def test_a_verdict_survives_the_disk(slip_trials: Path, tmp_path: Path) -> None:
+    result = process(load_scene(slip_trials / "fading" / "scene.toml"), ["stuck_ratio"])
+    save_result(result, tmp_path / "result.h5")
+    trial, again = (SlipTrial.of(some, "one") for some in (result, load_result(tmp_path / "result.h5")))
+    expected = judge_trial(result["stuck_ratio"].values, result["load_ratio"].values, result["time"].values)
+    for found in (trial, again):
+        assert isinstance(found.verdict, TrialVerdict)
+        assert repr(found.verdict) == repr(expected)  # NaN is not equal to itself
+        assert isinstance(found.fit, FrictionFit)
+        slow = expected.loading()
+        fit = fit_friction(result["stuck_ratio"].values[slow], result["load_ratio"].values[slow])
+        assert found.fit.mu_s == fit.mu_s
+        assert found.fit.mu_s_interval == fit.mu_s_interval

@@ -1,0 +1,113 @@
+"""A trial that its load drives: what is drawn, loaded and said to be true is the model's."""
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.models.partial_slip import critical_load_ratio, critical_stuck_area, judge_trial, stuck_area
+from fingerflow.synthetic import Ellipse, PartialSlip
+
+ABRUPT = PartialSlip()
+FADING = PartialSlip(static_friction=0.6, kinetic_friction=0.8)
+TRIALS = pytest.mark.parametrize("trial", [ABRUPT, FADING], ids=["abrupt", "fading"])
+
+
+def area_and_load(trial: PartialSlip) -> tuple[np.ndarray, np.ndarray]:
+    area = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
+    return area, trial.tangential_force(trial.times) / trial.force
+
+
+@TRIALS
+def test_the_stuck_area_is_what_the_load_leaves(trial: PartialSlip) -> None:
+    area, load = area_and_load(trial)
+    friction = trial.static_friction, trial.kinetic_friction
+    end = trial.full_slip - (0.2 / trial.times[-1] if trial is ABRUPT else 0)
+    loading = trial.progress(trial.times) < end
+    assert loading.sum() > 200
+    # Of a square root near 1: the load's rounding of 1e-16 over its distance from the critical one.
+    np.testing.assert_allclose(area[loading], stuck_area(load[loading], *friction), rtol=0, atol=1e-12)
+    assert load.max() == pytest.approx(float(critical_load_ratio(*friction)))
+    assert load[-1] == pytest.approx(trial.kinetic_friction)
+
+
+def test_the_critical_area_collapses_in_its_time() -> None:
+    area, _ = area_and_load(ABRUPT)
+    critical = float(critical_stuck_area(0.8, 0.4))
+    collapsing = area[(area < critical) & (area > 0)]
+    # 0.2 s at 60 frames a second, even steps.
+    assert len(collapsing) == 12
+    np.testing.assert_allclose(np.diff(collapsing), -critical / 12, rtol=1e-9)
+    assert (area[ABRUPT.progress(ABRUPT.times) >= 0.75] == 0).all()
+
+
+def test_a_fading_area_has_no_step() -> None:
+    area, _ = area_and_load(FADING)
+    assert (np.diff(area) <= 0).all()
+    assert -np.diff(area).min() < 0.03
+
+
+@TRIALS
+@pytest.mark.parametrize("frame", [60, 150, 200, 222])
+def test_skin_moves_outside_of_the_stuck_ellipse_alone(trial: PartialSlip, frame: int) -> None:
+    truth, share = trial.truth, trial.stuck_share(frame)
+    assert 0 < share < 1
+    ellipse = truth.ellipse(frame)
+    assert ellipse is not None
+    stuck = Ellipse(ellipse.centre, tuple(np.sqrt(share) * np.array(ellipse.semi_axes)), ellipse.angle)  # type: ignore[arg-type]
+    x, y = np.meshgrid(*(middle + np.linspace(-5, 5, 201) for middle in ellipse.centre))
+    radius = stuck.radius(torch.from_numpy(x), torch.from_numpy(y)).numpy()
+    moved = np.linalg.norm(np.stack((x, y), -1) - truth.material(np.stack((x, y), -1), frame), axis=-1)
+    assert (moved[radius < 0.999] == 0).all()
+    assert (moved[radius > 1.001] > 0).all()
+    # No step at the border, and no skin that folds.
+    assert np.abs(np.diff(moved, axis=1)).max() < 0.5 * 0.05
+
+
+@TRIALS
+@pytest.mark.parametrize("frame", [0, 100, 200, 220, 228])
+def test_slow_share_is_the_share_of_slow_skin(trial: PartialSlip, frame: int) -> None:
+    ellipse = trial.truth.ellipse(frame)
+    assert ellipse is not None
+    draw = np.random.default_rng(frame)
+    radius, turn = np.sqrt(draw.random(20000)), 2 * np.pi * draw.random(20000)
+    along, across = radius * np.cos(turn) * ellipse.semi_axes[0], radius * np.sin(turn) * ellipse.semi_axes[1]
+    cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
+    position = np.stack((along * cosine - across * sine, along * sine + across * cosine), -1) + ellipse.centre
+    moved = np.linalg.norm(position - trial.truth.material(position, frame), axis=-1)
+    for limit in (0.04, 0.01):
+        # Four standard errors of a share of 20 000 draws.
+        assert np.mean(moved < limit) == pytest.approx(trial.slow_share(frame, limit), abs=0.015)
+
+
+def test_nothing_is_slow_once_the_contact_slides_and_skin_is_exchanged() -> None:
+    assert ABRUPT.slow_share(ABRUPT.n_frames - 1) == 0
+    first, last = ABRUPT.truth.ellipse(0), ABRUPT.truth.ellipse(ABRUPT.n_frames - 1)
+    assert first is not None
+    assert last is not None
+    assert np.hypot(*np.subtract(last.centre, first.centre)) == pytest.approx(3.0)
+    # Skin at the rear rim of the last contact was outside of the first one, and the other way round in front.
+    right, down = ABRUPT.motion.direction
+    for side, enters in ((-1, True), (1, False)):
+        rim = np.array(last.centre) + side * 4.9 * np.array([right, down])
+        material = ABRUPT.truth.material(rim, ABRUPT.n_frames - 1)
+        then = ABRUPT.truth.positions(material, 0) - np.array(first.centre)
+        assert (np.hypot(*then) > 5.0) == enters
+
+
+@pytest.mark.parametrize(
+    ("kinetic", "outcome", "with_the_limit"),
+    [
+        (0.4, "vanishes abruptly", "vanishes abruptly"),
+        (0.84, "diminishes", "vanishes abruptly"),
+        (1.0, "diminishes", "diminishes"),
+    ],
+)
+def test_the_limit_of_40_um_shifts_the_verdict_near_equal_friction(
+    kinetic: float, outcome: str, with_the_limit: str
+) -> None:
+    """Without any error of measurement: skin beside the stuck part has not moved by 40 um yet."""
+    trial = PartialSlip(static_friction=0.8, kinetic_friction=kinetic)
+    area, load = area_and_load(trial)
+    assert judge_trial(area, load, trial.times).outcome == outcome
+    slow = [trial.slow_share(frame) for frame in range(trial.n_frames)]
+    assert judge_trial(slow, load, trial.times).outcome == with_the_limit
