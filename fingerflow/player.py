@@ -67,6 +67,7 @@ SCENE_KEYS = {
     ),
     "fields": ("depth_mm", "gauge_length_mm", "poisson_ratio", "rate_window_s", "strain", "young_modulus_mpa"),
     "stream": ("output", "region", "rekey_frames", "rekey_share"),
+    "slip": ("stuck_mm",),
 }
 
 
