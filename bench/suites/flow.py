@@ -16,6 +16,7 @@ motion, for which fingerflow is made less smooth (roughness 0.4): `epe_px`, and 
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -107,23 +108,34 @@ def _ways(first: Tensor, current: Tensor) -> tuple[dict[str, Way], Flow]:
     one, other = first[0, 0].numpy(), current[0, 0].numpy()
     template, found = prepare_flow(first), dense_flow(first, current)
     before = 0.9 * found.displacement
-    medium = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
     def of(flow: np.ndarray) -> Tensor:
         return torch.from_numpy(np.moveaxis(flow, 2, 0).astype(np.float64))[None]
+
+    def as_fields(way: Callable[[], np.ndarray]) -> Way:
+        return lambda: of(way())
 
     def ilk() -> Tensor:
         down, right = optical_flow_ilk(one, other, radius=10, dtype=np.float32)
         return of(np.stack((right, down), axis=-1))
 
     ways: dict[str, Way] = {
-        PEER: lambda: of(cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 4, 21, 3, 7, 1.5, 0)),  # type: ignore[call-overload]
-        "opencv DIS, medium": lambda: of(medium.calc(one, other, None)),  # type: ignore[call-overload]
+        **{name: as_fields(way) for name, way in _opencv(one, other).items()},
         "scikit-image ILK": ilk,
         "fingerflow, cold": lambda: dense_flow(first, current).displacement.double(),
         "fingerflow, warm": lambda: find_flow(template, current, before, warps=1).displacement.double(),
     }
     return ways, found
+
+
+def _opencv(first: Any, current: Any) -> dict[str, Callable[[], np.ndarray]]:
+    """(H, W, 2) as (x, y), of two images (H, W) uint8."""
+    farneback: Any = cv2.calcOpticalFlowFarneback  # stubs do not know that there may be no initial flow
+    medium: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return {
+        PEER: lambda: farneback(first, current, None, 0.5, 4, 21, 3, 7, 1.5, 0),
+        "opencv DIS, medium": lambda: medium.calc(first, current, None),
+    }
 
 
 def _dimetrodon() -> list[Row]:
@@ -135,10 +147,8 @@ def _dimetrodon() -> list[Row]:
     truth = raw[3:].reshape(height, width, 2)
     known = np.abs(truth).max(axis=-1) < 1e9
     first, current = (torch.from_numpy(image)[None, None] for image in (one, other))
-    medium = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     ways: dict[str, Callable[[], np.ndarray]] = {
-        PEER: lambda: cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 4, 21, 3, 7, 1.5, 0),  # type: ignore[call-overload]
-        "opencv DIS, medium": lambda: medium.calc(one, other, None),  # type: ignore[call-overload]
+        **_opencv(one, other),
         "fingerflow, cold": lambda: np.moveaxis(
             dense_flow(first, current, box=3, roughness=0.4, warps=5).displacement[0].numpy(), 0, 2
         ),

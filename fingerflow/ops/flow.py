@@ -35,6 +35,7 @@ from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.flow_multigrid import Level, halved, laplacian, magnified, pyramid, solve
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients, spline_weights
+from fingerflow.ops.tensors import finite
 
 _ROUNDING = 1 / 12  # variance that whole grey levels have against the light
 _RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
@@ -74,8 +75,6 @@ class FlowTemplate(NamedTuple):
     gradient: Tensor  # (B, 2, H, W), 0 outside the mask
     inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
     levels: list[Level]
-    variance: Tensor  # (B,) of white noise in a pixel, grey levels^2
-    alpha: Tensor  # (B,)
     covariance: Tensor  # (B, 2, 2, H, W) for a gain of 1
     box: int
     coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
@@ -133,10 +132,12 @@ def _prepared(first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness
     """Of a floating image, and of the halved ones while their texture lasts."""
     coefficients = spline_coefficients(first)
     kind = coefficients.dtype
-    known = (coefficients.abs() < math.inf).to(kind)
-    known = -functional.max_pool2d(-known, 3, 1, 1)  # the spline at a pixel takes its neighbours' coefficients
+    usable = finite(coefficients)
+    known = -functional.max_pool2d(
+        -usable.to(kind), 3, 1, 1
+    )  # the spline at a pixel takes its neighbours' coefficients
     inside = known * mask
-    coefficients = torch.where(coefficients.abs() < math.inf, coefficients, 0.0)
+    coefficients = torch.where(usable, coefficients, 0.0)
     still = first.new_zeros(len(first), 2, *first.shape[-2:])
     _, value = _warped(coefficients, still, inside)  # as `find_flow` has it: what does not move leaves nothing
     gradient = _slopes(coefficients) * _arrives(still, inside, _MARGIN)
@@ -151,7 +152,7 @@ def _prepared(first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness
         half = functional.avg_pool2d(first, 2)
         coarser = _prepared(half, -functional.max_pool2d(-inside, 2), variance / 4, box, roughness)
     spread = _covariance(tensor, variance, alpha, box)
-    return FlowTemplate(value, gradient, inside, pyramid(tensor, inside, alpha), variance, alpha, spread, box, coarser)
+    return FlowTemplate(value, gradient, inside, pyramid(tensor, inside, alpha), spread, box, coarser)
 
 
 def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = None, warps: int = 3) -> Flow:
@@ -166,7 +167,7 @@ def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = 
     if initial is None:
         flow = _from_nothing(template, given, warps)
     else:
-        flow = torch.where(initial.abs() < math.inf, initial, 0.0).to(given.dtype)
+        flow = torch.where(finite(initial), initial, 0.0).to(given.dtype)
     flow, left, seen, gain = _refined(template, given, flow, warps)
     # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
     spread = template.covariance * ((1 + 1 / (gain * gain)) / 2)[:, :, None]
@@ -198,13 +199,12 @@ def _refined(
         seen, warped = _warped(coefficients, flow, template.inside)
         gain, offset = _light(template.value, warped, seen)
         left = seen * (warped - offset - gain * template.value)
-        slope = template.gradient * gain
-        data = template.inside * _integrated(slope * left, template.box)
+        data = template.inside * _integrated(template.gradient * left, template.box)
         course = _course(flow, seen)
         flow = torch.where(seen > 0, flow, course)  # J, of the first image, would hold it where it is
         departure = flow - course
-        # The equations of the first image, scaled by the square of the gain: with r = - data they give the step.
-        right_side = -data / (gain * gain) - laplacian(level, departure)
+        # Slopes and step of the first image: in the light of the current one both count by the gain, J by its square.
+        right_side = -data / gain - laplacian(level, departure)
         flow = flow + solve(template.levels, right_side, _CYCLES)
     return flow, left, seen, gain
 
@@ -235,8 +235,8 @@ def _slopes(coefficients: Tensor) -> Tensor:
 def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
     """Which pixels of the mask arrive where the spline knows the image, and its values there (B, 1, H, W)."""
     values = _sampled(coefficients, flow)
-    finite = values.abs() < math.inf
-    return _arrives(flow, inside, _MARGIN) * finite.to(values.dtype), torch.where(finite, values, 0.0)
+    usable = finite(values)
+    return _arrives(flow, inside, _MARGIN) * usable.to(values.dtype), torch.where(usable, values, 0.0)
 
 
 def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
