@@ -18,6 +18,7 @@ Values = NDArray[np.float64]
 Weights = tuple[Values, ...]
 # From the weights (R, n) of each sample to the statistic (R,).
 Statistic = Callable[..., Values]
+Participants = tuple[ArrayLike, ArrayLike] | None  # who made the trials of either kind
 
 _AT_ONCE = 4_000_000  # weights in memory
 # Beside the seed: data simulated with the same seed must not share its random numbers with the resampling.

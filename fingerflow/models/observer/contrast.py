@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import rankdata
 
-from fingerflow.models.observer.bootstrap import bca_interval, samples_of
+from fingerflow.models.observer.bootstrap import Participants, Values, bca_interval, samples_of
 from fingerflow.models.observer.estimate import UNKNOWN, Estimate
 from fingerflow.models.observer.weighted import auc_statistic
-
-Values = NDArray[np.float64]
-Participants = tuple[ArrayLike, ArrayLike] | None
 
 # Beside the seed: data simulated with the same seed must not share its random numbers with the permutations.
 _STREAM = 0x9E2A

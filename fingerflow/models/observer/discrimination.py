@@ -4,14 +4,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fingerflow.models.observer.bootstrap import Samples, Statistic, bca_interval, samples_of
+from fingerflow.models.observer.bootstrap import Participants, Samples, Statistic, Values, bca_interval, samples_of
 from fingerflow.models.observer.estimate import UNKNOWN, Estimate, Interval
 from fingerflow.models.observer.weighted import auc_statistic, deviation, mean
-
-Values = NDArray[np.float64]
-Participants = tuple[ArrayLike, ArrayLike] | None
 
 
 def d_prime(
