@@ -564,7 +564,7 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Brightness of the skin, about -1 to 1, and share 0 to 1 of light lost to contact, both (H, W) float32."""
+    """Brightness of the skin, about -1 to 1, and share 0 to 1 of intensity lost to contact, both (H, W) float32."""
     height, width = shape
     turn, spread = 0.01 * progress, 1 + 0.04 * progress
     y, x = np.meshgrid(
@@ -908,7 +908,7 @@ class Stepper:
     Attributes:
         lag: frames that have begun and are not finished, at most.
         outputs: of both graphs, by name; states are left out.
-        threshold: share of light lost above which a pixel touches; NaN while unknown.
+        threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether the threshold is found in frames, by the graph `contact`.
         found, keyed: points found at the last restart, and given to the last key frame.
     """
@@ -1019,7 +1019,7 @@ class Stepper:
             self._push(name)
 
     def use(self, threshold: float) -> None:
-        """Makes this the share of light lost above which a pixel touches."""
+        """Makes this the relative intensity loss above which a pixel touches."""
         self.threshold = threshold
         self._hold(self._run("background", {**self._glass, "threshold": np.array([threshold])}))
 
@@ -1086,8 +1086,8 @@ class Stepper:
         if _MEASURING not in self._bundle.files:
             raise PlayerError(
                 f"{self._bundle.files['background']}: takes a threshold, the scene has no number for it and the bundle "
-                "no contact.onnx that would measure it; add [contact] threshold = with the share of light lost that "
-                'counts as contact, such as 0.25, or export the bundle with the graph "contact"'
+                "no contact.onnx that would measure it; add [contact] threshold = with the relative intensity loss "
+                'that counts as contact, such as 0.25, or export the bundle with the graph "contact"'
             )
         return self._engine.open(_MEASURING)
 
@@ -1865,8 +1865,8 @@ class Player:
             self._change = _Change(index, slot, outputs["points"].copy(), cause)
         elif not self._drawing and self.live.is_due():
             self._drawing = True
-            touching = outputs.get("touching")
-            drawn = LiveViews(slot, None if touching is None else touching.copy())
+            real_contact_mask = outputs.get("real_contact_mask")
+            drawn = LiveViews(slot, None if real_contact_mask is None else real_contact_mask.copy())
         else:
             self._free.put(slot)
         return self._records.put((place, drawn))
@@ -1888,7 +1888,7 @@ class Player:
     def _learn_threshold(self, slot: Slot, index: int, area: float, measured: float | None) -> None:
         if self._search.see(index, area, measured) and measured is not None:
             self._sink.event("threshold", slot.number, threshold=measured)
-            log.info("frame %d: threshold %.4f of the light lost", slot.number, measured)
+            log.info("frame %d: threshold %.4f of the intensity lost", slot.number, measured)
 
     def _fill(self, slot: Slot, outputs: dict[str, Array], place: int) -> None:
         self._layout.fill(self._fields, place, outputs)
@@ -1938,10 +1938,10 @@ _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
 
 
 class LiveViews(NamedTuple):
-    """What a picture is drawn from: a frame, and the (1, 1, H, W) mask of touching pixels where the recipe has it."""
+    """What a picture is drawn from: a frame, and the (1, 1, H, W) real-contact mask where the recipe has it."""
 
     slot: Slot
-    touching: Array | None
+    real_contact_mask: Array | None
 
 
 class LiveData:
@@ -1969,8 +1969,8 @@ class LiveData:
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
             for name, view in views.slot.views.items()
         }
-        if views.touching is not None:
-            arrays["touching"] = views.touching[0, 0, :: self._every, :: self._every].astype(np.uint8)
+        if views.real_contact_mask is not None:
+            arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
         arrays |= {
             n: record[n].astype(np.float32) for n in ("points", "divergence", "center", "semi_axes_mm") if n in names
@@ -2085,7 +2085,7 @@ dd small { font-size: 12px; color: var(--soft); } dd.bad { color: var(--red); }
 <main>
 <section class="wide"><dl id="numbers"></dl></section>
 <section><h2>Contact <span class="legend">
-<i style="background:#ffa726"></i>touching<i style="background:#00acc1"></i>ellipse</span></h2>
+<i style="background:#ffa726"></i>real contact<i style="background:#00acc1"></i>ellipse</span></h2>
 <canvas id="contact"></canvas></section>
 <section><h2>Topography <span class="legend">
 <i style="background:#ffd54f"></i>not in contact yet<i style="background:none"></i>divergence
@@ -2159,8 +2159,8 @@ function drawTopography(live) {
 }
 
 function drawContact(live) {
-  const { contact_view, touching, center, semi_axes_mm } = live.data;
-  const context = picture($("contact"), contact_view, touching), k = 2 / live.every;
+  const { contact_view, real_contact_mask, center, semi_axes_mm } = live.data;
+  const context = picture($("contact"), contact_view, real_contact_mask), k = 2 / live.every;
   const angle = live.scalars.angle;
   if (!center || !semi_axes_mm || angle == null || !Number.isFinite(center.values[0])) return;
   const [a, b] = Array.from(semi_axes_mm.values, v => v / live.mm_per_px * k);
