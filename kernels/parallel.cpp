@@ -17,6 +17,8 @@
 #include <pthread.h>
 #endif
 
+#include "interface.h"
+
 namespace fingerflow {
 namespace {
 
@@ -176,3 +178,7 @@ void parallel_for(std::int64_t pieces, int threads, const std::function<void(std
 }
 
 }  // namespace fingerflow
+
+void fingerflow_inject_fault(int fault, std::int64_t piece, int thread) {
+    fingerflow::inject_fault(static_cast<fingerflow::Fault>(fault), piece, static_cast<fingerflow::Thread>(thread));
+}

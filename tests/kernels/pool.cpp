@@ -79,13 +79,13 @@ void faults(int threads) {
 void faults_of(Thread thread) {
     for (int time = 0; time < 20; ++time) {
         const std::thread::id caller = std::this_thread::get_id();
-        std::atomic<bool> other_came{false};
+        std::atomic<bool> caller_came{false}, other_came{false};
         std::vector<int> memory(1000);
         const Came came = what_came([&] {
             parallel_for(1000, 3, [&](std::int64_t piece) {
                 const bool mine = std::this_thread::get_id() == caller;
-                if (!mine) other_came = true;
-                while (!other_came) std::this_thread::yield();
+                (mine ? caller_came : other_came) = true;
+                while (!caller_came || !other_came) std::this_thread::yield();
                 if (mine == (thread == Thread::kCaller)) throw std::bad_alloc();
                 for (int repeat = 0; repeat < 1000; ++repeat) memory[static_cast<std::size_t>(piece)] += repeat;
             });
