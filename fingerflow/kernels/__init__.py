@@ -1,9 +1,9 @@
 """The compiled twins of some ops: whether they serve, and one typed function for each.
 
-They serve plain tensors on the processor, outside tracing, export and autograd, and give what the portable op gives, bit
-for bit, or to rounding where a docstring says so. While torch compiles they are ops of its own. `FINGERFLOW_KERNELS=0` in
-the environment turns them off. Where they were not built, because no C++ compiler was there at install time, the portable
-ops serve and a log message of level INFO says so once.
+They serve plain tensors on the processor, outside tracing, export and autograd, and give what the portable op gives,
+bit for bit, or to rounding where a docstring says so. While torch compiles they are ops of its own.
+`FINGERFLOW_KERNELS=0` in the environment turns them off. Where they were not built, because no C++ compiler was there
+at install time, the portable ops serve and a log message of level INFO says so once.
 """
 
 from fingerflow.kernels.checks import FRAME_KINDS

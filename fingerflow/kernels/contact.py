@@ -220,8 +220,8 @@ def largest_component(mask: Tensor) -> Tensor:
 
 @torch_op()
 def apparent_contact(mask: Tensor, radius: int, side: int) -> tuple[Tensor, Tensor]:
-    """Signed density margin (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a mask
-    (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.apparent_contact` has them.
+    """Signed density margin (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a
+    mask (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.apparent_contact` has them.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or cells that are not among these.

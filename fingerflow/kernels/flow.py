@@ -18,8 +18,8 @@ _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 def flow_cycles(
     planes: Sequence[Tensor], right_side: Tensor, cycles: int, sweeps: int, coarsest: int, damping: float
 ) -> Tensor:
-    """(B, 2, H, W), as `ops.flow_multigrid.solve` has it to rounding, of the planes of all levels, five of each from the
-    finest on: tensor, right, down, inverse, inside, all float32.
+    """(B, 2, H, W), as `ops.flow_multigrid.solve` has it to rounding, of the planes of all levels, five of each from
+    the finest on: tensor, right, down, inverse, inside, all float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.

@@ -1,4 +1,4 @@
-"""The library of compiled kernels: whether it serves, how its functions are called, and what comes of what they throw."""
+"""The library of compiled kernels: whether it serves, how its functions are called, what becomes of what they throw."""
 
 import ctypes
 import functools
@@ -54,7 +54,7 @@ def serve(*tensors: Tensor | None) -> bool:
 
 
 class Entry:
-    """A function of interface.h: its arguments go by their names there, a tensor for an address, None for no address."""
+    """A function of interface.h: arguments go by their names there, a tensor for an address, None for no address."""
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
         """Finds `name` in the library."""
@@ -129,7 +129,7 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
     entry("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
+@torch.compiler.assume_constant_result
 def _is_present() -> bool:
     return _library() is not None
 

@@ -21,8 +21,8 @@ def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], C
 
     The shapes that a compiler asks for come from the function itself: it runs on tensors without values, and what it
     calls of the library computes nothing (`shapes_only`). Its annotations are the signature: tensors and numbers in, a
-    tensor or a tuple of them out, of which those with two axes and more may be None. No result shares memory with another
-    or with an argument.
+    tensor or a tuple of them out, of which those with two axes and more may be None. No result shares memory with
+    another or with an argument.
 
     Args:
         changes: names of the tensors that it writes to.
@@ -56,7 +56,7 @@ def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], C
                 return function(*args, **kwargs)
             result = op(*args, **kwargs)
             if kind is Tensor:
-                return result  # type: ignore[no-any-return]
+                return result
             given = [None if none and part.ndim == 1 else part for none, part in zip(may_be_none, result, strict=True)]
             return kind(*given) if hasattr(kind, "_fields") else tuple(given)  # type: ignore[return-value]
 

@@ -24,6 +24,7 @@ from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
 LARGEST_CORNER_WINDOW = 15
+WIDEST_SEARCH = 1 << 15  # px, so that places in it are counted by 32 bits
 
 
 @torch_op()
@@ -219,6 +220,8 @@ def search_windows(
     check_like("guess", guess, torch.float32, (count, 2))
     if size < 1 or size % 2 == 0 or reach < 0 or (count and min(images.shape[2:]) < 1):
         raise ValueError(f"templates {size} wide, {reach} px away, in images of {tuple(images.shape)}")
+    if size + 2 * reach > WIDEST_SEARCH:
+        raise ValueError(f"templates {size} wide, {reach} px away: the compiled search ends at {WIDEST_SEARCH} px")
     found = empty(torch.float32, count, 2)
     entry("search_windows")(
         templates=templates.contiguous(),
