@@ -14,6 +14,7 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.export import export_bundle
+from fingerflow.player.providers import PROVIDERS
 from fingerflow.synthetic import Press, write_recording
 
 HEIGHT, WIDTH, POINTS = 192, 240, 150
@@ -73,7 +74,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
         assert player.main([str(folder / "bundle"), "--scene", str(scene_file), "--threads", "1", *options]) == 0
         played.append(player.read_results(folder / provider))
         assert not played[-1].header["warnings"]
-        assert played[-1].header["provider"] == player.PROVIDERS[provider]
+        assert played[-1].header["provider"] == PROVIDERS[provider]
     return Said(*recorded, *(each.records for each in played))
 
 

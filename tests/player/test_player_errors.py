@@ -12,11 +12,14 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle, write_scene
 
 from fingerflow import player, scene
+from fingerflow.player.background import mean_view
+from fingerflow.player.bundle import load_bundle
+from fingerflow.player.scene import SCENE_KEYS, View
 
 
 def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
-    assert set(player.SCENE_KEYS) == set(scene._keys_of(()))
-    for table, keys in player.SCENE_KEYS.items():
+    assert set(SCENE_KEYS) == set(scene._keys_of(()))
+    for table, keys in SCENE_KEYS.items():
         assert sorted(keys) == scene._keys_of((table,)), table
 
 
@@ -91,10 +94,10 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     picture[5, WIDTH:] = 100
     [event] = stream.run(*stream.frames([picture])).results.records["real_area_mm2"]
     assert event == WIDTH / 4
-    mean = player.mean_view(
+    mean = mean_view(
         stream.bundle / "empty.npy",
-        player.View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
-        player.load_bundle(stream.bundle),
+        View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
+        load_bundle(stream.bundle),
         None,
         "",
     )

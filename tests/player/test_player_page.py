@@ -18,6 +18,8 @@ import pytest
 from conftest import Ended, Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH
 
+from fingerflow.player.stream import Player
+
 
 class Served:
     """A stream that plays in a thread while the test looks at its page."""
@@ -71,16 +73,15 @@ class Served:
 
 @pytest.fixture
 def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    from fingerflow import player
 
-    running: list[player.Player] = []
-    run = player.Player.run
+    running: list[Player] = []
+    run = Player.run
 
-    def remember(one: player.Player) -> dict[str, Any]:
+    def remember(one: Player) -> dict[str, Any]:
         running.append(one)
         return run(one)
 
-    monkeypatch.setattr(player.Player, "run", remember)
+    monkeypatch.setattr(Player, "run", remember)
     found = Served(stream)
     yield found
     running[0].stop()
