@@ -18,7 +18,7 @@ PLAIN = [
     "area_medians",
     "components",
     "corners",
-    "dense_region",
+    "apparent_contact",
     "ellipse",
     "flow",
     "instruction_sets",
@@ -32,7 +32,7 @@ PLAIN = [
     "search",
     "skin_chain",
     "templates",
-    "touching",
+    "real_contact_mask",
     "triangle_strain",
 ]
 # Compiled for every instruction set; some need no exact agreement between the sets.
@@ -43,11 +43,11 @@ EXACT = [
     "median_band",
     "morphology_rows",
     "noise_rows",
-    "touching_rows",
+    "real_contact_mask_rows",
 ]
 ROUNDED = [
     "area_medians_block",
-    "dense_region_cells",
+    "apparent_contact_cells",
     "flow_rows",
     "light_gain_rows",
     "local_fit_block",

@@ -72,12 +72,12 @@ def demo(
 @app.command()
 def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml")) -> None:
     """Write a commented scene file to fill in."""
+    from fingerflow.atomic_write import write_atomically
     from fingerflow.scene import scene_text
-    from fingerflow.whole_file import write_whole
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
-    write_whole(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
+    write_atomically(path, lambda part: part.write_text(scene_text(), encoding="utf-8"))
     typer.echo(f"{path} was written; fill it in, then: fingerflow process {path}")
 
 
@@ -127,7 +127,7 @@ def calibrate(
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
     from fingerflow import calibration
-    from fingerflow.whole_file import write_whole
+    from fingerflow.atomic_write import write_atomically
 
     ring_frame = _first_frame(ring)
     target_frame = None if target is None else _first_frame(target)
@@ -140,10 +140,10 @@ def calibrate(
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
-        write_whole(picture, lambda part: calibration.draw_overlay(part, found, target_frame, ring_frame))
+        write_atomically(picture, lambda part: calibration.draw_overlay(part, found, target_frame, ring_frame))
 
     # Both or none: nothing but a renaming is left when the picture is there.
-    write_whole(output, write_both)
+    write_atomically(output, write_both)
     facts: dict[str, Any] = {
         "mm_per_px": found.mm_per_px,
         "hole_radius_px": found.hole.radius_px,

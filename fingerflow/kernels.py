@@ -20,7 +20,7 @@ from torch import Tensor
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
-_INTERFACE = 31  # of kernels/interface.h; a library built from other sources does not serve
+_INTERFACE = 32  # of kernels/interface.h; a library built from other sources does not serve
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 FRAME_KINDS = {torch.uint8: 0, torch.uint16: 1, torch.int32: 2, torch.float32: 3}  # of kernels/pixels.h
 LARGEST_MEDIAN = 31
@@ -97,9 +97,9 @@ class _LitFrames(ctypes.Structure):
     )
 
 
-def touching(frames: Tensor, light: Tensor, black: Tensor, limits: Tensor, size: int) -> Tensor:
-    """(B, 1, H, W) bool, as `ops.touching` has it: frames of FRAME_KINDS, light and black (1 or B, 1, H, W) and limits
-    (B,) float32.
+def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limits: Tensor, size: int) -> Tensor:
+    """(B, 1, H, W) bool, as `ops.real_contact_mask` has it: frames of FRAME_KINDS, light and black (1 or B, 1, H, W)
+    and limits (B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype, shapes that do not fit, a size that is even or outside 1 to 15.
@@ -108,12 +108,12 @@ def touching(frames: Tensor, light: Tensor, black: Tensor, limits: Tensor, size:
         raise ValueError(f"the compiled majority has odd sizes from 1 to {LARGEST_MAJORITY}: {size} was asked for")
     _check_like("limits", limits, torch.float32, (len(frames),))
     touch, limits = torch.empty(frames.shape, dtype=torch.bool), limits.contiguous()
-    _call_on_lit("fingerflow_touching", frames, light, black, limits.data_ptr(), size, touch.data_ptr())
+    _call_on_lit("fingerflow_real_contact_mask", frames, light, black, limits.data_ptr(), size, touch.data_ptr())
     return touch
 
 
 def light_gain(frames: Tensor, light: Tensor, black: Tensor, side: int) -> Tensor:
-    """(B,) float32, as `ops.light_gain` has it, from blocks of `side` px; tensors as for `touching`.
+    """(B,) float32, as `ops.light_gain` has it, from blocks of `side` px; tensors as for `real_contact_mask`.
 
     Raises:
         TypeError, ValueError: see there; a side that is no multiple of 8.
@@ -206,18 +206,18 @@ def largest_component(mask: Tensor) -> Tensor:
     return _changed_mask("fingerflow_largest_component", mask)
 
 
-class _DenseRegions(ctypes.Structure):
-    """`fingerflow_dense_regions` of kernels/interface.h."""
+class _ApparentContacts(ctypes.Structure):
+    """`fingerflow_apparent_contacts` of kernels/interface.h."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("masks", "excess", "numbers")),
+        *((name, ctypes.c_void_p) for name in ("masks", "density_margin", "numbers")),
         *((name, ctypes.c_int64) for name in ("batch", "height", "width", "radius", "side")),
     )
 
 
-def dense_region(mask: Tensor, radius: int, side: int) -> tuple[Tensor, Tensor]:
-    """Excess (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a mask (B, 1, H, W)
-    bool on cells of `side` px of CELLS, as `ops.dense_region` has them.
+def apparent_contact(mask: Tensor, radius: int, side: int) -> tuple[Tensor, Tensor]:
+    """Density margin (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a mask
+    (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.apparent_contact` has them.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or cells that are not among these.
@@ -227,12 +227,12 @@ def dense_region(mask: Tensor, radius: int, side: int) -> tuple[Tensor, Tensor]:
     _check_frames(mask, (torch.bool,))
     mask = mask.contiguous()
     batch, _, height, width = mask.shape
-    excess = torch.empty(batch, 1, -(-height // side), -(-width // side))
+    density_margin = torch.empty(batch, 1, -(-height // side), -(-width // side))
     numbers = torch.empty(batch, 7)
-    pointers = (tensor.data_ptr() for tensor in (mask, excess, numbers))
-    request = _DenseRegions(*pointers, batch, height, width, radius, side)
-    _call("fingerflow_dense_region", ctypes.addressof(request), torch.get_num_threads())
-    return excess, numbers
+    pointers = (tensor.data_ptr() for tensor in (mask, density_margin, numbers))
+    request = _ApparentContacts(*pointers, batch, height, width, radius, side)
+    _call("fingerflow_apparent_contact", ctypes.addressof(request), torch.get_num_threads())
+    return density_margin, numbers
 
 
 def mask_moments(mask: Tensor) -> Tensor:
@@ -571,7 +571,7 @@ class _TriangleStrain(ctypes.Structure):
     _fields_ = (
         *(
             (name, ctypes.c_void_p)
-            for name in ("displacement", "covariance", "touching", "corners", "slopes", "products", "areas", "flat")
+            for name in ("displacement", "covariance", "in_contact", "corners", "slopes", "products", "areas", "flat")
         ),
         *((name, ctypes.c_void_p) for name in ("strain", "strain_std", "density", "energy", "forces", "own")),
         *((name, ctypes.c_int64) for name in ("batch", "point_count", "triangle_count", "measure")),
@@ -587,7 +587,7 @@ def triangle_strain(
     flat: Tensor,
     displacement: Tensor,
     covariance: Tensor,
-    touching: Tensor,
+    in_contact: Tensor,
     *,
     measure: int,
     stiffness: tuple[float, float, float],
@@ -598,7 +598,7 @@ def triangle_strain(
 
     Triangles (M, 3) int64, slopes (M, 3, 2), products (3, 3, M) xx, xy, yy of the corners' slopes with those of what
     shares their errors, areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2), all float32;
-    touching (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
+    in_contact (B, M) bool; measure 0 to 2, stiffness of exx^2 + eyy^2, exx eyy and exy^2.
 
     Raises:
         TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
@@ -612,11 +612,11 @@ def triangle_strain(
     _check_like("flat", flat, torch.float32, (count,))
     _check_like("displacement", displacement, torch.float32, (batch, points, 2))
     _check_like("covariance", covariance, torch.float32, (batch, points, 2, 2))
-    _check_like("touching", touching, torch.bool, (batch, count))
+    _check_like("in_contact", in_contact, torch.bool, (batch, count))
     if measure not in (0, 1, 2) or (count and not 0 <= int(triangles.min()) <= int(triangles.max()) < points):
         raise ValueError(f"measure {measure} of 0 to 2; triangles of {points} points")
     corners = triangles.T.to(torch.int32)
-    tensors = (displacement, covariance, touching, corners, slopes.permute(2, 1, 0), products, areas, flat)
+    tensors = (displacement, covariance, in_contact, corners, slopes.permute(2, 1, 0), products, areas, flat)
     given = [tensor.contiguous() for tensor in tensors]
     strain, deviation, density = torch.empty(batch, count, 3), torch.empty(batch, count, 3), torch.empty(batch, count)
     energy, own = (torch.empty(batch, dtype=torch.float64) for _ in range(2))
@@ -886,7 +886,7 @@ def _library() -> ctypes.CDLL | None:
     real: Any = ctypes.c_float
     double: Any = ctypes.c_double
     beside = [count] * 3
-    library.fingerflow_touching.argtypes = [*[pointer] * 2, number, pointer, number]
+    library.fingerflow_real_contact_mask.argtypes = [*[pointer] * 2, number, pointer, number]
     library.fingerflow_light_gain.argtypes = [pointer, count, pointer, number]
     library.fingerflow_histogram.argtypes = [
         *[pointer, *extent, number],
@@ -909,7 +909,7 @@ def _library() -> ctypes.CDLL | None:
     library.fingerflow_dilate.argtypes = [pointer, pointer, *extent, pointer, count, number, number]
     library.fingerflow_fill_holes.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_largest_component.argtypes = [pointer, pointer, *extent, number]
-    library.fingerflow_dense_region.argtypes = [pointer, number]
+    library.fingerflow_apparent_contact.argtypes = [pointer, number]
     library.fingerflow_mask_moments.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_fit_ellipse.argtypes = [pointer, pointer, *extent, number]
     library.fingerflow_halve.argtypes = [pointer, pointer, *extent, number, number]

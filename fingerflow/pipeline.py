@@ -141,9 +141,9 @@ def _stream(
             with _timed(seconds, "decoding"):
                 frames = recording[indices].mapped()
             with _timed(seconds, "contact"):
-                excess = contact.run(indices, frames).excess
+                density_margin = contact.run(indices, frames).density_margin
                 damaged.extend(indices[~_whole(scene.views.contact.crop(frames))].tolist())
-        return indices, frames, excess
+        return indices, frames, density_margin
 
     batches = [order[first : first + _BATCH] for first in range(0, len(order), _BATCH)]
     if torch.get_num_threads() == 1 or tracking is None:
@@ -153,12 +153,12 @@ def _stream(
     bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
     # Closed also after an error: the recording must not be while another thread reads from it.
     with closing(begun), bar:
-        for indices, frames, excess in begun:
+        for indices, frames, density_margin in begun:
             if tracking is not None:
                 with _timed(seconds, "tracking"):
-                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, excess), strict=True))
+                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, density_margin), strict=True))
             bar.update(len(indices))
-            del frames, excess  # before the batch after the next one is read
+            del frames, density_margin  # before the batch after the next one is read
     contact.finish()
     if damaged:
         # What is left of such a frame has some area, but not that of the contact.

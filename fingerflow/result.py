@@ -12,6 +12,7 @@ import scipy.io
 import xarray as xr
 
 from fingerflow import __version__
+from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.tracking import TrackStatus
 from fingerflow.stages.contact import ContactSeries
@@ -20,14 +21,13 @@ from fingerflow.stages.deformation import (
     FieldSeries,
     StrainSeries,
     glass_positions,
-    median_of_known,
+    nanmedian,
     rate,
 )
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import Loading
 from fingerflow.stages.slip import SlipSeries
 from fingerflow.stages.tracking import TrackSeries
-from fingerflow.whole_file import write_whole
 
 
 @dataclass
@@ -94,7 +94,9 @@ def _contact(outcome: Outcome) -> None:
     contact = outcome.contact
     if contact is None:
         return
-    outcome.add("contact_threshold", ("frame",), contact.threshold, "1", "share of light lost that counts as contact")
+    outcome.add(
+        "contact_threshold", ("frame",), contact.threshold, "1", "relative intensity loss that counts as contact"
+    )
     outcome.add("real_contact_area", ("frame",), contact.real_area, "mm2", "area of the micro-junctions")
     outcome.add(
         "gross_contact_area", ("frame",), contact.gross_area, "mm2", "area of the region that the contact spans"
@@ -112,7 +114,9 @@ def _tracks(outcome: Outcome) -> None:
     position = glass_positions(outcome.inputs, tracks.position)
     outcome.add("position", (*point, "xy"), position, "mm", "position on the glass")
     outcome.add("position_px", (*point, "xy"), tracks.position, "px", "position in the topographic view")
-    outcome.add("position_std_px", point, tracks.deviation, "px", "standard deviation of a component of the position")
+    outcome.add(
+        "position_std_px", point, tracks.position_std, "px", "standard deviation of a component of the position"
+    )
     outcome.add("forward_backward_error", point, tracks.error, "px", "distance after tracking forward and back")
     outcome.add(
         "status",
@@ -126,7 +130,7 @@ def _tracks(outcome: Outcome) -> None:
     tracked = tracks.status == TrackStatus.TRACKED
     share = tracked.sum(1) / tracked.shape[1] if tracked.shape[1] else np.full(len(tracked), np.nan)
     outcome.add("tracked_share", ("frame",), share, "1", "share of the points that are tracked")
-    median = median_of_known(np.where(tracked, tracks.error, np.nan))
+    median = nanmedian(np.where(tracked, tracks.error, np.nan))
     outcome.add("forward_backward_median", ("frame",), median, "px", "median forward-backward distance")
 
 
@@ -147,7 +151,11 @@ def _displacement(outcome: Outcome) -> None:
     )
     outcome.add("displacement", ("frame", "point", "xy"), moved.displacement, "mm", "displacement since onset")
     outcome.add(
-        "displacement_std", ("frame", "point"), moved.deviation(), "mm", "standard deviation of a component since onset"
+        "displacement_std",
+        ("frame", "point"),
+        moved.displacement_std(),
+        "mm",
+        "standard deviation of a component since onset",
     )
     outcome.add("global_displacement_vector", ("frame", "xy"), moved.vector, "mm", "median displacement, by component")
     outcome.add(
@@ -245,7 +253,7 @@ def _plain(value: Any) -> Any:
 def save_result(result: xr.Dataset, path: Path) -> None:
     """Writes HDF5/NetCDF4; the file appears only when it is complete."""
     compressed = {name: {"zlib": True, "complevel": 2} for name, values in result.data_vars.items() if values.ndim > 1}
-    write_whole(path, lambda part: result.to_netcdf(part, engine="h5netcdf", encoding=compressed))
+    write_atomically(path, lambda part: result.to_netcdf(part, engine="h5netcdf", encoding=compressed))
 
 
 def load_result(path: Path) -> xr.Dataset:
@@ -279,7 +287,9 @@ def export_table(result: xr.Dataset, path: Path) -> None:
                     columns[f"{name}_{part} ({values.attrs['units']})"] = values.values[:, k]
         rows = np.column_stack([result["frame"].values, *columns.values()])
         header = ",".join(["frame", *columns])
-        write_whole(path, lambda part: np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=header, comments=""))
+        write_atomically(
+            path, lambda part: np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=header, comments="")
+        )
     elif path.suffix == ".mat":
         content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
         content["time"] = result["time"].values
@@ -290,6 +300,6 @@ def export_table(result: xr.Dataset, path: Path) -> None:
             with part.open("wb") as file:
                 scipy.io.savemat(file, content, do_compression=True, long_field_names=True)
 
-        write_whole(path, write)
+        write_atomically(path, write)
     else:
         raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {path.suffix or 'without a suffix'!r}")

@@ -19,7 +19,7 @@ from pydantic import (
 
 from fingerflow.calibration import Calibration as RigCalibration
 from fingerflow.errors import FingerflowError
-from fingerflow.strict import Number, Odd, Switch, Whole
+from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
@@ -44,9 +44,9 @@ def _existing(path: Path, info: ValidationInfo) -> Path:
 
 ExistingPath = Annotated[Path, AfterValidator(_existing)]
 OddSide = Annotated[Odd, Field(ge=3)]
-Positive = Annotated[Number, Field(gt=0)]
-PixelRange = tuple[Whole, Whole]
-Row = tuple[Number, Number, Number]
+Positive = Annotated[StrictNumber, Field(gt=0)]
+PixelRange = tuple[StrictInt, StrictInt]
+Row = tuple[StrictNumber, StrictNumber, StrictNumber]
 
 
 class _Table(BaseModel):
@@ -58,9 +58,9 @@ class RecordingSettings(_Table):
 
     frames: ExistingPath
     frame_rate: Positive | None = None
-    trigger_frame: Annotated[Whole, Field(ge=0)] | None = None
-    first_frame: Annotated[Whole, Field(ge=0)] = 0
-    last_frame: Annotated[Whole, Field(ge=0)] | None = None
+    trigger_frame: Annotated[StrictInt, Field(ge=0)] | None = None
+    first_frame: Annotated[StrictInt, Field(ge=0)] = 0
+    last_frame: Annotated[StrictInt, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -121,7 +121,7 @@ class ForceSettings(_Table):
     normal: str
     tangential: str | None = None
     trigger: str | None = None
-    trigger_level: Number | None = None
+    trigger_level: StrictNumber | None = None
     time: str | None = None
     sample_rate: Positive | None = None
 
@@ -178,21 +178,21 @@ class ContactSettings(_Table):
     """[contact]"""
 
     median_px: Annotated[OddSide, Field(le=63)] = 3
-    threshold: Literal["reference_frame", "per_frame"] | Annotated[Number, Field(gt=0, lt=1)] = "reference_frame"
-    gross_radius_px: Annotated[Whole, Field(ge=1, le=255)] = 8
+    threshold: Literal["reference_frame", "per_frame"] | Annotated[StrictNumber, Field(gt=0, lt=1)] = "reference_frame"
+    gross_radius_px: Annotated[StrictInt, Field(ge=1, le=255)] = 8
 
 
 class TrackingSettings(_Table):
     """[tracking]"""
 
-    points: Annotated[Whole, Field(ge=3)] = 700
+    points: Annotated[StrictInt, Field(ge=3)] = 700
     window_px: Annotated[OddSide, Field(ge=5, le=255)] = 25
     min_distance_px: Positive = 6.0
     direction: Literal["forward", "backward"] = "forward"
     template: Literal["keyframe", "previous"] = "keyframe"
     forward_backward_limit_px: Positive = 1.0
-    search_px: Annotated[Whole, Field(ge=0)] = 8
-    gain_offset: Switch = True
+    search_px: Annotated[StrictInt, Field(ge=0)] = 8
+    gain_offset: StrictBool = True
 
 
 class FieldSettings(_Table):
@@ -201,7 +201,7 @@ class FieldSettings(_Table):
     gauge_length_mm: Annotated[Positive, Field(le=100.0)] = 1.6
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"] = "green_lagrange"
     young_modulus_mpa: Positive = 1.0
-    poisson_ratio: Annotated[Number, Field(gt=-1, lt=0.5)] = 0.4
+    poisson_ratio: Annotated[StrictNumber, Field(gt=-1, lt=0.5)] = 0.4
     depth_mm: Positive = 2.0
     rate_window_s: Positive = 0.05
 
@@ -222,7 +222,7 @@ class StreamSettings(_Table):
     output: Path | None = None
     region: ViewSettings | None = None
     rekey_share: Annotated[Positive, Field(le=1.0)] | None = None
-    rekey_frames: Annotated[Whole, Field(ge=1)] | None = None
+    rekey_frames: Annotated[StrictInt, Field(ge=1)] | None = None
 
 
 class Scene(_Table):
@@ -476,7 +476,7 @@ frames = {toml_string(background)}       # without a finger; several frames are 
 
 [contact]
 median_px = 3                 # side of the median; the paper has 9, which rounds the ends of ridges
-threshold = "reference_frame" # Otsu's in the frame of largest force; or "per_frame", or a share of light lost, 0.25
+threshold = "reference_frame" # Otsu's in the frame of largest force; or "per_frame", or a relative intensity loss, 0.25
 gross_radius_px = 8           # half the distance between ridges, or a little more
 
 [tracking]

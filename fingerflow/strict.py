@@ -11,7 +11,7 @@ def _odd(value: int) -> int:
     return value
 
 
-Whole = Annotated[int, Strict()]
-Number = Annotated[float, Strict()]  # a whole number is one
-Switch = Annotated[bool, Strict()]
-Odd = Annotated[Whole, AfterValidator(_odd)]
+StrictInt = Annotated[int, Strict()]
+StrictNumber = Annotated[float, Strict()]  # a whole number is one
+StrictBool = Annotated[bool, Strict()]
+Odd = Annotated[StrictInt, AfterValidator(_odd)]

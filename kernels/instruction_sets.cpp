@@ -46,7 +46,7 @@ InstructionSet instruction_set() {
 
 }  // namespace fingerflow
 
-int fingerflow_interface() { return 31; }
+int fingerflow_interface() { return 32; }
 
 int fingerflow_limit_instruction_set(int most) {
     const int widest = fingerflow::widest();

@@ -73,9 +73,9 @@ struct fingerflow_lit_frames {
 };
 
 // Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
-// (fingerflow/ops/touching.py); limits (batch), `touching` is contiguous.
-FINGERFLOW_EXPORT int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits, int size,
-                                          unsigned char* touching, int threads);
+// (fingerflow/ops/real_contact_mask.py); limits (batch), `real_contact_mask` is contiguous.
+FINGERFLOW_EXPORT int fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
+                                          unsigned char* real_contact_mask, int threads);
 
 // Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
 FINGERFLOW_EXPORT int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
@@ -109,15 +109,15 @@ FINGERFLOW_EXPORT int fingerflow_largest_component(const unsigned char* masks, u
                                                    std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                                    std::int64_t row_stride, int threads);
 
-// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/dense_region.py has
-// them: excess (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
+// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/apparent_contact.py has
+// them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
 // angle.
-struct fingerflow_dense_regions {
+struct fingerflow_apparent_contacts {
     const unsigned char* masks;
-    float *excess, *numbers;
+    float *density_margin, *numbers;
     std::int64_t batch, height, width, radius, side;
 };
-FINGERFLOW_EXPORT int fingerflow_dense_region(const fingerflow_dense_regions* given, int threads);
+FINGERFLOW_EXPORT int fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
 // Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
 FINGERFLOW_EXPORT int fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch,
@@ -164,14 +164,14 @@ struct fingerflow_area_medians {
 FINGERFLOW_EXPORT int fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
 
 // Strain of triangles and its energy, as fingerflow/ops/triangle_strain.py has them: displacement (batch, point_count, 2),
-// covariance (batch, point_count, 2, 2), touching (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
+// covariance (batch, point_count, 2, 2), in_contact (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
 // (2, 3, .) by x and y, their products xx, xy, yy with those of the errors that a corner shares (3, 3, .), areas and
 // whether they are flat, NaN or 0. Measure as above; direct, between and shear are the
 // factors of exx^2 + eyy^2, exx eyy and exy^2 in the energy. Results (batch, triangle_count, ...), energy (batch),
 // forces (batch, point_count, 2), and the sum (batch) of the squares of what each point's error adds to the energy.
 struct fingerflow_triangle_strain {
     const float *displacement, *covariance;
-    const unsigned char* touching;
+    const unsigned char* in_contact;
     const std::int32_t* corners;
     const float *slopes, *products, *areas, *flat;
     float *strain, *strain_std, *density;

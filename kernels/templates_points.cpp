@@ -411,7 +411,7 @@ private:
     Look look(std::int64_t image, Vector guess) {
         const Vector center{rintf(guess.x), rintf(guess.y)};
         cut_around(all_.frames, image, center, n_ / 2 + kBeyond, n_ + 2 * kBeyond, numbers_[kLevel], lines_, patch_, stride_);
-        const Vector beside = first_look(first_sums(), {center.x - guess.x, center.y - guess.y});
+        const Vector beside = initial_estimate(first_sums(), {center.x - guess.x, center.y - guess.y});
         const Vector looked{clamped(-beside.x, -kReach, kReach), clamped(-beside.y, -kReach, kReach)};
         Sums of;
         second_sums(looked, &of);
@@ -461,7 +461,7 @@ private:
     }
 
     // The shift at which the table equals what is wanted.
-    Vector first_look(const Wanted& wanted, Vector shift) const {
+    Vector initial_estimate(const Wanted& wanted, Vector shift) const {
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
         alignas(64) float weights[kCells] = {};
         for (int step = 0; step < kLookSteps; ++step) {

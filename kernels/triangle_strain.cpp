@@ -25,7 +25,7 @@ int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int 
     parallel_for(given->batch, threads, [&](std::int64_t number) {
         const TriangleFrame frame{given->displacement + 2 * points * number,
                                   given->covariance + 4 * points * number,
-                                  given->touching + count * number,
+                                  given->in_contact + count * number,
                                   given->strain + 3 * count * number,
                                   given->strain_std + 3 * count * number,
                                   given->density + count * number,

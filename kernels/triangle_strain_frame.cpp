@@ -50,7 +50,7 @@ void deform(const Triangles& of, const TriangleFrame& frame, const Planes& plane
     float *FINGERFLOW_RESTRICT energy = planes.energy, *FINGERFLOW_RESTRICT counted = planes.counted;
     const float *FINGERFLOW_RESTRICT areas = of.areas, squared = of.squared, mixed = of.mixed;
     const float direct = of.direct, between = of.between, shear = of.shear;
-    const unsigned char* FINGERFLOW_RESTRICT touching = frame.touching;
+    const unsigned char* FINGERFLOW_RESTRICT in_contact = frame.in_contact;
     FINGERFLOW_INDEPENDENT
     for (std::int64_t t = 0; t < count; ++t) {
         const float u1 = u[b[t]] - u[a[t]], u2 = u[c[t]] - u[a[t]], v1 = v[b[t]] - v[a[t]], v2 = v[c[t]] - v[a[t]];
@@ -64,7 +64,7 @@ void deform(const Triangles& of, const TriangleFrame& frame, const Planes& plane
         strain[3 * t + 1] = eyy;
         strain[3 * t + 2] = exy;
         density[t] = held;
-        const bool counts = (fabsf(held) <= FLT_MAX) & (touching[t] != 0);
+        const bool counts = (fabsf(held) <= FLT_MAX) & (in_contact[t] != 0);
         counted[t] = counts ? areas[t] : 0.0f;
         energy[t] = counts ? held : 0.0f;
         const float sxx = counts ? 2 * direct * exx + between * eyy : 0.0f, syy = counts ? 2 * direct * eyy + between * exx : 0.0f;
@@ -115,7 +115,7 @@ void strain_of_frame(const Triangles& of, const TriangleFrame& frame, float* mem
 
     double whole = 0, seen = 0;
     for (std::int64_t t = 0; t < of.count; ++t) {
-        whole += static_cast<double>(frame.touching[t] != 0 ? known_or_zero(of.areas[t]) : 0.0f);
+        whole += static_cast<double>(frame.in_contact[t] != 0 ? known_or_zero(of.areas[t]) : 0.0f);
         seen += static_cast<double>(planes.counted[t]);
     }
     // Triangles that are not known count like the others; where they are most, nobody knows.

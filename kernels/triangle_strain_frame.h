@@ -18,10 +18,10 @@ struct Triangles {
     float direct, between, shear; // of exx^2 + eyy^2, exx eyy and exy^2 in the energy
 };
 
-// Of one frame; displacement (points, 2), covariance (points, 2, 2), touching (triangles).
+// Of one frame; displacement (points, 2), covariance (points, 2, 2), in_contact (triangles).
 struct TriangleFrame {
     const float *displacement, *covariance;
-    const unsigned char* touching;
+    const unsigned char* in_contact;
     float *strain, *strain_std, *density;  // (triangles, 3), (triangles, 3), (triangles)
     double* energy;
     float* forces;  // (points, 2)

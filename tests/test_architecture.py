@@ -15,7 +15,7 @@ ARROWS: dict[str, set[str]] = {
     "strict": set(),
     "toml_string": set(),
     "views": {"errors"},
-    "whole_file": {"errors"},
+    "atomic_write": {"errors"},
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},
     "graphs": {"ops"},
@@ -25,14 +25,14 @@ ARROWS: dict[str, set[str]] = {
     "scene": {"calibration", "errors", "strict", "toml_string", "views"},
     "stages": {"errors", "graphs", "models", "ops", "recordings", "scene", "views"},
     "plan": {"errors", "stages"},
-    "result": {"__init__", "errors", "ops", "stages", "whole_file"},
+    "result": {"__init__", "errors", "ops", "stages", "atomic_write"},
     "pipeline": {"export", "errors", "plan", "result", "scene", "stages"},
     "synthetic": {"errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
-    "report": {"errors", "models", "recordings", "result", "scene", "views", "whole_file"},
+    "report": {"errors", "models", "recordings", "result", "scene", "views", "atomic_write"},
     "export": {"errors", "graphs", "kernels", "ops", "strict", "synthetic"},
     "player": {"errors", "export"},  # only where `--provider compiled` asks for the package; a bundle does without
-    "cluster": {"errors", "pipeline", "plan", "result", "scene", "whole_file"},
+    "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)

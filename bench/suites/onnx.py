@@ -2,13 +2,13 @@
 
 One 512 x 640 view of a simulated press, 8 bit, noise of 2 grey levels, hot and dead pixels; ONNX Runtime with as many
 threads as torch. `contact` goes from frame to areas, ellipse and threshold; its peer is OpenCV's way from the frame to
-the touching pixels with the same median (illumination quotient, medianBlur, Otsu, count: `image_ops`), without gross
-area and ellipse. `error` is that of the real contact area against the truth, in per cent. `track` follows corners
+the pixels in real contact with the same median (illumination quotient, medianBlur, Otsu, count: `image_ops`), without
+gross area and ellipse. `error` is that of the real contact area against the truth, in per cent. `track` follows corners
 over three frames, there and back; its peer is calcOpticalFlowPyrLK on one level with the same window; `error` is the
 RMS of the accepted points, in px. `frame` does everything for one step of a stream; its `error` is that of `track`.
 `time_to_peer` is taken in turns. `nodes` are those that the exported file holds, constants left out.
 
-What limits `contact` with a median of 9 px. With a lattice, medians are formed where they are counted, of 1172 minima
+What limits `contact` with a median of 9 px. With a stride, medians are formed where they are counted, of 1172 minima
 and maxima each; for the other pixels it is enough whether most of their window lies above the threshold. Without, every
 median is needed: 218 minima and maxima a pixel, 71 MB of planes of bytes. ONNX Runtime writes 18 bytes a ns in the
 second cache and 8 in the third, and a node costs 1.2 us whatever it holds: 985 nodes on planes of 82 kB take 5 ms at
@@ -47,10 +47,10 @@ Run = Callable[[], dict[str, np.ndarray]]
 CONTACT: list[dict[str, Any]] = [
     {},
     {"median_px": 9},
-    {"median_px": 9, "lattice_px": 8},
-    {"median_px": 5, "lattice_px": 8},
-    {"lattice_px": 8},
-    {"median_px": 1, "lattice_px": 8},
+    {"median_px": 9, "stride_px": 8},
+    {"median_px": 5, "stride_px": 8},
+    {"stride_px": 8},
+    {"median_px": 1, "stride_px": 8},
 ]
 TRACKING: list[dict[str, Any]] = [
     {"points": 700, "window_px": 25},
@@ -77,7 +77,7 @@ def run(quick: bool) -> list[Row]:
     graphs: tuple[GraphName, ...] = ("track", "frame")
     for graph in graphs:
         for settings in TRACKING[-1:] if quick else TRACKING:
-            fast = {"median_px": 1, "touching": False} if settings["points"] == 300 else {}
+            fast = {"median_px": 1, "real_contact_mask": False} if settings["points"] == 300 else {}
             recipe = _recipe(tracking=settings, contact=fast)
             points = _corners(known["topography_before"], recipe)
             nodes, ours = _session(recipe, graph, {**known, "points": points})

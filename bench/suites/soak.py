@@ -16,7 +16,7 @@ RECIPE = """
 height = 96
 width = 128
 [contact]
-touching = false
+real_contact_mask = false
 [tracking]
 points = 50
 window_px = 15

@@ -32,10 +32,12 @@ RENEWED = 64  # points whose templates `renew` prepares in a call
 UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "light", "black"), "counts"),
     **dict.fromkeys(("points", "prediction", "reference", "next_reference"), "px"),
-    **dict.fromkeys(("error", "deviation", "center", "semi_axes", "template_start"), "px"),
+    **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
-    **dict.fromkeys(("mask", "touching", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"),
+    **dict.fromkeys(
+        ("mask", "real_contact_mask", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"
+    ),
     **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
     **dict.fromkeys(("key_image", "key_noise"), "counts"),
     **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
@@ -45,7 +47,7 @@ UNITS = {
     "template_samples": "counts, counts/px",
     "template_table": "counts^2/px, counts^2",
     "template_numbers": "see ops.tracking_limits.Number",
-    "template_pixels": "counts, counts/px",
+    "steepest_descent_images": "counts, counts/px",
 }
 
 
@@ -92,7 +94,7 @@ def _leaves(results: Any) -> Iterator[Any]:
             yield one
 
 
-_MEASURED = tuple(name for name in Contact._fields if name != "excess")
+_MEASURED = tuple(name for name in Contact._fields if name != "density_margin")
 
 
 class _Measured(nn.Module):
@@ -119,13 +121,13 @@ def build(
     """
     kind = precision or _TYPES[recipe.export.precision]
     contact, tracking = recipe.contact, recipe.tracking
-    touching = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.lattice_px)
+    contact_graph = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.stride_px)
     follow = FollowGraph(tracking.window_px, tracking.forward_backward_limit_px)
     key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset), follow.deformation)
-    shown = tuple(name for name in FrameResult._fields if name != "touching" or contact.touching)
+    shown = tuple(name for name in FrameResult._fields if name != "real_contact_mask" or contact.real_contact_mask)
     described = {
         "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
-        "contact": (_Measured(touching), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
+        "contact": (_Measured(contact_graph), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
         "detect": (
             DetectGraph(tracking.points, tracking.min_distance_px, tracking.window_px, kind),
             ("topography_view", "mask"),
@@ -139,7 +141,7 @@ def build(
         ),
         "track": (follow, ("topography_view", "prediction", *OF_FRAME), Followed._fields),
         "frame": (
-            FrameGraph(touching, follow),
+            FrameGraph(contact_graph, follow),
             (
                 *("contact_view", "topography_view", "topography_to_contact", "prediction"),
                 *(*Light._fields, *OF_FRAME),

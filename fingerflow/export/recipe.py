@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
-from fingerflow.strict import Number, Odd, Switch, Whole
+from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 
 GraphName = Literal["background", "contact", "detect", "key", "renew", "track", "frame", "fields"]
 GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "renew", "track", "frame", "fields")
@@ -21,36 +21,36 @@ class _Table(BaseModel):
 class ViewRecipe(_Table):
     """[views]: size of both views in px, bits of a pixel (uint8 up to 8, else uint16), recordings side by side."""
 
-    height: Annotated[Whole, Field(ge=48, le=_LARGEST_SIDE)]
-    width: Annotated[Whole, Field(ge=48, le=_LARGEST_SIDE)]
-    bit_depth: Annotated[Whole, Field(ge=8, le=16)] = 8
-    batch: Annotated[Whole, Field(ge=1, le=64)] | Literal["dynamic"] = 1
+    height: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
+    width: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
+    bit_depth: Annotated[StrictInt, Field(ge=8, le=16)] = 8
+    batch: Annotated[StrictInt, Field(ge=1, le=64)] | Literal["dynamic"] = 1
 
 
 class ContactRecipe(_Table):
     """[contact]: as in a scene, and what `ContactGraph` may leave out."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
-    gross_radius_px: Annotated[Whole, Field(ge=1, le=255)] = 8
-    lattice_px: Annotated[Whole, Field(ge=1, le=16)] = 1
+    gross_radius_px: Annotated[StrictInt, Field(ge=1, le=255)] = 8
+    stride_px: Annotated[StrictInt, Field(ge=1, le=16)] = 1
     cell_px: Literal[4, 8] | None = None  # of the gross region
-    touching: Switch = True  # whether `frame` gives the mask
+    real_contact_mask: StrictBool = True  # whether `frame` gives the mask
 
 
 class TrackingRecipe(_Table):
     """[tracking]: as in a scene."""
 
-    points: Annotated[Whole, Field(ge=3, le=5000)] = 700
+    points: Annotated[StrictInt, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
-    min_distance_px: Annotated[Number, Field(ge=1, le=50)] = 6.0
-    forward_backward_limit_px: Annotated[Number, Field(gt=0)] = 1.0
-    gain_offset: Switch = True
+    min_distance_px: Annotated[StrictNumber, Field(ge=1, le=50)] = 6.0
+    forward_backward_limit_px: Annotated[StrictNumber, Field(gt=0)] = 1.0
+    gain_offset: StrictBool = True
 
 
 class FieldsRecipe(_Table):
     """[fields]: as in a scene."""
 
-    gauge_length_mm: Annotated[Number, Field(gt=0, le=100)] = 1.6
+    gauge_length_mm: Annotated[StrictNumber, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):

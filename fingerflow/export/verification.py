@@ -48,14 +48,16 @@ class Tolerance:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
     "points": Tolerance(1e-3, 1e-3),
-    "error": Tolerance(2e-2, 2e-2),  # of matches that are none, whose way back is nearly singular; the limit is 1 px
+    "error": Tolerance(
+        2e-2, 2e-2
+    ),  # of matches that are none, whose backward check is nearly singular; the limit is 1 px
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence"), Tolerance(2e-4, 1e-3)),
     # A cell at the border of the region may be told either way in float64.
     **dict.fromkeys(("center", "semi_axes"), Tolerance(1e-3, 0.1)),
-    **dict.fromkeys(("threshold", "angle", "deviation"), Tolerance(1e-4, 1e-3)),
+    **dict.fromkeys(("threshold", "angle", "position_std"), Tolerance(1e-4, 1e-3)),
 }
 _RELATIVE = Tolerance(1e-4, 1e-3)
-_MOST_FLIPS = 1e-2  # share of decisions (touching, tracked, returned) that rounding may turn against float64
+_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returned) that rounding may turn against float64
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:

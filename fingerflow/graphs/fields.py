@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from fingerflow.ops.area_medians import area_medians
 from fingerflow.ops.point_gradients import point_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.ops.strain_uncertainty import curl_deviation, divergence_deviation
+from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
 
 
 class GrossEllipse(NamedTuple):
@@ -76,8 +76,8 @@ class FieldsGraph(nn.Module):
             divergence(gradient),
             curl(gradient),
             green_lagrange(gradient, self.measure),
-            None if spread is None else divergence_deviation(spread),
-            None if spread is None else curl_deviation(spread),
+            None if spread is None else divergence_std(spread),
+            None if spread is None else curl_std(spread),
             median,
             median_std,
         )

@@ -24,7 +24,7 @@ class Prepared(NamedTuple):
     template_samples: Tensor
     template_table: Tensor
     template_numbers: Tensor
-    template_pixels: Tensor | None
+    steepest_descent_images: Tensor | None
     template_inverse_warp: Tensor
 
     @classmethod
@@ -45,7 +45,7 @@ class Held(NamedTuple):
     neighbours_within: Tensor | None
 
 
-COMPILED_DO_WITHOUT = ("template_pixels", "neighbours_weights", "neighbours_within")  # of `Held`: None there
+COMPILED_DO_WITHOUT = ("steepest_descent_images", "neighbours_weights", "neighbours_within")  # of `Held`: None there
 
 
 class KeyView(NamedTuple):
@@ -97,7 +97,7 @@ class Followed(NamedTuple):
 
     points: Tensor
     error: Tensor
-    deviation: Tensor
+    position_std: Tensor
     status: Tensor
     warp: Tensor
     stale: Tensor
@@ -127,7 +127,7 @@ class FrameResult(NamedTuple):
     """Contact (`graphs.Contact`) and points (`Followed`) of B frames. `covered` (B, N) uint8 says which points the
     gross contact covers, those that are lost where they were expected."""
 
-    touching: Tensor
+    real_contact_mask: Tensor
     real_area_px: Tensor
     gross_area_px: Tensor
     center: Tensor
@@ -136,7 +136,7 @@ class FrameResult(NamedTuple):
     light_gain: Tensor
     points: Tensor
     error: Tensor
-    deviation: Tensor
+    position_std: Tensor
     status: Tensor
     warp: Tensor
     stale: Tensor
@@ -169,7 +169,7 @@ class FrameGraph(nn.Module):
         place = torch.where((followed.status == 0)[..., None], followed.points, prediction)
         matrix = topography_to_contact.to(place.dtype)
         x, y = (place @ matrix[:, :2].T + matrix[:, 2]).unbind(-1)
-        touches = covered(contact.excess, x, y, self.contact.cell_px)
+        touches = covered(contact.density_margin, x, y, self.contact.cell_px)
         shown = {name: value for name, value in contact._asdict().items() if name in FrameResult._fields}
         return FrameResult(**shown, **followed._asdict(), covered=touches.to(torch.uint8))
 

@@ -97,8 +97,8 @@ class AgreementGraph(nn.Module):
     def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
         """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
         frames, (K, N, ...)."""
-        deviation = found.variance.sqrt()
-        outliers = find_outliers(neighbours, found.points - start, deviation)
+        position_std = found.variance.sqrt()
+        outliers = find_outliers(neighbours, found.points - start, position_std)
         status = found.status
         for reason, applies in (
             (TrackStatus.OFF_NEIGHBOURS, outliers.off_neighbours),

@@ -44,7 +44,7 @@ class AreaMedians(NamedTuple):
     """Over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
 
     median: Tensor  # (B, 5)
-    deviation: Tensor | None  # (B, 5), its standard deviation from that of the points
+    std: Tensor | None  # (B, 5), its standard deviation from that of the points
 
 
 def area_medians(

@@ -64,33 +64,34 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
     return rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
 
 
-def covered(excess: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
-    """Whether the regions of `ops.dense_region` cover places, to a fraction of a pixel.
+def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
+    """Whether the regions of `ops.apparent_contact` cover places, to a fraction of a pixel.
 
     Args:
-        excess: (B, 1, h, w) of `Region`, cells of `cell` px.
+        density_margin: (B, 1, h, w) of `Region`, cells of `cell` px.
         x, y: (B, N) px.
 
     Returns:
         (B, N) bool; False beyond the cells and where x or y is not finite.
     """
-    height, width = excess.shape[-2:]
+    height, width = density_margin.shape[-2:]
     # Beyond the frame lies nothing: what is not finite is taken there.
     known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
     column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
     inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
-    return (at_places(excess, column, row) > 0) & inside
+    return (at_places(density_margin, column, row) > 0) & inside
 
 
-def mask_of(excess: Tensor, cell: int, height: int, width: int) -> Tensor:
+def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
     """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of.
 
     Of a lattice of places all in a column lie between the same cells: along the rows first, then down.
     """
     (left, right, across), (top, bottom, along) = (
-        _between(excess, pixels, cells, cell) for pixels, cells in ((width, excess.shape[3]), (height, excess.shape[2]))
+        _between(density_margin, pixels, cells, cell)
+        for pixels, cells in ((width, density_margin.shape[3]), (height, density_margin.shape[2]))
     )
-    rows = excess[..., left] * (1 - across) + excess[..., right] * across
+    rows = density_margin[..., left] * (1 - across) + density_margin[..., right] * across
     along = along[:, None]
     return rows[..., top, :] * (1 - along) + rows[..., bottom, :] * along > 0
 

@@ -1,17 +1,17 @@
-"""The share of light lost half-way between touching ridges and the skin beside them, measured in a frame."""
+"""The relative intensity loss half-way between ridges in contact and the skin beside them, measured in a frame."""
 
 import torch
 from torch import Tensor
 
-from fingerflow.ops.dense_region import cell_of, dense_region
+from fingerflow.ops.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
-from fingerflow.ops.lattice_median import median_at
 from fingerflow.ops.otsu import Classes, histogram, otsu_classes
 from fingerflow.ops.quantile import median_of_counts
-from fingerflow.ops.touching import touching
+from fingerflow.ops.real_contact_mask import real_contact_mask
+from fingerflow.ops.strided_median import median_at
 
 # Contact takes at least a twentieth of the light; two halves of noise lie closer together.
-_LEAST_LIGHT_LOST = 0.05
+_LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _ROUNDS = 2
 _LEVELS = 256
@@ -25,21 +25,21 @@ def contact_threshold(
     *,
     median_px: int = 3,
     radius: int = 8,
-    lattice_px: int = 1,
+    stride_px: int = 1,
 ) -> Tensor:
-    """Share of light lost half-way between the medians of ridges and of valleys inside the gross region.
+    """Relative intensity loss half-way between the medians of ridges and of valleys inside the gross region.
 
-    Otsu's threshold of the median-filtered light lost (in levels of one byte) splits the pixels and so finds the gross
-    region (`dense_region`). Most of the rest is empty glass, brighter than the skin between ridges, which pulls Otsu's
-    threshold down and the area up by 2 %. Half-way between the medians of the two classes inside the region is where
-    the blurred edge of a ridge has its true place. From there once more: it no longer depends on how much glass is
-    seen. Over the shipped press it lies within 0.0015 from 2 mm² of contact on.
+    Otsu's threshold of the median-filtered intensity loss (in levels of one byte) splits the pixels and so finds the
+    gross region (`apparent_contact`). Most of the rest is empty glass, brighter than the skin between ridges, which
+    pulls Otsu's threshold down and the area up by 2 %. Half-way between the medians of the two classes inside the
+    region is where the blurred edge of a ridge has its true place. From there once more: it no longer depends on how
+    much glass is seen. Over the shipped press it lies within 0.0015 from 2 mm² of contact on.
 
     Args:
-        frames, light, black, median_px: as for `touching`.
+        frames, light, black, median_px: as for `real_contact_mask`.
         gain: (B,) of `light_gain`, NaN or None for 1.
         radius: of the gross region.
-        lattice_px: of how many pixels, across and down, one is counted; 1 for the exact medians. With 8 the threshold
+        stride_px: of how many pixels, across and down, one is counted; 1 for the exact medians. With 8 the threshold
             moves by some 0.002 from 5 mm² of contact on.
 
     Returns:
@@ -54,8 +54,8 @@ def contact_threshold(
     levels = torch.where(lit, lost, -low * scale).clamp(0, _LEVELS - 1).round()
     if not torch.compiler.is_exporting():  # no minimum of bytes on every provider
         levels = levels.to(torch.uint8)
-    smooth = median_at(levels, median_px, lattice_px)
-    counted = lit[..., ::lattice_px, ::lattice_px].expand(smooth.shape)
+    smooth = median_at(levels, median_px, stride_px)
+    counted = lit[..., ::stride_px, ::stride_px].expand(smooth.shape)
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
@@ -63,17 +63,19 @@ def contact_threshold(
         return 1 - (1 - (level / scale + low)) / brightness
 
     classes = otsu_classes(_counts(smooth, counted).to(kind))
-    least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_LIGHT_LOST)
-    apart = (share(classes.upper) > _LEAST_LIGHT_LOST) & (classes.upper - classes.lower > least * scale)
+    least = (_NOISE_RATIO * classes.deviation / scale).clamp_min(_LEAST_INTENSITY_LOSS)
+    apart = (share(classes.upper) > _LEAST_INTENSITY_LOSS) & (classes.upper - classes.lower > least * scale)
     level = torch.where(apart, classes.threshold, torch.nan)
     for _ in range(_ROUNDS):
         # A level is above a threshold where it is rounded above it.
         limit = 1 - ((level + 0.5) / scale + low)
-        excess = dense_region(touching(frames, light, black, limit, median_px), radius, precision=kind).excess
-        inside = _at_pixels(excess > 0, cell_of(radius), lattice_px, frames.shape[2:])
+        density_margin = apparent_contact(
+            real_contact_mask(frames, light, black, limit, median_px), radius, precision=kind
+        ).density_margin
+        inside = _at_pixels(density_margin > 0, cell_of(radius), stride_px, frames.shape[2:])
         level = _half_way(_counts(smooth, counted & inside).to(kind), level, classes)
     threshold = share(level)
-    return torch.where((threshold > _LEAST_LIGHT_LOST) & (threshold < 1), threshold, torch.nan)
+    return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
 
 
 def _counts(smooth: Tensor, mask: Tensor) -> Tensor:

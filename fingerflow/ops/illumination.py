@@ -101,7 +101,7 @@ def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None 
         first: the same at the first instant of contact, (1 or B, 1, H, W), where the signal is to be relative to it.
 
     Returns:
-        (B, 1, H, W): 0 for no change and wherever either side is masked, 1 for light lost altogether.
+        (B, 1, H, W): 0 for no change and wherever either side is masked, 1 for intensity lost altogether.
     """
     if first is None:
         return 1 - normalized.frames

@@ -58,7 +58,7 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
     return Neighbours(nearest.indices, torch.where(within[..., None], offset, 0.0), within.to(positions.dtype))
 
 
-def find_outliers(neighbours: Neighbours, displacement: Tensor, deviation: Tensor) -> Outliers:
+def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Tensor) -> Outliers:
     """Points whose displacement or uncertainty stands out among their neighbours.
 
     A neighbour agrees with a point where both lie on one plane of slope G to within their standard deviations: it
@@ -77,14 +77,14 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, deviation: Tenso
     Args:
         neighbours: from :func:`find_neighbours`, for P = B, or P = 1 for all frames.
         displacement: (B, N, 2) in the unit of the positions; NaN where it is unknown.
-        deviation: (B, N) standard deviation of a component.
+        position_std: (B, N) standard deviation of a component.
     """
     index, offset, within = neighbours
     # (P, k, N), broadcast over frames; each by itself in memory: pairs side by side are gone through one by one.
     x, y = (part.contiguous() for part in offset.unbind(-1))
-    known = (displacement.sum(-1) + deviation).isfinite()
+    known = (displacement.sum(-1) + position_std).isfinite()
     one = known.to(displacement.dtype)
-    sure = torch.where(known, deviation, 1.0).clamp_min(_LEAST_DEVIATION)
+    sure = torch.where(known, position_std, 1.0).clamp_min(_LEAST_DEVIATION)
     u, v = (part.contiguous() for part in torch.where(known[..., None], displacement, 0.0).unbind(-1))
     there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
     weight = there * within

@@ -9,19 +9,19 @@ from torch import Tensor
 from fingerflow.ops.strain import STRAIN_MEASURES
 
 
-def divergence_deviation(covariance: Tensor) -> Tensor:
+def divergence_std(covariance: Tensor) -> Tensor:
     """Standard deviation (...) of du/dx + dv/dy."""
     ux, vy = covariance[..., 0, 0, :, :], covariance[..., 1, 1, :, :]
     return _root(ux[..., 0, 0] + ux[..., 1, 1] + vy[..., 0, 0] + vy[..., 1, 1])
 
 
-def curl_deviation(covariance: Tensor) -> Tensor:
+def curl_std(covariance: Tensor) -> Tensor:
     """Standard deviation (...) of dv/dx - du/dy, in rad."""
     uy, vx = covariance[..., 0, 1, :, :], covariance[..., 1, 0, :, :]
     return _root(vx[..., 1, 0] - vx[..., 0, 1] - uy[..., 1, 0] + uy[..., 0, 1])
 
 
-def strain_deviation(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
+def strain_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Standard deviations (..., 3) of the (exx, eyy, exy) that `green_lagrange` gives for this gradient and measure.
 
     First order in the error of the gradient, which is exact for "infinitesimal". Raises ValueError for another measure.

@@ -58,7 +58,7 @@ LEAST_TEXTURE = 1e-4
 VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
 # px from the whole pixel that is nearest to the prediction, in x and y, within which a point is found.
 REACH = 1.0
-# px that the first look may lead, and its steps: each leaves a fifth of the error far from the root, less near it.
+# px that the initial estimate may lead, and its steps: each leaves a fifth of the error far from the root, less near.
 LOOK_REACH, LOOK_STEPS = 1.5, 3
 # Contrast of an image over that of the template, or the reverse.
 MOST_GAIN = 8.0

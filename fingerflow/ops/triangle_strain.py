@@ -34,7 +34,7 @@ def triangle_strain(
     triangles: Tensor,
     displacement: Tensor,
     covariance: Tensor,
-    touching: Tensor,
+    in_contact: Tensor,
     shared: SharedErrors | None = None,
     *,
     measure: str = "green_lagrange",
@@ -51,7 +51,7 @@ def triangle_strain(
         triangles: (M, 3) indices of points, int64.
         displacement: (B, N, 2) mm, NaN where a point is not known.
         covariance: (B, N, 2, 2) mm^2 of the displacement.
-        touching: (B, M) bool, which triangles count in the energy.
+        in_contact: (B, M) bool, which triangles count in the energy.
         shared: which errors are the same ones in part; none by default.
         measure: of strain, as in `green_lagrange`.
         young_modulus_mpa, poisson_ratio: of the solid, as in `strain_energy_density`.
@@ -69,10 +69,10 @@ def triangle_strain(
     flat = torch.where(usable, 0.0, torch.nan)[:, None].to(slopes.dtype)
 
     areas = triangle_areas(reference, triangles)
-    compiled = kernels.serve(reference, displacement, covariance, touching)
+    compiled = kernels.serve(reference, displacement, covariance, in_contact)
     if compiled and displacement.dtype == torch.float32 and len(triangles):
         strain_of, strain_std, held, energy, forces, own = kernels.triangle_strain(
-            *(triangles, slopes, products, areas[0], flat[:, 0], displacement, covariance, touching),
+            *(triangles, slopes, products, areas[0], flat[:, 0], displacement, covariance, in_contact),
             measure=STRAIN_MEASURES.index(measure),
             stiffness=stiffness(*solid),
         )
@@ -96,7 +96,7 @@ def triangle_strain(
     (ux, uy), (vx, vy) = (gradient(moved) for moved in displacement.unbind(-1))
     exx, eyy, exy = strain = strain_parts(ux, uy, vx, vy, measure)
     density = energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid)
-    shares = area_shares(touching, (density.abs() < torch.inf).T, areas).T
+    shares = area_shares(in_contact, (density.abs() < torch.inf).T, areas).T
     counted = shares.nan_to_num(0.0)
 
     uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
@@ -137,15 +137,15 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
     return torch.maximum(linear - of_itself, of_itself).sqrt()
 
 
-def area_shares(touching: Tensor, known: Tensor, areas: Tensor) -> Tensor:
-    """Area (B, M) by which each triangle counts in an integral over those that are ``touching`` (B, M).
+def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
+    """Area (B, M) by which each triangle counts in an integral over those that are ``in_contact`` (B, M).
 
     Triangles that are not ``known`` are taken at the mean of the others; NaN where these are less than half of the
     area, or where no triangle touches.
     """
     areas = areas.nan_to_num(0.0)
-    counted = (touching & known) * areas
-    whole, seen = (touching * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
+    counted = (in_contact & known) * areas
+    whole, seen = (in_contact * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
     return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
 
 

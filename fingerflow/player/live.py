@@ -22,10 +22,10 @@ _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
 
 
 class LiveViews(NamedTuple):
-    """What a picture is drawn from: a frame, and the (1, 1, H, W) mask of touching pixels where the recipe has it."""
+    """What a picture is drawn from: a frame, and the (1, 1, H, W) real-contact mask where the recipe has it."""
 
     slot: Slot
-    touching: Array | None
+    real_contact_mask: Array | None
 
 
 class LiveData:
@@ -53,8 +53,8 @@ class LiveData:
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
             for name, view in views.slot.views.items()
         }
-        if views.touching is not None:
-            arrays["touching"] = views.touching[0, 0, :: self._every, :: self._every].astype(np.uint8)
+        if views.real_contact_mask is not None:
+            arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
         arrays |= {
             n: record[n].astype(np.float32) for n in ("points", "divergence", "center", "semi_axes_mm") if n in names

@@ -41,7 +41,7 @@ class Stepper:
     Attributes:
         lag: frames that have begun and are not finished, at most.
         outputs: of both graphs, by name; states are left out.
-        threshold: share of light lost above which a pixel touches; NaN while unknown.
+        threshold: relative intensity loss above which a pixel touches; NaN while unknown.
         measures: whether the threshold is found in frames, by the graph `contact`.
         found, keyed: points found at the last restart, and given to the last key frame.
     """
@@ -152,7 +152,7 @@ class Stepper:
             self._push(name)
 
     def use(self, threshold: float) -> None:
-        """Makes this the share of light lost above which a pixel touches."""
+        """Makes this the relative intensity loss above which a pixel touches."""
         self.threshold = threshold
         self._hold(self._run("background", {**self._glass, "threshold": np.array([threshold])}))
 
@@ -219,8 +219,8 @@ class Stepper:
         if MEASURING not in self._bundle.files:
             raise PlayerError(
                 f"{self._bundle.files['background']}: takes a threshold, the scene has no number for it and the bundle "
-                "no contact.onnx that would measure it; add [contact] threshold = with the share of light lost that "
-                'counts as contact, such as 0.25, or export the bundle with the graph "contact"'
+                "no contact.onnx that would measure it; add [contact] threshold = with the relative intensity loss "
+                'that counts as contact, such as 0.25, or export the bundle with the graph "contact"'
             )
         return self._engine.open(MEASURING)
 

@@ -416,8 +416,8 @@ class Player:
             self._change = _Change(index, slot, outputs["points"].copy(), cause)
         elif not self._drawing and self.live.is_due():
             self._drawing = True
-            touching = outputs.get("touching")
-            drawn = LiveViews(slot, None if touching is None else touching.copy())
+            real_contact_mask = outputs.get("real_contact_mask")
+            drawn = LiveViews(slot, None if real_contact_mask is None else real_contact_mask.copy())
         else:
             self._free.put(slot)
         return self._records.put((place, drawn))
@@ -439,7 +439,7 @@ class Player:
     def _learn_threshold(self, slot: Slot, index: int, area: float, measured: float | None) -> None:
         if self._search.see(index, area, measured) and measured is not None:
             self._sink.event("threshold", slot.number, threshold=measured)
-            log.info("frame %d: threshold %.4f of the light lost", slot.number, measured)
+            log.info("frame %d: threshold %.4f of the intensity lost", slot.number, measured)
 
     def _fill(self, slot: Slot, outputs: dict[str, Array], place: int) -> None:
         self._layout.fill(self._fields, place, outputs)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from fingerflow.recordings import open_recording
 from fingerflow.report.views import ViewPainter
-from fingerflow.result import write_whole
+from fingerflow.result import write_atomically
 from fingerflow.scene import Scene
 
 _MOST_FRAMES = 300
@@ -21,7 +21,7 @@ _ARROW_PX = 40  # length that the largest displacements are drawn with
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
     """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into
     it."""
-    write_whole(path, lambda part: _encode(result, scene, part))
+    write_atomically(path, lambda part: _encode(result, scene, part))
     return path
 
 

@@ -16,7 +16,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.report import figures
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.views import ViewPainter
-from fingerflow.result import write_whole
+from fingerflow.result import write_atomically
 from fingerflow.scene import Scene
 
 
@@ -54,7 +54,7 @@ def write_report(result: xr.Dataset, scene: Scene, folder: Path, comparison: Seq
         sizes=dict(result.sizes),
     )
     path = folder / "report.html"
-    write_whole(path, lambda part: part.write_text(html, encoding="utf-8"))
+    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
 
 

@@ -13,9 +13,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fingerflow.atomic_write import write_atomically
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
-from fingerflow.whole_file import write_whole
 
 _TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
 
@@ -130,7 +130,7 @@ def _stuck_outline(region: xr.DataArray) -> NDArray[np.float64] | None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    write_whole(path, lambda part: figure.savefig(part, format="png", dpi=110))
+    write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=110))
 
 
 def _numbers(stored: str) -> dict[str, Any]:

@@ -84,7 +84,7 @@ class ContactStage:
         series.semi_axes[indices] = contact.semi_axes.double().cpu() * size
         series.angle[indices] = contact.angle.cpu()
         if len(self.regions):
-            self.regions[indices] = (contact.excess[:, 0] > 0).cpu()
+            self.regions[indices] = (contact.density_margin[:, 0] > 0).cpu()
         self._gain[indices] = contact.light_gain.cpu()
         self._blind[indices] = (contact.light_gain.isnan() & (contact.real_area_px > 0)).cpu()
         return contact
@@ -116,7 +116,7 @@ class ContactStage:
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = self._contact(self._inputs.recording[[frame]].read())
-        return mask_of(contact.excess, self._graph.cell_px, *contact.touching.shape[2:])
+        return mask_of(contact.density_margin, self._graph.cell_px, *contact.real_contact_mask.shape[2:])
 
     def _contact(self, frames: NDArray[np.generic]) -> tuple[Contact, Tensor]:
         view = self._inputs.view(frames, self._view)
@@ -144,7 +144,7 @@ class ContactStage:
         return light / (gain if np.isfinite(gain) else 1) if light > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
-        """Share of light lost that counts as contact; None where every frame has its own."""
+        """Relative intensity loss that counts as contact; None where every frame has its own."""
         setting = self._inputs.scene.contact.threshold
         if setting == "per_frame":
             return None

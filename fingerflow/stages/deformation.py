@@ -93,7 +93,7 @@ class Displacement:
         result: NDArray[np.float32] = own + self.of_onset.astype(np.float32)
         return result
 
-    def deviation(self) -> NDArray[np.float32]:
+    def displacement_std(self) -> NDArray[np.float32]:
         """(F, N) mm, root mean square error of a component."""
         of_onset = (np.trace(self.of_onset, axis1=1, axis2=2) + (self.late**2).sum(1)).astype(np.float32) / 2
         result: NDArray[np.float32] = np.sqrt(self.variance + of_onset)
@@ -152,11 +152,11 @@ def displace(inputs: Inputs, tracks: TrackSeries, covered: NDArray[np.bool_]) ->
     frame, point = np.nonzero(covered & before)
     displacement[frame, point] = position[frame, point] - position[_begin_of_touch(covered)[frame, point], point]
     scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
-    variance = np.float32(scale**2) * _noise_since(tracks.deviation, onset, inputs.scene.tracking.template)
+    variance = np.float32(scale**2) * _noise_since(tracks.position_std, onset, inputs.scene.tracking.template)
     variance[np.isnan(displacement).any(-1)] = np.nan
-    of_onset, late = _errors_of_onset(inputs, position, scale * tracks.deviation, onset, place)
+    of_onset, late = _errors_of_onset(inputs, position, scale * tracks.position_std, onset, place)
     pixels = np.where(touched[:, None], tracks.position[came, numbers], np.nan)
-    return Displacement(onset, place, pixels, displacement, variance, of_onset, late, median_of_known(displacement))
+    return Displacement(onset, place, pixels, displacement, variance, of_onset, late, nanmedian(displacement))
 
 
 def _lasting(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -175,14 +175,14 @@ def _begin_of_touch(covered: NDArray[np.bool_]) -> NDArray[np.intp]:
     return result
 
 
-def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], template: str) -> NDArray[np.float32]:
+def _noise_since(position_std: NDArray[np.float32], onset: NDArray[np.int32], template: str) -> NDArray[np.float32]:
     """Variance (F, N) px^2 of a component of the displacement since onset, from the deviation (F, N) of positions.
 
     Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out of
     the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
     variances add up.
     """
-    variance = deviation**2
+    variance = position_std**2
     then = variance[onset, np.arange(len(onset))]
     if template == "previous":
         result = abs(variance - then)
@@ -195,7 +195,7 @@ def _noise_since(deviation: NDArray[np.float32], onset: NDArray[np.int32], templ
 def _errors_of_onset(
     inputs: Inputs,
     position: NDArray[np.float64],
-    deviation: NDArray[np.float64],
+    position_std: NDArray[np.float64],
     onset: NDArray[np.int32],
     reference: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -222,7 +222,11 @@ def _errors_of_onset(
     step = position[after, numbers] - position[before, numbers]
     speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
     # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
-    noise = (deviation[after, numbers] ** 2 + deviation[before, numbers] ** 2) / 2 / np.maximum(after - before, 1) ** 2
+    noise = (
+        (position_std[after, numbers] ** 2 + position_std[before, numbers] ** 2)
+        / 2
+        / np.maximum(after - before, 1) ** 2
+    )
     square = (speed**2).sum(1)
     share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
     speed = speed * np.sqrt(share)[:, None]
@@ -361,7 +365,7 @@ def _tensor(inputs: Inputs, values: NDArray[np.floating]) -> Tensor:
     return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(inputs.device)
 
 
-def median_of_known(values: NDArray[np.floating]) -> NDArray[np.float64]:
+def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Medians (F, ...) over the second axis of values (F, N, ...), of what is not NaN; NaN where nothing is."""
     if values.shape[1] == 0:
         return np.full((len(values), *values.shape[2:]), np.nan)

@@ -21,8 +21,8 @@ from fingerflow.graphs.track import (
     TrackGraph,
     merged,
 )
+from fingerflow.ops.apparent_contact import cell_of
 from fingerflow.ops.cells import covered
-from fingerflow.ops.dense_region import cell_of
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import Neighbours, find_neighbours
@@ -52,7 +52,7 @@ class TrackSeries:
     """Tracks of all frames, px of the topography view; NaN where the status is not TRACKED."""
 
     position: NDArray[np.float64]
-    deviation: NDArray[np.float32]
+    position_std: NDArray[np.float32]
     error: NDArray[np.float32]
     status: NDArray[np.uint8]
 
@@ -98,9 +98,9 @@ class TrackingStage:
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
         self.series: TrackSeries | None = None
 
-    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], excess: Tensor) -> NDArray[np.bool_]:
-        """Tracks through these frames, in the order given; says which points the gross contact (`Contact.excess`)
-        covers, (n, N)."""
+    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], density_margin: Tensor) -> NDArray[np.bool_]:
+        """Tracks through these frames, in the order given; says which points the gross contact
+        (`Contact.density_margin`) covers, (n, N)."""
         images = self._inputs.view(frames, self._view)
         steps, done = [], 0
         if self._key is None:
@@ -114,10 +114,10 @@ class TrackingStage:
         assert self.series is not None
         found = Found.joined(steps)
         self.series.position[indices] = found.points.cpu()
-        self.series.deviation[indices] = self._since_start(found.variance).sqrt().cpu()
+        self.series.position_std[indices] = self._since_start(found.variance).sqrt().cpu()
         self.series.error[indices] = found.error.cpu()
         self.series.status[indices] = found.status.cpu()
-        return self._inside(excess, found.estimate).cpu().numpy()
+        return self._inside(density_margin, found.estimate).cpu().numpy()
 
     def _since_start(self, variance: Tensor) -> Tensor:
         """Variance (n, N) of positions relative to the skin that was chosen; from frame to frame those of all steps."""
@@ -227,7 +227,7 @@ class TrackingStage:
         count = (len(self._inputs.recording), points.shape[1])
         self.series = TrackSeries(
             position=np.full((*count, 2), np.nan),
-            deviation=np.full(count, np.nan, dtype=np.float32),
+            position_std=np.full(count, np.nan, dtype=np.float32),
             error=np.full(count, np.nan, dtype=np.float32),
             status=np.full(count, TrackStatus.NOT_FINITE, dtype=np.uint8),
         )
@@ -263,10 +263,10 @@ class TrackingStage:
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
         return self._keys(key, points, self._noise, warp)
 
-    def _inside(self, excess: Tensor, points: Tensor) -> Tensor:
-        """Whether the gross contact (`Contact.excess`) covers points (n, P, 2) of the topographic view, (n, P)."""
+    def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
+        """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
         x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
-        return covered(excess, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
+        return covered(density_margin, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
 
 
 def _may_disagree(found: Found, expected: Tensor) -> Tensor:

@@ -90,7 +90,7 @@ def test_verification_covers_every_output(bundle: tuple[Path, list[Difference]])
     points = {row.graph: row for row in bundle[1] if row.output == "points"}
     assert points["track"].to_float64 <= 1e-3
     assert points["frame"].to_float64 <= 1e-3
-    assert all(row.to_torch == 0 for row in bundle[1] if row.output in ("touching", "status", "covered"))
+    assert all(row.to_torch == 0 for row in bundle[1] if row.output in ("real_contact_mask", "status", "covered"))
 
 
 def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
@@ -243,7 +243,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
     [
         ({"bits": 12}, '"contact", "track"'),
         (
-            {"batch": '"dynamic"', "contact": "median_px = 9\nlattice_px = 8", "tracking": "gain_offset = false"},
+            {"batch": '"dynamic"', "contact": "median_px = 9\nstride_px = 8", "tracking": "gain_offset = false"},
             '"frame"',
         ),
     ],

@@ -1,4 +1,4 @@
-"""The gross region pixel by pixel: what `ops.dense_region` finds on cells."""
+"""The gross region pixel by pixel: what `ops.apparent_contact` finds on cells."""
 
 import torch
 import torch.nn.functional as F

@@ -33,11 +33,11 @@ def drawn(
         ridge = PERIOD_PX * (share / 2 - (across - across.round()).abs())
         return border, torch.minimum(ridge, border)
 
-    touching = float((margins(x, y)[1] > 0).sum()) / fine**2
+    real_area = float((margins(x, y)[1] > 0).sum()) / fine**2
     coarse = torch.arange(size, dtype=torch.float64) - size / 2 + 0.25
     border, ridge = margins(*torch.meshgrid(coarse, coarse, indexing="xy"))
     lost = valley * torch.sigmoid(border / EDGE_PX) + (0.5 - valley) * torch.sigmoid(ridge / EDGE_PX)
-    return (1 - lost).float()[None, None], touching
+    return (1 - lost).float()[None, None], real_area
 
 
 class Measured(NamedTuple):
@@ -73,11 +73,11 @@ def test_threshold_lies_half_way_between_ridge_and_valley(share: float, noise: f
 
 def test_otsu_alone_would_lie_lower() -> None:
     """Empty glass is brighter than skin between ridges: the mean of Otsu's classes is biased by it."""
-    light, touching = drawn((120, 95))
+    light, real_area = drawn((120, 95))
     reference = torch.full_like(light, 180.0)
     frames = (180 * light).round().to(torch.uint8)
-    at_means = found(frames, reference, threshold=torch.tensor([0.235])).contact.real_area_px / touching - 1
-    own = found(frames, reference).contact.real_area_px / touching - 1
+    at_means = found(frames, reference, threshold=torch.tensor([0.235])).contact.real_area_px / real_area - 1
+    own = found(frames, reference).contact.real_area_px / real_area - 1
     assert float(at_means) > 0.015
     assert abs(float(own)) < 0.005
 
@@ -87,8 +87,8 @@ def test_otsu_alone_would_lie_lower() -> None:
 def test_real_area(semi_axes: tuple[float, float], noise: float) -> None:
     """To 0.8 %: of 2 px that the median takes off every end of a ridge, and the pixels of the border."""
     for phase in (0.0, 0.25, 0.5, 0.75):
-        light, touching = drawn(semi_axes, phase)
-        assert float(measured(light, noise).contact.real_area_px) == pytest.approx(touching, rel=0.008)
+        light, real_area = drawn(semi_axes, phase)
+        assert float(measured(light, noise).contact.real_area_px) == pytest.approx(real_area, rel=0.008)
 
 
 @pytest.mark.parametrize(("semi_axes", "each", "mean"), [((170, 140), 0.01, 0.004), ((60, 50), 0.035, 0.012)])
@@ -110,8 +110,8 @@ def test_gross_area_and_axes_are_unbiased(semi_axes: tuple[float, float], each: 
 @pytest.mark.parametrize("size", [5, 9])
 def test_larger_medians_round_the_ends_of_ridges(size: int) -> None:
     """What the docstring says of them: 5 takes about 1 %, 9 some 4 % of the area of a fingertip."""
-    light, touching = drawn((150, 120))
-    lost = 1 - float(measured(light, graph=ContactGraph(size)).contact.real_area_px) / touching
+    light, real_area = drawn((150, 120))
+    lost = 1 - float(measured(light, graph=ContactGraph(size)).contact.real_area_px) / real_area
     assert {5: 0.003, 9: 0.015}[size] < lost < {5: 0.02, 9: 0.06}[size]
 
 
@@ -122,8 +122,8 @@ def test_dtype_changes_nothing(dtype: torch.dtype) -> None:
     reference = torch.full_like(light, 180.0)
     expected, _ = found(frames.to(torch.uint8), reference)
     contact, _ = found(frames.to(dtype), reference)
-    assert torch.equal(contact.touching, expected.touching)
-    torch.testing.assert_close(contact.excess, expected.excess)
+    assert torch.equal(contact.real_contact_mask, expected.real_contact_mask)
+    torch.testing.assert_close(contact.density_margin, expected.density_margin)
 
 
 @pytest.mark.parametrize("level", [0, 180, 255])
@@ -158,7 +158,7 @@ def test_bad_pixels_and_an_unlit_rim_are_no_contact() -> None:
     frames[..., 40, 60], frames[..., 70, 80], frames[..., :4, :] = torch.nan, torch.inf, 3.0
     reference[..., :4, :] = 0.0
     contact, _ = found(frames, reference)
-    assert not contact.touching[..., :4, :].any()
+    assert not contact.real_contact_mask[..., :4, :].any()
     assert abs(float(contact.real_area_px - expected.real_area_px)) <= 20
     assert float(contact.gross_area_px) == pytest.approx(float(expected.gross_area_px), rel=0.003)
 
@@ -170,10 +170,10 @@ def test_batches_of_none_one_and_many() -> None:
     whole, thresholds = found(frames, reference)
     for k in range(3):
         alone, threshold = found(frames[k : k + 1], reference)
-        assert torch.equal(whole.touching[k], alone.touching[0])
-        torch.testing.assert_close(whole.excess[k], alone.excess[0])
+        assert torch.equal(whole.real_contact_mask[k], alone.real_contact_mask[0])
+        torch.testing.assert_close(whole.density_margin[k], alone.density_margin[0])
         assert float(thresholds[k]) == float(threshold[0])
-    assert found(frames[:0], reference).contact.touching.shape == (0, *frames.shape[1:])
+    assert found(frames[:0], reference).contact.real_contact_mask.shape == (0, *frames.shape[1:])
 
 
 @pytest.mark.parametrize("factor", [1.4, 16.0])
@@ -197,11 +197,11 @@ def test_light_that_has_changed_moves_nothing(gain: float) -> None:
         torch.testing.assert_close(getattr(changed.contact, name), expected, rtol=0.005, atol=0)
 
 
-@pytest.mark.parametrize("lattice", [2, 4, 8])
-def test_a_lattice_has_nearly_the_threshold_of_all_pixels(lattice: int) -> None:
+@pytest.mark.parametrize("stride", [2, 4, 8])
+def test_a_stride_has_nearly_the_threshold_of_all_pixels(stride: int) -> None:
     light, _ = drawn((120, 95))
-    exact, coarse = (measured(light, 2.0, ContactGraph(3, lattice_px=step)).threshold for step in (1, lattice))
-    torch.testing.assert_close(coarse, exact, rtol=0, atol=0.001 * lattice)
+    exact, coarse = (measured(light, 2.0, ContactGraph(3, stride_px=step)).threshold for step in (1, stride))
+    torch.testing.assert_close(coarse, exact, rtol=0, atol=0.001 * stride)
 
 
 def test_region_is_that_of_all_pixels() -> None:
@@ -210,11 +210,11 @@ def test_region_is_that_of_all_pixels() -> None:
     cells, pixels = [], []
     for phase in np.arange(6) / 6:
         contact, _ = measured(drawn((100, 80), float(phase))[0])
-        exact = exact_region(contact.touching, 8)
+        exact = exact_region(contact.real_contact_mask, 8)
         truth = math.pi * 100 * 80
         cells.append(float(contact.gross_area_px) / truth - 1)
         pixels.append(float(exact.sum()) / truth - 1)
-        overlap = mask_of(contact.excess, 4, *exact.shape[2:])
+        overlap = mask_of(contact.density_margin, 4, *exact.shape[2:])
         assert float((overlap != exact).sum()) < 0.012 * truth
     assert np.mean(cells) == pytest.approx(np.mean(pixels), abs=0.003)
     assert np.abs(cells).max() < np.abs(pixels).max() + 0.003

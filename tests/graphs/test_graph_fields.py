@@ -9,7 +9,7 @@ from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.graphs.frame import SinceOnsetGraph
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.ops.strain_uncertainty import curl_deviation, divergence_deviation
+from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
 
 GAUGE = 70.0
 
@@ -51,8 +51,8 @@ def test_fields_at_points_are_those_of_local_gradients() -> None:
         (fields.divergence, divergence(gradient)),
         (fields.curl, curl(gradient)),
         (fields.strain, green_lagrange(gradient)),
-        (fields.divergence_std, divergence_deviation(fit.covariance) + 0 * gradient[..., 0, 0]),
-        (fields.curl_std, curl_deviation(fit.covariance) + 0 * gradient[..., 0, 0]),
+        (fields.divergence_std, divergence_std(fit.covariance) + 0 * gradient[..., 0, 0]),
+        (fields.curl_std, curl_std(fit.covariance) + 0 * gradient[..., 0, 0]),
     ):
         torch.testing.assert_close(ours.double(), expected, rtol=0, atol=5e-5, equal_nan=True)
     assert fields.median is None

@@ -53,9 +53,9 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (std::int64_t radius : {4, 8, 60}) {
             std::vector<std::uint8_t> holds(mask.size());
             for (std::size_t k = 0; k < mask.size(); ++k) holds[k] = mask[k] > 90;
-            std::vector<float> excess(static_cast<std::size_t>(batch * ((height + side - 1) / side) * ((width + side - 1) / side)));
-            const fingerflow_dense_regions regions{holds.data(), excess.data(), numbers.data(), batch, height, width, radius, side};
-            expect(fingerflow_dense_region(&regions, threads) == 0, "dense region");
+            std::vector<float> density_margin(static_cast<std::size_t>(batch * ((height + side - 1) / side) * ((width + side - 1) / side)));
+            const fingerflow_apparent_contacts regions{holds.data(), density_margin.data(), numbers.data(), batch, height, width, radius, side};
+            expect(fingerflow_apparent_contact(&regions, threads) == 0, "dense region");
         }
     std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
     std::vector<double> ellipses(moments.size());
@@ -82,7 +82,7 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     std::vector<float> gains(limits.size());
     for (const fingerflow_image& image : {fingerflow_image{eight.data(), batch, frame, width, 0}, fingerflow_image{real.data(), batch, frame, width, 3}}) {
         const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1, batch, height, width};
-        for (int size : {1, 3, 15}) expect(fingerflow_touching(&lit, limits.data(), size, bytes.data(), threads) == 0, "touching");
+        for (int size : {1, 3, 15}) expect(fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads) == 0, "real_contact_mask");
         for (std::int64_t side : {8, 16, 40}) expect(fingerflow_light_gain(&lit, side, gains.data(), threads) == 0, "gain");
     }
     if (height >= 4 && width >= 4) {
@@ -140,14 +140,14 @@ void try_triangles(std::int64_t points, std::int64_t count, int threads) {
     const auto displacement = noise<float>(batch * points * 2, 1), covariance = noise<float>(batch * points * 4, 2);
     const auto slopes = noise<float>(6 * count, 3), areas = noise<float>(count, 4), products = noise<float>(9 * count, 5);
     const std::vector<float> flat(static_cast<std::size_t>(count));
-    const std::vector<unsigned char> touching(static_cast<std::size_t>(batch * count), 1);
+    const std::vector<unsigned char> in_contact(static_cast<std::size_t>(batch * count), 1);
     std::vector<std::int32_t> corners(static_cast<std::size_t>(3 * count));
     for (std::size_t k = 0; k < corners.size(); ++k) corners[k] = static_cast<std::int32_t>(static_cast<std::int64_t>(7 * k) % points);
-    std::vector<float> strain(static_cast<std::size_t>(batch * count * 3)), deviation(strain.size()), density(touching.size());
+    std::vector<float> strain(static_cast<std::size_t>(batch * count * 3)), deviation(strain.size()), density(in_contact.size());
     std::vector<double> energy(static_cast<std::size_t>(batch)), own(energy.size());
     std::vector<float> forces(static_cast<std::size_t>(batch * points * 2));
     for (std::int64_t measure : {0, 1, 2}) {
-        const fingerflow_triangle_strain given{displacement.data(), covariance.data(), touching.data(), corners.data(), slopes.data(),
+        const fingerflow_triangle_strain given{displacement.data(), covariance.data(), in_contact.data(), corners.data(), slopes.data(),
                                                products.data(), areas.data(), flat.data(), strain.data(), deviation.data(), density.data(),
                                                energy.data(), forces.data(), own.data(), batch, points, count, measure, 1, 1, 1};
         expect(fingerflow_strain_of_triangles(&given, threads) == 0, "strain of triangles");

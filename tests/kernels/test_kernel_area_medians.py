@@ -64,7 +64,7 @@ def test_same_medians(
         assert found.median.isfinite().all(1).sum() > 3
     torch.testing.assert_close(found.median.double(), expected.median, rtol=1e-4, atol=1e-4, equal_nan=True)
     if noisy:
-        torch.testing.assert_close(found.deviation.double(), expected.deviation, rtol=2e-2, atol=1e-6, equal_nan=True)  # type: ignore[union-attr]
+        torch.testing.assert_close(found.std.double(), expected.std, rtol=2e-2, atol=1e-6, equal_nan=True)  # type: ignore[union-attr]
     torch_threads(3)
     for one, other in zip(call(torch.float32), found, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)

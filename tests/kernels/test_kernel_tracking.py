@@ -148,7 +148,7 @@ def test_motion_of_several_tables() -> None:
 
 
 def test_search_with_a_warp() -> None:
-    """The way back of a searched point begins where its own search ended."""
+    """The backward check of a searched point begins where its own search ended."""
     images, points = (skin((0, 0)), skin((9.3, -6.6), seed=1)), starts()
     warp = torch.tensor([[1.01, 0.01], [-0.01, 0.99]]).expand(1, points.shape[1], 2, 2)
     found = track_points(*images, points, warp=warp, search=12)

@@ -34,8 +34,8 @@ def test_same_strain(
     covariance = root @ root.mT
     covariance.masked_fill_(displacement.isnan().any(-1)[..., None, None], torch.nan)
     triangles = torch.from_numpy(Delaunay(reference[0].numpy()).simplices).long()
-    touching = random(batch, len(triangles), seed=5) < 0.7
-    touching[0] = False
+    in_contact = random(batch, len(triangles), seed=5) < 0.7
+    in_contact[0] = False
     pairs = torch.randint(points, (50, 2), generator=torch.Generator().manual_seed(7))
     shared = SharedErrors(0.9 * random(len(triangles), 3, seed=6).float(), pairs, 0.9 * random(50, seed=8).float())
 
@@ -44,7 +44,7 @@ def test_same_strain(
         position, moved, errors = (tensor.float().to(kind) for tensor in (reference, displacement, covariance))
         solid = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.45}
         together = None if measure == "infinitesimal" else shared._replace(correlation=shared.correlation.to(kind))
-        return triangle_strain(position, triangles, moved, errors, touching, together, measure=measure, **solid)
+        return triangle_strain(position, triangles, moved, errors, in_contact, together, measure=measure, **solid)
 
     torch_threads(1)
     found = call(torch.float32)
@@ -63,13 +63,13 @@ def test_same_strain(
 def test_what_does_not_belong_together_is_refused() -> None:
     triangles, none = torch.tensor([[0, 1, 2]]), torch.zeros(1)
     slopes, displacement, covariance = torch.zeros(1, 3, 2), torch.zeros(1, 3, 2), torch.zeros(1, 3, 2, 2)
-    touching, products = torch.ones(1, 1, dtype=torch.bool), torch.zeros(3, 3, 1)
+    in_contact, products = torch.ones(1, 1, dtype=torch.bool), torch.zeros(3, 3, 1)
     settings: dict[str, Any] = {"measure": 0, "stiffness": (1.0, 1.0, 1.0)}
     rest = (slopes, products, none, none)
-    kernels.triangle_strain(triangles, *rest, displacement, covariance, touching, **settings)
+    kernels.triangle_strain(triangles, *rest, displacement, covariance, in_contact, **settings)
     with pytest.raises(ValueError, match="triangles of 3 points"):
-        kernels.triangle_strain(triangles + 1, *rest, displacement, covariance, touching, **settings)
+        kernels.triangle_strain(triangles + 1, *rest, displacement, covariance, in_contact, **settings)
     with pytest.raises(ValueError, match="covariance is"):
-        kernels.triangle_strain(triangles, *rest, displacement, covariance[:, :2], touching, **settings)
+        kernels.triangle_strain(triangles, *rest, displacement, covariance[:, :2], in_contact, **settings)
     with pytest.raises(ValueError, match="displacement is"):
-        kernels.triangle_strain(triangles, *rest, displacement.double(), covariance, touching, **settings)
+        kernels.triangle_strain(triangles, *rest, displacement.double(), covariance, in_contact, **settings)

@@ -39,8 +39,8 @@ def medians(
 @pytest.mark.parametrize("measure", ["green_lagrange", "as_printed", "infinitesimal"])
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (300.0, -200.0)])
 def test_a_uniform_gradient_by_reference_positions(measure: str, origin: tuple[float, float]) -> None:
-    """Exact for any deformation: the fit by current positions and the way back are. Positions of 300 mm are rounded to
-    3e-5 mm, over a gauge length of 1.6 mm and some 16 points."""
+    """Exact for any deformation: the fit by current positions and the backward check are. Positions of 300 mm are
+    rounded to 3e-5 mm, over a gauge length of 1.6 mm and some 16 points."""
     gradient = torch.tensor([[0.2, -0.3], [0.25, 0.1]], dtype=torch.float64)
     places = cloud()
     away = torch.tensor(origin)
@@ -50,7 +50,7 @@ def test_a_uniform_gradient_by_reference_positions(measure: str, origin: tuple[f
     expected = torch.cat((torch.tensor([0.3, 0.55], dtype=torch.float64), strain))
     tolerance = 1e-6 if origin[0] == 0 else 1e-4
     torch.testing.assert_close(found.median[0].double(), expected, rtol=0, atol=tolerance)
-    assert found.deviation is None
+    assert found.std is None
 
 
 @pytest.mark.parametrize("stretch", [0.0, 0.2, -0.2])
@@ -166,8 +166,8 @@ def test_the_stated_deviation_is_that_of_noisy_copies(curvature: float, noise: f
         gauge_length=GAUGE,
         covariance=covariance.float().expand(copies, len(places), 2, 2),
     )
-    assert found.deviation is not None
-    ratio = found.median.std(0) / found.deviation.square().mean(0).sqrt()
+    assert found.std is not None
+    ratio = found.median.std(0) / found.std.square().mean(0).sqrt()
     assert ratio.min() > 0.8
     assert ratio.max() < 1.25
 
@@ -181,8 +181,8 @@ def test_points_without_a_covariance_take_no_part() -> None:
     u[bad] += 5.0
     found = medians(places, u, covariance=covariance)
     assert found.median[0, 0].item() == pytest.approx(0.06, abs=1e-5)
-    assert found.deviation is not None
-    assert found.deviation.isfinite().all()
+    assert found.std is not None
+    assert found.std.isfinite().all()
 
 
 def test_double_precision() -> None:

@@ -31,11 +31,11 @@ def test_values_between_cells_are_those_of_a_plane() -> None:
 def test_a_border_is_found_to_a_fraction_of_a_pixel(cell: int) -> None:
     """A straight border at x = 21.3 px; beyond the frame and for what is no number nothing is covered."""
     middles = cell * torch.arange(40 // cell) + (cell - 1) / 2
-    excess = (21.3 - middles).expand(1, 1, 30 // cell, -1)
+    density_margin = (21.3 - middles).expand(1, 1, 30 // cell, -1)
     x = torch.tensor([[21.25, 21.35, -0.4, -0.6, torch.nan, torch.inf, 5.0, 5.0]])
     y = torch.tensor([[3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 40.0, torch.nan]])
-    assert covered(excess, x, y, cell).tolist() == [[True, False, True, False, False, False, False, False]]
-    mask = mask_of(excess, cell, 28, 40)
+    assert covered(density_margin, x, y, cell).tolist() == [[True, False, True, False, False, False, False, False]]
+    mask = mask_of(density_margin, cell, 28, 40)
     assert mask.shape == (1, 1, 28, 40)
     assert mask[..., :22].all()
     assert not mask[..., 22:].any()

@@ -69,9 +69,9 @@ FIELDS: dict[str, Callable[[Tensor], Tensor]] = {
 def measured(field: Callable[[Tensor], Tensor], seed: int = 1) -> tuple[Tensor, Tensor]:
     """Displacements (FRAMES, N, 2) with noise, and its standard deviation (FRAMES, N)."""
     generator = torch.Generator().manual_seed(seed)
-    deviation = NOISE * torch.exp(0.4 * torch.randn(1, POINTS.shape[1], generator=generator)).expand(FRAMES, -1)
+    position_std = NOISE * torch.exp(0.4 * torch.randn(1, POINTS.shape[1], generator=generator)).expand(FRAMES, -1)
     noise = torch.randn(FRAMES, POINTS.shape[1], 2, generator=generator)
-    return field(POINTS) + deviation[..., None] * noise, deviation
+    return field(POINTS) + position_std[..., None] * noise, position_std
 
 
 def planted(moved: Tensor, size: Tensor | float, share: float = 0.05) -> tuple[Tensor, Tensor]:
@@ -83,8 +83,8 @@ def planted(moved: Tensor, size: Tensor | float, share: float = 0.05) -> tuple[T
     return torch.where(wrong[..., None], moved + off, moved), wrong
 
 
-def find(moved: Tensor, deviation: Tensor, points: Tensor = POINTS, gauge: float = GAUGE) -> Outliers:
-    return find_outliers(find_neighbours(points, gauge), moved, deviation)
+def find(moved: Tensor, position_std: Tensor, points: Tensor = POINTS, gauge: float = GAUGE) -> Outliers:
+    return find_outliers(find_neighbours(points, gauge), moved, position_std)
 
 
 @pytest.mark.parametrize("name", FIELDS)
@@ -101,10 +101,10 @@ def test_true_motion_is_left_alone(name: str) -> None:
 def test_what_is_off_is_found(name: str, size: float) -> None:
     """5 % of points, in all fields. What is off by 12 standard deviations of itself and its neighbours is found for
     certain where the field is a plane; what is off by 4 may be noise."""
-    moved, deviation = measured(FIELDS[name])
+    moved, position_std = measured(FIELDS[name])
     given, wrong = planted(moved, size)
-    off = find(given, deviation).off_neighbours
-    large = size / (deviation.square() + NOISE**2).sqrt()
+    off = find(given, position_std).off_neighbours
+    large = size / (position_std.square() + NOISE**2).sqrt()
     certain = wrong & (large > 12)
     hidden = size == 0.3 and "press" in name  # by the bend of the field, which leaves as much
     assert size == 0.1 or off[certain].float().mean() > (0.85 if hidden else 0.98)
@@ -112,21 +112,21 @@ def test_what_is_off_is_found(name: str, size: float) -> None:
 
 
 def test_three_of_ten_may_be_off() -> None:
-    moved, deviation = measured(press)
+    moved, position_std = measured(press)
     given, wrong = planted(moved, 3.0, share=0.3)
-    off = find(given, deviation).off_neighbours
+    off = find(given, position_std).off_neighbours
     assert off[wrong].float().mean() > 0.95
     assert off[~wrong].float().mean() < 0.03
 
 
 def test_one_alone_is_found_and_a_patch_is_taken_for_a_front() -> None:
-    moved, deviation = measured(press)
+    moved, position_std = measured(press)
     nearest = find_neighbours(POINTS, GAUGE).number[0, :, 300]  # of a point in the middle
     for others, found in ((0, True), (8, False)):
         patch = torch.cat((torch.tensor([300]), nearest[:others]))
         given = moved.clone()
         given[:, patch] += 4.0
-        assert bool(find(given, deviation).off_neighbours[:, 300].all()) == found
+        assert bool(find(given, position_std).off_neighbours[:, 300].all()) == found
 
 
 def test_the_border_is_not_off() -> None:
@@ -137,11 +137,11 @@ def test_the_border_is_not_off() -> None:
 
 
 def test_points_without_enough_neighbours_are_kept() -> None:
-    moved, deviation = measured(press)
+    moved, position_std = measured(press)
     moved[:, 7] += 20.0
-    assert find(moved, deviation).off_neighbours[:, 7].all()
+    assert find(moved, position_std).off_neighbours[:, 7].all()
     for gauge in (1.0, 12.0):  # nobody, and two or three
-        assert not find(moved, deviation, gauge=gauge).off_neighbours.any()
+        assert not find(moved, position_std, gauge=gauge).off_neighbours.any()
     few = scattered(LEAST_NEIGHBOURS)
     far = torch.zeros(1, LEAST_NEIGHBOURS, 2)
     far[0, 0] = 20.0
@@ -153,30 +153,30 @@ def test_points_without_enough_neighbours_are_kept() -> None:
 
 
 def test_unknown_points_are_neither_judged_nor_asked() -> None:
-    moved, deviation = measured(press)
+    moved, position_std = measured(press)
     given, _ = planted(moved, 5.0)
     gone = torch.rand(given.shape[:2], generator=torch.Generator().manual_seed(5)) < 0.2
     given[gone] = torch.nan
-    off, uncertain = find(given, deviation)
+    off, uncertain = find(given, position_std)
     assert not (off | uncertain)[gone].any()
     hidden = torch.where(gone[..., None], 1e6, given)  # the same, by a deviation that is none
-    again = find(hidden, torch.where(gone, torch.inf, deviation))
+    again = find(hidden, torch.where(gone, torch.inf, position_std))
     assert torch.equal(again.off_neighbours, off)
     assert torch.equal(again.uncertain, uncertain)
-    assert not torch.cat(find(torch.full_like(moved, torch.nan), deviation)).any()
+    assert not torch.cat(find(torch.full_like(moved, torch.nan), position_std)).any()
     unplaced = POINTS.clone()
     unplaced[:, gone[0]] = torch.nan
-    assert not torch.cat(find(given[:1], deviation[:1], unplaced))[:, gone[0]].any()
+    assert not torch.cat(find(given[:1], position_std[:1], unplaced))[:, gone[0]].any()
 
 
 def test_far_more_uncertain_than_its_neighbours() -> None:
-    moved, deviation = measured(press)
-    deviation = deviation.clone()
-    deviation[:, ::20] *= 12
-    uncertain = find(moved, deviation).uncertain
+    moved, position_std = measured(press)
+    position_std = position_std.clone()
+    position_std[:, ::20] *= 12
+    uncertain = find(moved, position_std).uncertain
     assert uncertain[:, ::20].float().mean() > 0.95
-    deviation[:, ::20] = 0
-    assert not find(moved, deviation).uncertain[:, ::20].any()
+    position_std[:, ::20] = 0
+    assert not find(moved, position_std).uncertain[:, ::20].any()
 
 
 def test_the_first_frame_is_exact() -> None:
@@ -187,28 +187,28 @@ def test_the_first_frame_is_exact() -> None:
 
 
 def test_points_on_a_line_and_on_each_other() -> None:
-    moved, deviation = measured(torch.zeros_like)
+    moved, position_std = measured(torch.zeros_like)
     given, wrong = planted(moved, 5.0)
     for points in (POINTS * torch.tensor([1.0, 0.0]), torch.zeros_like(POINTS)):
-        off = find(given, deviation, points).off_neighbours
+        off = find(given, position_std, points).off_neighbours
         assert off[wrong].float().mean() > 0.98
         assert off[~wrong].float().mean() < 2e-3
 
 
 def test_frames_order_unit_and_place_change_nothing() -> None:
-    given, deviation = planted(measured(press)[0], 0.4)[0], measured(press)[1]
-    off = find(given, deviation).off_neighbours
+    given, position_std = planted(measured(press)[0], 0.4)[0], measured(press)[1]
+    off = find(given, position_std).off_neighbours
     assert torch.equal(off, torch.cat([find(one, two).off_neighbours for one, two in zip(
-        given.split(1), deviation.split(1), strict=True)]))  # fmt: skip
+        given.split(1), position_std.split(1), strict=True)]))  # fmt: skip
     own = find_neighbours(POINTS.expand(FRAMES, -1, -1), GAUGE)
-    assert torch.equal(off, find_outliers(own, given, deviation).off_neighbours)
+    assert torch.equal(off, find_outliers(own, given, position_std).off_neighbours)
     order = torch.randperm(POINTS.shape[1], generator=torch.Generator().manual_seed(3))
-    shuffled = find(given[:, order], deviation[:, order], POINTS[:, order]).off_neighbours
+    shuffled = find(given[:, order], position_std[:, order], POINTS[:, order]).off_neighbours
     # To rounding, which may move one that stands on the limit.
     assert (shuffled != off[:, order]).sum() <= 2
-    in_mm = find(given * 0.0325, deviation * 0.0325, POINTS * 0.0325 + 5, GAUGE * 0.0325).off_neighbours
+    in_mm = find(given * 0.0325, position_std * 0.0325, POINTS * 0.0325 + 5, GAUGE * 0.0325).off_neighbours
     assert (in_mm != off).sum() <= 2
-    exact = find(given.double(), deviation.double(), POINTS.double()).off_neighbours
+    exact = find(given.double(), position_std.double(), POINTS.double()).off_neighbours
     assert (exact != off).sum() <= 2
 
 
@@ -224,10 +224,10 @@ def test_exported() -> None:
     """Whole, at a fixed cost: the same operations whatever the numbers are."""
 
     class Step(torch.nn.Module):
-        def forward(self, points: Tensor, moved: Tensor, deviation: Tensor) -> Outliers:
-            return find_outliers(find_neighbours(points, GAUGE), moved, deviation)
+        def forward(self, points: Tensor, moved: Tensor, position_std: Tensor) -> Outliers:
+            return find_outliers(find_neighbours(points, GAUGE), moved, position_std)
 
-    given, deviation = planted(measured(press)[0], 2.0)[0], measured(press)[1]
-    program = torch.export.export(Step(), (POINTS, given, deviation)).module()
-    for found, expected in zip(program(POINTS, given, deviation), find(given, deviation), strict=True):
+    given, position_std = planted(measured(press)[0], 2.0)[0], measured(press)[1]
+    program = torch.export.export(Step(), (POINTS, given, position_std)).module()
+    for found, expected in zip(program(POINTS, given, position_std), find(given, position_std), strict=True):
         assert torch.equal(found, expected)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, energy_of_noise, green_lagrange, strain_energy_density, stress
-from fingerflow.ops.strain_uncertainty import curl_deviation, divergence_deviation, strain_covariance, strain_deviation
+from fingerflow.ops.strain_uncertainty import curl_std, divergence_std, strain_covariance, strain_std
 from fingerflow.ops.triangles import triangle_gradients, triangle_slopes
 
 GAUGE = 2.0
@@ -60,10 +60,10 @@ def test_the_spread_of_noisy_fits_is_the_predicted_one() -> None:
     noisy = local_gradients(points, values, queries, gauge_length=GAUGE).gradient
     fit = local_gradients(points, points @ deformation.T, queries, gauge_length=GAUGE, variance=covariance)
     assert fit.covariance is not None
-    torch.testing.assert_close(divergence_deviation(fit.covariance)[0], divergence(noisy).std(0), atol=0, rtol=0.06)
-    torch.testing.assert_close(curl_deviation(fit.covariance)[0], curl(noisy).std(0), atol=0, rtol=0.06)
+    torch.testing.assert_close(divergence_std(fit.covariance)[0], divergence(noisy).std(0), atol=0, rtol=0.06)
+    torch.testing.assert_close(curl_std(fit.covariance)[0], curl(noisy).std(0), atol=0, rtol=0.06)
     for measure in MEASURES:
-        predicted = strain_deviation(fit.gradient, fit.covariance, measure)
+        predicted = strain_std(fit.gradient, fit.covariance, measure)
         torch.testing.assert_close(predicted[0], green_lagrange(noisy, measure).std(0), atol=0, rtol=0.06)
 
 
@@ -75,14 +75,14 @@ def test_strain_deviation_uses_the_derivative_of_that_measure(measure: str) -> N
     covariance = factor @ factor.T
     jacobian = torch.autograd.functional.jacobian(lambda g: green_lagrange(g, measure), gradient).reshape(3, 4)
     expected = (jacobian @ covariance @ jacobian.T).diagonal().sqrt()
-    torch.testing.assert_close(strain_deviation(gradient, covariance.reshape(2, 2, 2, 2), measure), expected)
+    torch.testing.assert_close(strain_std(gradient, covariance.reshape(2, 2, 2, 2), measure), expected)
 
 
 def test_divergence_and_curl_of_uncorrelated_errors_by_hand() -> None:
     variances = torch.tensor([[1.0, 4.0], [16.0, 64.0]], dtype=torch.float64)  # of ux, uy, vx, vy
     covariance = torch.diag(variances.flatten()).reshape(2, 2, 2, 2)
-    assert divergence_deviation(covariance).item() == pytest.approx(math.sqrt(65))
-    assert curl_deviation(covariance).item() == pytest.approx(math.sqrt(20))
+    assert divergence_std(covariance).item() == pytest.approx(math.sqrt(65))
+    assert curl_std(covariance).item() == pytest.approx(math.sqrt(20))
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1e-4])
@@ -103,7 +103,7 @@ def test_a_point_without_a_usable_variance_is_left_out(bad: float) -> None:
 
 def test_an_unknown_measure_is_refused_with_the_three_that_exist() -> None:
     with pytest.raises(ValueError, match=r"'hencky'.*green_lagrange, as_printed, infinitesimal"):
-        strain_deviation(torch.zeros(2, 2), torch.zeros(2, 2, 2, 2), "hencky")
+        strain_std(torch.zeros(2, 2), torch.zeros(2, 2, 2, 2), "hencky")
 
 
 def test_covariance_and_energy_of_noise_on_a_triangle() -> None:

@@ -112,7 +112,7 @@ def test_warp_is_needed_and_serves(points: Tensor) -> None:
     inside = with_warp.status == TrackStatus.TRACKED
     assert inside.float().mean() > 0.9
     assert (with_warp.points - truth)[inside].norm(dim=-1).max() < 0.02
-    assert with_warp.error[inside].max() < 0.02  # without noise the way back ends where it began
+    assert with_warp.error[inside].max() < 0.02  # without noise the backward check ends where it began
     plain = without.status == TrackStatus.TRACKED
     assert (without.points - truth)[plain].norm(dim=-1).median() > 0.05
     known = learned.status == TrackStatus.TRACKED

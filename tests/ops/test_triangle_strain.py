@@ -21,16 +21,16 @@ def moved(batch: int) -> torch.Tensor:
 def test_strain_density_and_energy_are_those_of_each_triangle(measure: str) -> None:
     displacement = moved(3)
     displacement[1, 5] = torch.nan
-    touching = torch.tensor([[True] * 5, [True] * 5, [True, True, False, False, True]])
+    in_contact = torch.tensor([[True] * 5, [True] * 5, [True, True, False, False, True]])
     exact = torch.zeros(3, 7, 2, 2, dtype=torch.float64)
-    found = triangle_strain(POINTS, TRIANGLES, displacement, exact, touching, measure=measure, young_modulus_mpa=2.0)
+    found = triangle_strain(POINTS, TRIANGLES, displacement, exact, in_contact, measure=measure, young_modulus_mpa=2.0)
     strain = green_lagrange(triangle_gradients(POINTS, TRIANGLES, displacement), measure)
     density = strain_energy_density(strain, 2.0)
     torch.testing.assert_close(found.strain, strain, equal_nan=True)
     torch.testing.assert_close(found.density, density, equal_nan=True)
     assert found.density[:, 4].isnan().all()
     assert found.density[1].isnan().tolist() == [False, False, False, True, True]
-    shares = area_shares(touching, density.isfinite(), triangle_areas(POINTS, TRIANGLES))
+    shares = area_shares(in_contact, density.isfinite(), triangle_areas(POINTS, TRIANGLES))
     torch.testing.assert_close(found.energy, (shares * density.nan_to_num(0.0)).sum(1))
     assert (found.energy_std == 0).all()
     assert (found.strain_std.nan_to_num(0.0) == 0).all()
@@ -50,17 +50,17 @@ def test_deviations_are_those_of_many_copies(together: float) -> None:
     errors = ((1 - together) ** 0.5 * own + together**0.5 * common)[..., None, :] @ root.mT
     pairs = torch.combinations(torch.arange(7))
     shared = SharedErrors(torch.full((5, 3), together), pairs, torch.full((len(pairs),), together))
-    touching = torch.ones(1, 5, dtype=torch.bool)
+    in_contact = torch.ones(1, 5, dtype=torch.bool)
     exact = moved(1)
-    stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, touching, shared, measure="infinitesimal")
+    stated = triangle_strain(POINTS, TRIANGLES, exact, covariance, in_contact, shared, measure="infinitesimal")
     zero = torch.zeros_like(covariance)
-    true = triangle_strain(POINTS, TRIANGLES, exact, zero, touching, measure="infinitesimal")
+    true = triangle_strain(POINTS, TRIANGLES, exact, zero, in_contact, measure="infinitesimal")
     found = triangle_strain(
         POINTS,
         TRIANGLES,
         exact + errors[..., 0, :],
         covariance.expand(copies, -1, -1, -1),
-        touching.expand(copies, -1),
+        in_contact.expand(copies, -1),
         shared,
         measure="infinitesimal",
     )

@@ -92,7 +92,9 @@ def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 def test_what_is_served(served: Served) -> None:
     facts, arrays = served.live()
     assert arrays["topography_view"].shape == arrays["contact_view"].shape == (HEIGHT, WIDTH)
-    assert arrays["touching"].sum() * facts["mm_per_px"] ** 2 == pytest.approx(facts["scalars"]["real_area_mm2"])
+    assert arrays["real_contact_mask"].sum() * facts["mm_per_px"] ** 2 == pytest.approx(
+        facts["scalars"]["real_area_mm2"]
+    )
     assert arrays["points"].shape == (POINTS, 2)
     assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
     assert facts["provider"] == "CPUExecutionProvider"

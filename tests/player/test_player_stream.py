@@ -41,7 +41,7 @@ def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
     np.testing.assert_array_equal(records["points"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
     np.testing.assert_array_equal(records["status"], 1)
     assert (records["latency"] > 0).all()
-    assert "touching" not in (records.dtype.names or ())
+    assert "real_contact_mask" not in (records.dtype.names or ())
     units = {field["name"]: field["unit"] for field in header["fields"]}
     assert (units["real_area_mm2"], units["error"]) == ("mm2", "px")
     assert [event["event"] for event in events] == ["restart"]
@@ -250,7 +250,7 @@ def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pyt
     for picture in frames[4:8]:  # points are lost: others are chosen in frame 7 and followed from 9 on
         picture[0, 0] = 0
     ended = stream.run(*stream.frames(frames), "--policy", "every")
-    # 0.45 of light lost is over 0.4; measured again in frame 12, the half of it.
+    # 0.45 of intensity lost is over 0.4; measured again in frame 12, the half of it.
     found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
     assert found == [(0, pytest.approx(0.4, abs=1e-6)), (12, pytest.approx(0.225, abs=1e-6))]
     assert [event["frame"] for event in ended.results.events if event["event"] == "restart"] == [0, 7]

@@ -117,7 +117,7 @@ def series(moved: Displacement) -> dict[str, NDArray[Any]]:
     ellipse = ContactSeries(**{name: values[last] for name, values in vars(contact()).items()})
     field = fields(inputs(), now, ellipse)
     strain = strains(inputs(), moved, contact())
-    return {"displacement": moved.displacement[-1], "displacement_std": moved.deviation()[-1][:, None]} | {
+    return {"displacement": moved.displacement[-1], "displacement_std": moved.displacement_std()[-1][:, None]} | {
         name: values[-1] for part in (field, strain) for name, values in vars(part).items() if name != "triangles"
     }
 

@@ -60,8 +60,8 @@ function drawTopography(live) {
 }
 
 function drawContact(live) {
-  const { contact_view, touching, center, semi_axes_mm } = live.data;
-  const context = picture($("contact"), contact_view, touching), k = 2 / live.every;
+  const { contact_view, real_contact_mask, center, semi_axes_mm } = live.data;
+  const context = picture($("contact"), contact_view, real_contact_mask), k = 2 / live.every;
   const angle = live.scalars.angle;
   if (!center || !semi_axes_mm || angle == null || !Number.isFinite(center.values[0])) return;
   const [a, b] = Array.from(semi_axes_mm.values, v => v / live.mm_per_px * k);

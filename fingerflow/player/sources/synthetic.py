@@ -61,7 +61,7 @@ class Synthetic:
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Brightness of the skin, about -1 to 1, and share 0 to 1 of light lost to contact, both (H, W) float32."""
+    """Brightness of the skin, about -1 to 1, and share 0 to 1 of intensity lost to contact, both (H, W) float32."""
     height, width = shape
     turn, spread = 0.01 * progress, 1 + 0.04 * progress
     y, x = np.meshgrid(

@@ -15,7 +15,7 @@ struct Lit {
 };
 
 // Lines of bytes of one frame, or lines of bits of all of them.
-inline std::size_t touching_memory(const Frames& frames, int size) {
+inline std::size_t real_contact_mask_memory(const Frames& frames, int size) {
     const std::int64_t bytes = (2 * size + 2) * (frames.width + size + 64), words = (frames.width + 63) / 64 + 2;
     const std::int64_t bits = 8 * words * (6 * frames.batch + 2);
     return static_cast<std::size_t>(bytes > bits ? bytes : bits);
@@ -24,8 +24,8 @@ inline std::size_t touching_memory(const Frames& frames, int size) {
 // clang-format off
 FINGERFLOW_FOR_EACH_SET(
     // Some rows of all frames, each with its share. `size` at most 15, `result` is of the whole batch; `memory` has
-    // touching_memory bytes.
-    void touching_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
+    // real_contact_mask_memory bytes.
+    void real_contact_mask_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
                        const float* shares, unsigned char* memory, unsigned char* result);
 )
 // clang-format on

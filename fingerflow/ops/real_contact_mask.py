@@ -8,11 +8,11 @@ from fingerflow import kernels
 from fingerflow.ops.box_sum import box_sum
 
 
-def touching(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
+def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
     """Where most of a window lies below black + limit * light, and the pixel itself is lit.
 
     The median of an odd number of pixels lies below a limit exactly where most of them do: so this is the median of the
-    light lost compared with the threshold 1 - limit, and no quotient is formed.
+    intensity lost compared with the threshold 1 - limit, and no quotient is formed.
 
     Args:
         frames: (B, 1, H, W), integers of 8 to 16 bit or floating, camera counts.
@@ -44,7 +44,7 @@ def touching(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median
         and median_px <= kernels.LARGEST_MAJORITY
         and kernels.serve(frames, light, black, limit)
     ):
-        return kernels.touching(frames, light, black, share, median_px)
+        return kernels.real_contact_mask(frames, light, black, share, median_px)
     share = share.reshape(-1, 1, 1, 1)
     lit = light.to(torch.bool)
     counts = share * light + black

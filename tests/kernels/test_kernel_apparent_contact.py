@@ -7,8 +7,8 @@ import torch
 from kernel_images import SHAPES, images
 
 from fingerflow import kernels
+from fingerflow.ops.apparent_contact import Region, apparent_contact
 from fingerflow.ops.components import fill_holes, largest_component
-from fingerflow.ops.dense_region import Region, dense_region
 from fingerflow.ops.ellipse import fit_ellipse, mask_moments
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -26,7 +26,7 @@ def blobs(shape: tuple[int, int, int], share: float) -> torch.Tensor:
 def same(found: Region, expected: Region) -> None:
     for name, ours, theirs in zip(Region._fields, found, expected, strict=True):
         assert ours.shape == theirs.shape, name
-        tolerance = {"excess": 2e-5, "angle": 1e-2}.get(name, 2e-3)
+        tolerance = {"density_margin": 2e-5, "angle": 1e-2}.get(name, 2e-3)
         torch.testing.assert_close(
             ours, theirs, rtol=2e-5, atol=tolerance, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
         )
@@ -37,7 +37,7 @@ def same(found: Region, expected: Region) -> None:
 def test_regions(portable: Portable, instruction_set: int, shape: tuple[int, int, int], share: float) -> None:
     mask = blobs(shape, share)
     for radius, cell in ((1, None), (2, None), (8, None), (8, 8), (30, 4), (255, 4)):
-        same(dense_region(mask, radius, cell), portable(lambda r=radius, c=cell: dense_region(mask, r, c)))
+        same(apparent_contact(mask, radius, cell), portable(lambda r=radius, c=cell: apparent_contact(mask, r, c)))
 
 
 def test_contacts(portable: Portable, instruction_set: int) -> None:
@@ -48,7 +48,7 @@ def test_contacts(portable: Portable, instruction_set: int) -> None:
     mask[1, :, 120:170, 190:240] = False
     mask[2, :, 5:30, 360:400] = True
     for radius, cell in ((8, None), (8, 8), (5, None)):
-        same(dense_region(mask, radius, cell), portable(lambda r=radius, c=cell: dense_region(mask, r, c)))
+        same(apparent_contact(mask, radius, cell), portable(lambda r=radius, c=cell: apparent_contact(mask, r, c)))
 
 
 @pytest.mark.parametrize("op", [fill_holes, largest_component, mask_moments])
@@ -82,7 +82,7 @@ def test_views_and_threads(portable: Portable) -> None:
         for threads in (1, 2, 3, 7):
             torch.set_num_threads(threads)
             for view in (masks, masks[1:2, ..., 3:], masks[::3, :, 7:290, 5:201], masks[..., ::2]):
-                same(dense_region(view, 6), portable(lambda view=view: dense_region(view, 6)))
+                same(apparent_contact(view, 6), portable(lambda view=view: apparent_contact(view, 6)))
                 for op in (fill_holes, largest_component, mask_moments):
                     assert torch.equal(op(view), portable(lambda op=op, view=view: op(view)))
     finally:
@@ -92,9 +92,9 @@ def test_views_and_threads(portable: Portable) -> None:
 def test_refuses_what_does_not_fit() -> None:
     mask = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
     with pytest.raises(ValueError, match="cells of 3 px"):
-        kernels.dense_region(mask, 8, 3)
+        kernels.apparent_contact(mask, 8, 3)
     with pytest.raises(TypeError, match="uint8"):
-        kernels.dense_region(mask.byte(), 8, 4)
+        kernels.apparent_contact(mask.byte(), 8, 4)
     with pytest.raises(TypeError, match="uint8"):
         kernels.fill_holes(mask.byte())
     with pytest.raises(ValueError, match="65536 px wide"):

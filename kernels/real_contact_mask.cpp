@@ -5,10 +5,10 @@
 #include <exception>
 
 #include "parallel.h"
-#include "touching_rows.h"
+#include "real_contact_mask_rows.h"
 #include "workspace.h"
 
-int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits, int size, unsigned char* touching,
+int fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size, unsigned char* real_contact_mask,
                         int threads) try {
     using namespace fingerflow;
     const std::int64_t batch = given->batch, height = given->height, width = given->width;
@@ -18,11 +18,11 @@ int fingerflow_touching(const fingerflow_lit_frames* given, const float* limits,
     const Lit lit{given->light, given->black, given->lights, given->blacks};
     const std::int64_t shared = (height + threads - 1) / threads, rows = std::min<std::int64_t>(std::max(64, 4 * size), shared);
     const std::int64_t pieces = (height + rows - 1) / rows;
-    const auto find = FINGERFLOW_PICK(touching_rows);
+    const auto find = FINGERFLOW_PICK(real_contact_mask_rows);
     parallel_for(pieces, threads, [&](std::int64_t piece) {
         const std::int64_t top = piece * rows, bottom = std::min(height, top + rows);
-        auto* const memory = static_cast<unsigned char*>(workspace(touching_memory(frames, size)));
-        find(frames, lit, top, bottom, size, limits, memory, touching);
+        auto* const memory = static_cast<unsigned char*>(workspace(real_contact_mask_memory(frames, size)));
+        find(frames, lit, top, bottom, size, limits, memory, real_contact_mask);
     });
     return 0;
 } catch (const std::exception&) {

@@ -1,5 +1,5 @@
 // Sums of few neighbours, row by row, which the compiler makes vectors of.
-#include "dense_region_cells.h"
+#include "apparent_contact_cells.h"
 
 #include <math.h>
 #include <string.h>
@@ -233,7 +233,7 @@ void fill_row(const CellPlane& plane, std::int64_t y, const Outline& outline, fl
 
 void cover_row(const CellPlane& plane, std::int64_t y, const float* density, const float* inverse, const float* filled,
                float limit, float* FINGERFLOW_RESTRICT line, float* FINGERFLOW_RESTRICT coverage,
-               float* FINGERFLOW_RESTRICT excess) {
+               float* FINGERFLOW_RESTRICT density_margin) {
     const std::int64_t at = y * plane.pitch;
     const std::int64_t width = plane.width;
     const float *FINGERFLOW_RESTRICT row = density + at, *FINGERFLOW_RESTRICT steep = inverse + at;
@@ -250,7 +250,7 @@ void cover_row(const CellPlane& plane, std::int64_t y, const float* density, con
         const float hole = (full[x] > 0.0f) & (row[x] <= limit) ? 1.0f : 0.0f;
         coverage[x] = part > hole ? part : hole;
         const float over = row[x] * near - limit, filling = (2 * hole - 1) * limit;
-        excess[x] = over > filling ? over : filling;
+        density_margin[x] = over > filling ? over : filling;
     }
 }
 

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.ops.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.cells import mask_of
-from fingerflow.ops.dense_region import cell_of, dense_region
 
 pytestmark = pytest.mark.usefixtures("each_form")
 
@@ -50,7 +50,7 @@ def by_scipy(mask: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 def test_full_disc_keeps_its_area() -> None:
     """At half of the density alone it would lose 3 %: smoothed, its border curves away from that."""
     sizes = [disc(200, radius) for radius in np.linspace(38, 42, 9)]
-    errors = [float(dense_region(full, 8).area_px) / float(full.sum()) - 1 for full in sizes]
+    errors = [float(apparent_contact(full, 8).area_px) / float(full.sum()) - 1 for full in sizes]
     assert abs(np.mean(errors)) < 0.006  # where cells lie at the border matters by 1 %
     assert np.abs(errors).max() < 0.02
     full = sizes[4]
@@ -62,7 +62,7 @@ def test_full_disc_keeps_its_area() -> None:
 
 @pytest.mark.parametrize(("cell", "each", "mean"), [(None, 0.03, 0.004), (8, 0.03, 0.006)])
 def test_spans_stripes_and_their_gaps(cell: int | None, each: float, mean: float) -> None:
-    areas = [float(dense_region(disc(260, 100, 14, angle), 8, cell).area_px) for angle in np.arange(6) / 4]
+    areas = [float(apparent_contact(disc(260, 100, 14, angle), 8, cell).area_px) for angle in np.arange(6) / 4]
     assert np.mean(areas) == pytest.approx(math.pi * 100**2, rel=mean)
     assert np.ptp(areas) / np.mean(areas) < each
 
@@ -73,9 +73,9 @@ def test_same_region_pixel_by_pixel(period: float | None, radius: int) -> None:
     """Cells differ from pixels by 1 % of the area of a disc that is some boxes wide, and by a pixel at its border."""
     mask = disc(12 * radius + 24, 5.0 * radius, None if period is None else period * radius)
     expected = torch.from_numpy(by_scipy(mask[0, 0].numpy(), radius))
-    region = dense_region(mask, radius)
+    region = apparent_contact(mask, radius)
     assert float(region.area_px) == pytest.approx(float(expected.sum()), rel=0.02 if radius > 2 else 0.06)
-    found = mask_of(region.excess, cell_of(radius), *mask.shape[2:])[0, 0]
+    found = mask_of(region.density_margin, cell_of(radius), *mask.shape[2:])[0, 0]
     assert float((found != expected).sum()) < 2 * math.pi * 5 * radius
 
 
@@ -84,8 +84,8 @@ def test_largest_part_without_holes() -> None:
     mask[..., 20:40, 20:40] = True
     mask[..., 60:140, 100:220] = True
     mask[..., 90:110, 140:180] = False
-    region = dense_region(mask, 4)
-    found = mask_of(region.excess, cell_of(4), 160, 240)[0, 0]
+    region = apparent_contact(mask, 4)
+    found = mask_of(region.density_margin, cell_of(4), 160, 240)[0, 0]
     assert not found[:, :90].any()
     assert found[90:110, 140:180].all()
     assert float(region.area_px) == pytest.approx(80 * 120, rel=0.02)
@@ -100,7 +100,7 @@ def test_region_of_an_ellipse_has_its_area_and_axes(cell: int) -> None:
     inside = (along / 120) ** 2 + (across / 80) ** 2 <= 1
     inside[120:160, 170:190] = False  # a hole belongs to the region
     inside[5:25, 370:395] = True  # dirt does not
-    region = dense_region(inside[None, None], 8, cell)
+    region = apparent_contact(inside[None, None], 8, cell)
     # A full region's density ends half a box from its border: the level is corrected for curvature, to 1 %.
     torch.testing.assert_close(region.area_px, torch.tensor([np.pi * 120 * 80], dtype=torch.float32), rtol=0.01, atol=0)
     torch.testing.assert_close(region.semi_axes, torch.tensor([[120.0, 80.0]]), rtol=0.01, atol=0)
@@ -112,31 +112,31 @@ def test_region_of_an_ellipse_has_its_area_and_axes(cell: int) -> None:
 def test_empty_full_and_small_frames(shape: tuple[int, int, int]) -> None:
     batch, height, width = shape
     empty = torch.zeros(batch, 1, height, width, dtype=torch.bool)
-    region = dense_region(empty, 8)
-    assert (region.excess <= 0).all()
+    region = apparent_contact(empty, 8)
+    assert (region.density_margin <= 0).all()
     assert (region.area_px == 0).all()
     assert region.center.isnan().all()
-    full = dense_region(~empty, 3)
+    full = apparent_contact(~empty, 3)
     assert full.covered_px.tolist() == batch * [height * width]
-    assert full.excess.shape == (batch, 1, -(-height // 1), -(-width // 1))
+    assert full.density_margin.shape == (batch, 1, -(-height // 1), -(-width // 1))
 
 
 def test_frames_do_not_know_each_other() -> None:
     masks = torch.cat([disc(100, radius, 9) for radius in (10, 30, 45)])
-    together = dense_region(masks, 5)
+    together = apparent_contact(masks, 5)
     for k in range(3):
-        for whole, alone in zip(together, dense_region(masks[k : k + 1], 5), strict=True):
+        for whole, alone in zip(together, apparent_contact(masks[k : k + 1], 5), strict=True):
             torch.testing.assert_close(whole[k : k + 1], alone, rtol=1e-5, atol=1e-5)
 
 
 def test_refuses_what_does_not_fit() -> None:
     mask = torch.zeros(1, 1, 8, 8, dtype=torch.bool)
     with pytest.raises(TypeError, match="uint8"):
-        dense_region(mask.byte(), 3)
+        apparent_contact(mask.byte(), 3)
     with pytest.raises(ValueError, match="shape"):
-        dense_region(mask[0], 3)
+        apparent_contact(mask[0], 3)
     for radius in (0, 256):
         with pytest.raises(ValueError, match=f"radius of {radius} px"):
-            dense_region(mask, radius)
+            apparent_contact(mask, radius)
     with pytest.raises(ValueError, match="cells of 8 px"):
-        dense_region(mask, 3, 8)
+        apparent_contact(mask, 3, 8)

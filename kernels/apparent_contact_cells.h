@@ -62,7 +62,7 @@ FINGERFLOW_FOR_EACH_SET(
     // The cell counts by the part inside the region or beside it; `filled` is 1 where the region is, `line` holds a row
     // with its margins.
     void cover_row(const CellPlane& plane, std::int64_t y, const float* density, const float* inverse, const float* filled,
-                   float limit, float* line, float* coverage, float* excess);
+                   float limit, float* line, float* coverage, float* density_margin);
     RowMoments row_moments(const float* coverage, std::int64_t width);
 )
 // clang-format on

@@ -19,14 +19,14 @@ class Region(NamedTuple):
     """The regions of B frames.
 
     Attributes:
-        excess: (B, 1, h, w) density of the pattern above its limit, on cells: positive inside the region and smooth
-            across its border (`ops.cells.covered`).
+        density_margin: (B, 1, h, w) density of the pattern above its limit, on cells: positive inside the region,
+            smooth across its border (`ops.cells.covered`).
         covered_px, area_px: (B,) px, of the pattern (all of it in the frame) and of the region.
         center: (B, 2) as (x, y) px, with `semi_axes` (B, 2) px, major first, and `angle` (B,) rad (as in
             `ops.fit_ellipse`) the ellipse of the region's moments; NaN where it is empty.
     """
 
-    excess: Tensor
+    density_margin: Tensor
     covered_px: Tensor
     area_px: Tensor
     center: Tensor
@@ -39,7 +39,9 @@ def cell_of(radius: int) -> int:
     return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 
-def dense_region(mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32) -> Region:
+def apparent_contact(
+    mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
+) -> Region:
     """The part of a frame around its densest place, without holes, where the mask is about half as dense as inside.
 
     The density is the mean of the mask over about two periods (three box means). At a straight border it has fallen to
@@ -73,8 +75,8 @@ def dense_region(mask: Tensor, radius: int, cell: int | None = None, precision: 
     if not 1 <= side <= 2 * radius + 1:
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
-        excess, numbers = kernels.dense_region(mask, radius, side)
-        return Region(excess, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
+        density_margin, numbers = kernels.apparent_contact(mask, radius, side)
+        return Region(density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
     return _region(cell_means(mask, side, precision), radius, side)
 
 
@@ -112,8 +114,8 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
     # By extremes and products, which runtimes do several times as fast as choices: in a hole the density does not
     # exceed the limit, elsewhere it is not negative.
     coverage = torch.maximum(part * near, hole)
-    excess = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
-    return Region(excess, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
+    density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
+    return Region(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:

@@ -1,4 +1,4 @@
-"""What lies below a share of the light, against SciPy's median of the light lost; hard frames."""
+"""What lies below a share of the light, against SciPy's median of the intensity lost; hard frames."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.illumination import glass_light
-from fingerflow.ops.touching import majority, touching
+from fingerflow.ops.real_contact_mask import majority, real_contact_mask
 
 pytestmark = pytest.mark.usefixtures("each_form")
 
@@ -31,10 +31,12 @@ def scene(shape: tuple[int, int, int], dtype: torch.dtype, bits: int = 8) -> tup
     [(torch.uint8, 8), (torch.uint16, 16), (torch.int32, 12), (torch.float32, 8), (torch.float64, 10)],
 )
 @pytest.mark.parametrize("shape", [(2, 61, 47), (1, 40, 131), (3, 9, 70)])
-def test_is_the_median_of_the_light_lost(size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]) -> None:
+def test_is_the_median_of_the_intensity_loss(
+    size: int, dtype: torch.dtype, bits: int, shape: tuple[int, int, int]
+) -> None:
     frames, light, black = scene(shape, dtype, bits)
     limit = torch.linspace(0.65, 0.68, len(frames))  # about the median
-    found = touching(frames, light, black, limit, size)
+    found = real_contact_mask(frames, light, black, limit, size)
     lit = (light > 0).numpy()[0, 0]
     for k, frame in enumerate(frames.to(torch.float32 if dtype != torch.float64 else dtype).numpy()[:, 0]):
         # Of what is not lit no light is lost.
@@ -50,7 +52,7 @@ def test_a_limit_between_whole_numbers_and_on_one() -> None:
     frames = torch.tensor([59, 60, 61, 62], dtype=torch.uint8)[None, None, None]
     for limit, expected in ((0.5, 1), (0.505, 2), (0.51, 2), (0.52, 3)):
         for some in (frames, frames.float(), frames.to(torch.uint16)):
-            assert int(touching(some, light, black, torch.tensor([limit]), 1).sum()) == expected
+            assert int(real_contact_mask(some, light, black, torch.tensor([limit]), 1).sum()) == expected
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])
@@ -58,29 +60,31 @@ def test_a_limit_between_whole_numbers_and_on_one() -> None:
 def test_below_nothing_lies_nothing(limit: float, dtype: torch.dtype) -> None:
     light = torch.full((1, 1, 20, 30), 90.0)
     frames = torch.zeros(2, 1, 20, 30).to(dtype)
-    assert not touching(frames, light, 0 * light, torch.full((2,), limit), 3).any()
+    assert not real_contact_mask(frames, light, 0 * light, torch.full((2,), limit), 3).any()
 
 
 def test_saturated_is_not_touching_and_black_is() -> None:
     light = torch.full((1, 1, 20, 30), 250.0)
     frames = torch.stack([torch.full((1, 20, 30), level, dtype=torch.uint8) for level in (255, 0)])
-    assert touching(frames, light, 0 * light, torch.tensor([1.3, 1.3]), 3).flatten(1).float().mean(1).tolist() == [0, 1]
+    assert real_contact_mask(frames, light, 0 * light, torch.tensor([1.3, 1.3]), 3).flatten(1).float().mean(
+        1
+    ).tolist() == [0, 1]
 
 
 def test_nan_and_infinite_pixels_are_above() -> None:
     light = torch.full((1, 1, 12, 14), 100.0)
     frames = torch.full((1, 1, 12, 14), 20.0)
     frames[..., 3, 4], frames[..., 8, 8] = torch.nan, torch.inf
-    assert touching(frames, light, 0 * light, torch.tensor([0.7]), 3).all()
-    assert (~touching(frames, light, 0 * light, torch.tensor([0.7]), 1)).sum() == 2
+    assert real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 3).all()
+    assert (~real_contact_mask(frames, light, 0 * light, torch.tensor([0.7]), 1)).sum() == 2
 
 
 @pytest.mark.parametrize("shape", [(0, 1, 8, 9), (1, 1, 1, 1), (2, 1, 1, 70), (2, 1, 70, 1)])
 def test_small_and_empty(shape: tuple[int, ...]) -> None:
     light = torch.full((1, *shape[1:]), 100.0)
     dark = torch.zeros(shape, dtype=torch.uint8)
-    assert touching(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).shape == shape
-    assert touching(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).all()
+    assert real_contact_mask(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).shape == shape
+    assert real_contact_mask(dark, light, 0 * light, torch.full(shape[:1], 0.5), 3).all()
 
 
 def test_views_of_a_camera_frame() -> None:
@@ -88,8 +92,8 @@ def test_views_of_a_camera_frame() -> None:
     views = frames[::2, :, 11:80, 33:170]
     part = (light[..., 11:80, 33:170], black[..., 11:80, 33:170])
     limit = torch.full((3,), 0.6)
-    alone = touching(views.contiguous(), *(image.contiguous() for image in part), limit, 5)
-    assert torch.equal(touching(views, *part, limit, 5), alone)
+    alone = real_contact_mask(views.contiguous(), *(image.contiguous() for image in part), limit, 5)
+    assert torch.equal(real_contact_mask(views, *part, limit, 5), alone)
 
 
 @pytest.mark.parametrize("size", [3, 15, 21])
@@ -116,10 +120,10 @@ def test_the_light_of_the_empty_glass() -> None:
 def test_refuses_what_does_not_fit() -> None:
     frames, image = torch.zeros(2, 1, 8, 8), torch.ones(1, 1, 8, 8)
     with pytest.raises(ValueError, match="frames have shape"):
-        touching(frames[0], image, image, torch.zeros(2))
+        real_contact_mask(frames[0], image, image, torch.zeros(2))
     with pytest.raises(ValueError, match="black has shape"):
-        touching(frames, image, image[..., 1:], torch.zeros(2))
+        real_contact_mask(frames, image, image[..., 1:], torch.zeros(2))
     with pytest.raises(ValueError, match="4 x 4"):
-        touching(frames, image, image, torch.zeros(2), 4)
+        real_contact_mask(frames, image, image, torch.zeros(2), 4)
     with pytest.raises(ValueError, match="one number a frame"):
-        touching(frames, image, image, torch.zeros(3))
+        real_contact_mask(frames, image, image, torch.zeros(3))

@@ -8,7 +8,7 @@ from kernel_images import CONTENTS, SHAPES, images
 
 from fingerflow import kernels
 from fingerflow.ops.light_gain import light_gain
-from fingerflow.ops.touching import touching
+from fingerflow.ops.real_contact_mask import real_contact_mask
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -32,8 +32,10 @@ def test_same_pixels(
     for batch in {1, len(frames)}:
         light, black = lit(shape, batch)
         for size in (1, 3, 5, 9, 15):
-            found = touching(frames, light, black, limits, size)
-            assert torch.equal(found, portable(lambda s=size, a=light, b=black: touching(frames, a, b, limits, s)))
+            found = real_contact_mask(frames, light, black, limits, size)
+            assert torch.equal(
+                found, portable(lambda s=size, a=light, b=black: real_contact_mask(frames, a, b, limits, s))
+            )
 
 
 @pytest.mark.parametrize("dtype", kernels.FRAME_KINDS)
@@ -55,21 +57,21 @@ def test_threads(portable: Portable, torch_threads: Callable[[int], None]) -> No
     frames = images((5, 210, 90), torch.uint8, "random")
     light, black = lit((5, 210, 90), 1)
     limits = torch.linspace(0.3, 0.8, 5)
-    expected = portable(lambda: touching(frames, light, black, limits, 9))
+    expected = portable(lambda: real_contact_mask(frames, light, black, limits, 9))
     for threads in (1, 2, 3, 7):
         torch_threads(threads)
-        assert torch.equal(touching(frames, light, black, limits, 9), expected)
+        assert torch.equal(real_contact_mask(frames, light, black, limits, 9), expected)
 
 
 def test_refuses_what_does_not_fit() -> None:
     frames, image = torch.zeros(2, 1, 8, 8, dtype=torch.uint8), torch.ones(1, 1, 8, 8)
     for size in (0, 2, 17):
         with pytest.raises(ValueError, match=f"{size} was asked for"):
-            kernels.touching(frames, image, image, torch.zeros(2), size)
+            kernels.real_contact_mask(frames, image, image, torch.zeros(2), size)
     with pytest.raises(ValueError, match="limits is"):
-        kernels.touching(frames, image, image, torch.zeros(3), 3)
+        kernels.real_contact_mask(frames, image, image, torch.zeros(3), 3)
     with pytest.raises(TypeError, match="float64"):
-        kernels.touching(frames, image.double(), image, torch.zeros(2), 3)
+        kernels.real_contact_mask(frames, image.double(), image, torch.zeros(2), 3)
     with pytest.raises(ValueError, match="an image of"):
         kernels.light_gain(frames, image, image[..., 1:], 16)
     with pytest.raises(ValueError, match="multiples of 8"):

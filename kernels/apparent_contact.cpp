@@ -1,4 +1,4 @@
-// The region that a mask spans, as fingerflow/ops/dense_region.py has it: planes of cells of one frame stay in a cache.
+// The region that a mask spans, as fingerflow/ops/apparent_contact.py has it: planes of cells of one frame stay in a cache.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "dense_region_cells.h"
+#include "apparent_contact_cells.h"
 #include "interface.h"
 #include "parallel.h"
 #include "workspace.h"
@@ -21,9 +21,9 @@ float clamped(float value, float low, float high) { return std::min(std::max(val
 
 class Finder {
 public:
-    Finder(const fingerflow_dense_regions& given, std::int64_t frame)
+    Finder(const fingerflow_apparent_contacts& given, std::int64_t frame)
         : given_(given), mask_(given.masks + frame * given.height * given.width),
-          excess_(given.excess + frame * cells_of(given.height, given.side) * cells_of(given.width, given.side)),
+          margin_(given.density_margin + frame * cells_of(given.height, given.side) * cells_of(given.width, given.side)),
           numbers_(given.numbers + 7 * frame), width_(static_cast<float>(2 * given.radius + 1) / static_cast<float>(given.side)) {
         plane_.height = cells_of(given.height, given.side);
         plane_.width = cells_of(given.width, given.side);
@@ -119,7 +119,7 @@ private:
     const float* cover(float limit) {
         const auto cover = FINGERFLOW_PICK(cover_row);
         for (std::int64_t y = 0; y < plane_.height; ++y)
-            cover(plane_, y, density_, inverse_, filled_, limit, line_, other_ + y * plane_.pitch, excess_ + y * plane_.width);
+            cover(plane_, y, density_, inverse_, filled_, limit, line_, other_ + y * plane_.pitch, margin_ + y * plane_.width);
         return other_;
     }
 
@@ -154,9 +154,9 @@ private:
         for (int k = 0; k < 6; ++k) numbers_[k + 1] = static_cast<float>(results[k]);
     }
 
-    const fingerflow_dense_regions& given_;
+    const fingerflow_apparent_contacts& given_;
     const unsigned char* mask_;
-    float *excess_, *numbers_;
+    float *margin_, *numbers_;
     const float width_;
     CellPlane plane_;
     std::int64_t left_;  // numbers before the first of a row
@@ -167,7 +167,7 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_dense_region(const fingerflow_dense_regions* given, int threads) try {
+int fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads) try {
     using namespace fingerflow;
     parallel_for(given->batch, threads, [&](std::int64_t frame) { Finder(*given, frame).find(); });
     return 0;

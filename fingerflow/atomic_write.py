@@ -8,7 +8,7 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 
 
-def write_whole(path: Path, write: Callable[[Path], Any]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
 
     Raises FingerflowError where the system does not let it be written.

@@ -1,5 +1,5 @@
 // Columns of a window counted by adding the line below it and taking off the one above; a byte holds 15 x 15.
-#include "touching_rows.h"
+#include "real_contact_mask_rows.h"
 
 #include <string.h>
 
@@ -196,7 +196,7 @@ void rows(const Pixel* frame, const Frames& frames, const float* light, const fl
 
 }  // namespace
 
-void touching_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
+void real_contact_mask_rows(const Frames& frames, const Lit& lit, std::int64_t top, std::int64_t bottom, int size,
                    const float* shares, unsigned char* memory, unsigned char* result) {
 #ifdef __AVX512BW__
     if (frames.kind == kUint8 && size == 3) return Bits(frames, lit, shares, memory).rows(top, bottom, result);
