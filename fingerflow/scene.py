@@ -19,6 +19,7 @@ from pydantic import (
 
 from fingerflow.calibration import Calibration as RigCalibration
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
@@ -105,6 +106,16 @@ class Views(_Table):
     @property
     def topography(self) -> View | None:
         return None if self.topography_range is None else self.topography_range.view()
+
+    def names(self) -> tuple[str, ...]:
+        """Of the views that the scene has."""
+        return tuple(name for name in ("contact", "topography") if getattr(self, name) is not None)
+
+    def __getitem__(self, name: str) -> View:
+        if name not in self.names():
+            raise KeyError(f"the scene has no view {name!r}; it has {', '.join(self.names())}")
+        view: View = getattr(self, name)
+        return view
 
 
 class BackgroundSettings(_Table):
@@ -229,6 +240,7 @@ class Scene(_Table):
     """A recording and everything needed to process it; ``path`` is the file that says so."""
 
     path: Path
+    kind: str
     recording: RecordingSettings
     views: Views
     background: BackgroundSettings
@@ -239,6 +251,27 @@ class Scene(_Table):
     fields: FieldSettings = FieldSettings()
     slip: SlipSettings = SlipSettings()
     stream: StreamSettings = StreamSettings()
+
+    def has(self, need: str) -> bool:
+        """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
+        found: Any = self
+        for key in need.split("."):
+            found = getattr(found, key)
+            if found is None:
+                return False
+        return True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _states_its_kind(cls, values: Any) -> Any:
+        return {"kind": default_kind(values), **values}
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str) -> str:
+        if kind not in KINDS:
+            raise ValueError(f"it should be {' or '.join(map(repr, KINDS))}")
+        return kind
 
     @model_validator(mode="after")
     def _region_lies_in_its_view(self) -> Self:

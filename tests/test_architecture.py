@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 # What each room may import of the others; itself always. A new file or folder takes its place here.
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
+    "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
     "strict": set(),
     "toml_string": set(),
     "views": {"errors"},
@@ -22,7 +23,7 @@ ARROWS: dict[str, set[str]] = {
     "models": {"errors", "kernels"},
     "recordings": {"errors"},
     "calibration": {"errors", "toml_string", "views"},
-    "scene": {"calibration", "errors", "strict", "toml_string", "views"},
+    "scene": {"calibration", "contract", "errors", "strict", "toml_string", "views"},
     "stages": {"errors", "graphs", "models", "ops", "recordings", "scene", "views"},
     "plan": {"errors", "stages"},
     "result": {"__init__", "errors", "ops", "stages", "atomic_write"},
@@ -31,7 +32,11 @@ ARROWS: dict[str, set[str]] = {
     "comparison": {"ops", "synthetic"},
     "report": {"errors", "models", "recordings", "result", "scene", "views", "atomic_write"},
     "export": {"errors", "graphs", "kernels", "ops", "strict", "synthetic"},
-    "player": {"errors", "export"},  # only where `--provider compiled` asks for the package; a bundle does without
+    "player": {
+        "contract",
+        "errors",
+        "export",
+    },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below
 }
@@ -41,6 +46,7 @@ ARROWS["__main__"] = {"cli"}
 # Where what a room may import from elsewhere is part of its promise; Python's own modules always.
 PACKAGES = {
     "errors": set(),
+    "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
     "views": set(),
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
@@ -85,7 +91,7 @@ def wrong_arrows(room: str, source: str, where: str = "", package: str = "") -> 
     for line, module in imported(source, package):
         top, _, rest = module.partition(".")
         if top == "fingerflow":
-            target = rest.partition(".")[0] or "__init__"
+            target = "contract" if rest.startswith("player.contract") else rest.partition(".")[0] or "__init__"
             if target != room and target not in ARROWS[room]:
                 wrong.append(f"{where}:{line}: {room} may not import {module}; it may import {sorted(ARROWS[room])}")
         elif room in PACKAGES and top not in PACKAGES[room] and top not in sys.stdlib_module_names:
@@ -94,7 +100,8 @@ def wrong_arrows(room: str, source: str, where: str = "", package: str = "") -> 
 
 
 def room_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    parts = path.relative_to(PACKAGE).parts
+    return "contract" if parts[:2] == ("player", "contract") else parts[0].removesuffix(".py")
 
 
 def package_of(path: Path) -> str:

@@ -85,7 +85,7 @@ class _SceneFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.values = self._read(path)
-        self._refuse_unknown(self.values, tuple(SCENE_KEYS), "")
+        self._refuse_unknown(self.values, ("kind", *SCENE_KEYS), "")
         for table, keys in SCENE_KEYS.items():
             self._refuse_unknown(self.values.get(table, {}), keys, f"{table}.")
 

@@ -18,7 +18,7 @@ from fingerflow.player.scene import SCENE_KEYS, View
 
 
 def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
-    assert set(SCENE_KEYS) == set(scene._keys_of(()))
+    assert {"kind", *SCENE_KEYS} == set(scene._keys_of(()))
     for table, keys in SCENE_KEYS.items():
         assert sorted(keys) == scene._keys_of((table,)), table
 
