@@ -57,7 +57,7 @@ def process(
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
-    is_slip = "slip" in scene.model_fields_set
+    is_slip = scene.kind == "slip"
     stages = plan(wanted, scene.views.topography is not None, scene.forces is not None, is_slip)
     seconds: dict[str, float] = {}
     runtime = _onnx_runtime(engine, device)

@@ -69,7 +69,7 @@ def label(outcome: Outcome) -> xr.Dataset:
             "title": "fingertip on glass",
             "fingerflow_version": __version__,
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "settings": scene.model_dump_json(by_alias=True),
+            "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
             "warnings": json.dumps(inputs.warnings),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in outcome.seconds.items()}),
