@@ -82,7 +82,7 @@ def _stream(options: argparse.Namespace) -> int:
         "policy": "every" if every else "latest",
         "mm_per_px": scene.mm_per_px,
         "topography_to_contact": scene.topography_to_contact.tolist(),
-        "threshold": "measured" if stepper.measures else scene.threshold,
+        "threshold": "measured" if stepper.measures else scene.given_threshold,
         "coordinates": properties.get("fingerflow.coordinates", ""),
         "warnings": warnings,
         "record_bytes": layout.dtype.itemsize,
