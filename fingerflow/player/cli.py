@@ -20,7 +20,8 @@ from .bundle import load_bundle
 from .errors import PlayerError, first_line
 from .played import played_by
 from .providers import PROVIDERS, Engine
-from .results import RESULTS_FORMAT, RecordLayout, Sink
+from .records import RecordLayout
+from .results import RESULTS_FORMAT, Sink
 from .scene import contradictions
 from .stepper import Stepper
 from .stream import Player, Settings

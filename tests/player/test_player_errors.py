@@ -84,7 +84,7 @@ def test_a_threshold_of_each_frame_is_refused(stream: Stream) -> None:
 def test_a_background_of_means_is_taken(stream: Stream, kind: type) -> None:
     np.save(stream.bundle / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 200.25, kind))
     records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
-    assert records["real_area_mm2"][0] == 4.0
+    assert records["real_contact_area"][0] == 4.0
 
 
 def test_a_calibration_file_is_read(stream: Stream) -> None:
@@ -98,8 +98,8 @@ def test_a_calibration_file_is_read(stream: Stream) -> None:
     rest = text[1].split("\n", 2)[2]
     stream.scene.write_text(f'{text[0]}file = "rig.toml"\n{rest}')
     records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
-    assert records["real_area_mm2"][0] == 1.0
-    np.testing.assert_array_equal(records["center"][0], (WIDTH / 2 + 2, HEIGHT / 2 + 3))
+    assert records["real_contact_area"][0] == 1.0
+    np.testing.assert_array_equal(records["ellipse_center"][0], np.multiply((WIDTH / 2 + 2, HEIGHT / 2 + 3), 0.25))
 
 
 def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
@@ -110,7 +110,7 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     np.save(stream.bundle / "empty.npy", pictures)
     picture = frame()
     picture[5, WIDTH:] = 100
-    [event] = stream.run(*stream.frames([picture])).results.records["real_area_mm2"]
+    [event] = stream.run(*stream.frames([picture])).results.records["real_contact_area"]
     assert event == WIDTH / 4
     mean = mean_view(
         stream.bundle / "empty.npy",
@@ -153,7 +153,7 @@ def test_the_frames_that_count(stream: Stream) -> None:
         ended = stream.run(*arguments)
         np.testing.assert_array_equal(ended.results.records["frame"], numbers)
         if "others" not in "".join(arguments):
-            np.testing.assert_array_equal(ended.results.records["real_area_mm2"], numbers / 4)
+            np.testing.assert_array_equal(ended.results.records["real_contact_area"], numbers / 4)
         (stream.folder / "results").rename(stream.folder / f"results{len(list(stream.folder.iterdir()))}")
 
 
