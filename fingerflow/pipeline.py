@@ -100,7 +100,7 @@ def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | Non
             "title": "fingertip on glass",
             "fingerflow_version": __version__,
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "settings": scene.model_dump_json(by_alias=True),
+            "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
             "warnings": json.dumps(inputs.warnings),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),

@@ -5,6 +5,7 @@ import re
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,6 @@ from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
-from fingerflow.views import View
 
 
 @pytest.fixture(scope="session")
@@ -120,8 +120,8 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
 
 def test_backward_and_previous_track_too(scene: Scene, press: Path) -> None:
     truth = rebuild_scene(press).truth
-    settings = scene.tracking.model_copy(update={"direction": "backward", "template": "previous"})
-    backward = process(scene.model_copy(update={"tracking": settings}), ["position_px", "status"])
+    settings = replace(scene.tracking, direction="backward", template="previous")
+    backward = process(replace(scene, tracking=settings), ["position_px", "status"])
     pixels = backward["position_px"].values
     material = truth.material(truth.topography_positions(pixels[-1]), len(pixels) - 1)
     found = np.isfinite(pixels[0]).all(-1)
@@ -210,24 +210,24 @@ def test_unknown_output_is_named(scene: Scene) -> None:
 
 def test_no_finger_in_view(scene: Scene, press: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "nothing.npy", np.stack([Press().empty(k) for k in range(3)]))
-    recording = scene.recording.model_copy(update={"frames": tmp_path / "nothing.npy"})
+    recording = replace(scene.recording, frames=tmp_path / "nothing.npy")
     with pytest.raises(FingerflowError, match="no finger is in view"):
-        process(scene.model_copy(update={"recording": recording, "forces": None}))
+        process(replace(scene, recording=recording, forces=None))
 
 
 def test_background_of_another_size(scene: Scene, tmp_path: Path) -> None:
     np.save(tmp_path / "small.npy", np.zeros((100, 200), dtype=np.uint8))
-    background = scene.background.model_copy(update={"frames": tmp_path / "small.npy", "dark": None})
+    background = replace(scene.background, frames=tmp_path / "small.npy", dark=None)
     with pytest.raises(FingerflowError, match="100 rows x 200 columns"):
-        process(scene.model_copy(update={"background": background}))
+        process(replace(scene, background=background))
 
 
 def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Path) -> None:
     lines = (press / "forces.csv").read_text().splitlines()
     (tmp_path / "short.csv").write_text("\n".join(lines[: len(lines) // 2]))
     assert scene.forces is not None
-    forces = scene.forces.model_copy(update={"file": tmp_path / "short.csv"})
-    short = process(scene.model_copy(update={"forces": forces}), ["normal_force"])
+    forces = replace(scene.forces, file=tmp_path / "short.csv")
+    short = process(replace(scene, forces=forces), ["normal_force"])
     assert np.isnan(short["normal_force"].values[-1])
     assert any("outside the time span" in warning for warning in json.loads(short.attrs["warnings"]))
 
@@ -325,8 +325,8 @@ def test_float64_frames(scene: Scene, tmp_path: Path) -> None:
 
     frames = open_recording(scene.recording.frames, frame_rate=24.0)[-2:].read().astype(np.float64)
     np.save(tmp_path / "frames.npy", frames)
-    recording = scene.recording.model_copy(update={"frames": tmp_path / "frames.npy", "trigger_frame": None})
-    found = process(scene.model_copy(update={"recording": recording, "forces": None}), ["position", "status"])
+    recording = replace(scene.recording, frames=tmp_path / "frames.npy", trigger_frame=None)
+    found = process(replace(scene, recording=recording, forces=None), ["position", "status"])
     assert (found["status"].values[1] == 0).mean() > 0.9
 
 
@@ -337,8 +337,8 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
     areas = []
     for name, stack in (("black", frames), ("whole", expected)):
         np.save(tmp_path / f"{name}.npy", stack)
-        recording = scene.recording.model_copy(update={"frames": tmp_path / f"{name}.npy", "trigger_frame": None})
-        alone = scene.model_copy(update={"recording": recording, "forces": None})
+        recording = replace(scene.recording, frames=tmp_path / f"{name}.npy", trigger_frame=None)
+        alone = replace(scene, recording=recording, forces=None)
         areas.append(process(alone, ["real_contact_area"])["real_contact_area"].values)
     np.testing.assert_allclose(np.delete(areas[0], 7), np.delete(areas[1], 7))
 
@@ -346,10 +346,6 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
 def test_swapped_views_are_named(scene: Scene) -> None:
     from fingerflow.scene import Views
 
-    def given(view: View) -> dict[str, object]:
-        return {"rows": view.rows, "columns": view.columns}
-
-    assert scene.views.topography is not None
-    swapped = Views.model_validate({"contact": given(scene.views.topography), "topography": given(scene.views.contact)})
+    swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
     with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
-        process(scene.model_copy(update={"views": swapped}), ["real_contact_area"])
+        process(replace(scene, views=swapped), ["real_contact_area"])

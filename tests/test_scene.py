@@ -286,8 +286,9 @@ def test_a_scene_says_what_it_has(folder: Path) -> None:
     bare = load_scene(write(folder, TOPOGRAPHY_TABLE, "", forces=None))
     for need in ("views.topography", "forces", "forces.tangential"):
         assert not bare.has(need), need
+    assert not scene.has("views.markers")  # of another kind
     with pytest.raises(AttributeError):
-        scene.has("views.sideways")
+        scene.has("tracking.pionts")
 
 
 def test_views_have_names(folder: Path) -> None:

@@ -20,7 +20,8 @@ from .bundle import load_bundle
 from .errors import PlayerError, first_line
 from .played import played_by
 from .providers import PROVIDERS, Engine
-from .results import RESULTS_FORMAT, RecordLayout, Sink
+from .records import RecordLayout
+from .results import RESULTS_FORMAT, Sink
 from .scene import contradictions
 from .stepper import Stepper
 from .stream import Player, Settings
@@ -82,7 +83,7 @@ def _stream(options: argparse.Namespace) -> int:
         "policy": "every" if every else "latest",
         "mm_per_px": scene.mm_per_px,
         "topography_to_contact": scene.topography_to_contact.tolist(),
-        "threshold": "measured" if stepper.measures else scene.threshold,
+        "threshold": "measured" if stepper.measures else scene.given_threshold,
         "coordinates": properties.get("fingerflow.coordinates", ""),
         "warnings": warnings,
         "record_bytes": layout.dtype.itemsize,

@@ -57,14 +57,16 @@ class LiveData:
             arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
         arrays |= {
-            n: record[n].astype(np.float32) for n in ("points", "divergence", "center", "semi_axes_mm") if n in names
+            n: record[n].astype(np.float32)
+            for n in ("position_px", "divergence", "ellipse_center", "ellipse_semi_axes")
+            if n in names
         }
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
         names = record.dtype.names or ()
-        wanted = ("time", "real_area_mm2", "gross_area_mm2", "median_divergence")
+        wanted = ("time", "real_contact_area", "gross_contact_area", "median_divergence")
         self._traces.append(tuple(float(record[n]) if n in names else math.nan for n in wanted))  # type: ignore[arg-type]
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:

@@ -1,4 +1,4 @@
-"""The folder of results: what a record holds, how it is written and read."""
+"""The folder of results: how it is written and read."""
 
 from __future__ import annotations
 
@@ -14,24 +14,11 @@ from typing import Any, BinaryIO, NamedTuple, TextIO
 
 import numpy as np
 
-from .arrays import Array, Tensor
+from .arrays import Array
+from .contract.variables import FRAME, LABELS
 from .errors import PlayerError
 
-RESULTS_FORMAT = 1
-_IN_MM = {  # outputs in px that are stored in mm: name, power of mm_per_px
-    "real_area_px": ("real_area_mm2", 2),
-    "gross_area_px": ("gross_area_mm2", 2),
-    "semi_axes": ("semi_axes_mm", 1),
-}
-_OWN_FIELDS = [  # name, type, unit of what the player adds to a record
-    ("frame", "<i8", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames"),
-    ("time", "<f8", "s since the first frame"),
-    ("latency", "<f4", "s from the frame's arrival to its result"),
-    ("key_frame", "<i8", "number of the frame with which this one was compared"),
-    ("restart", "<i4", "how often points had been chosen anew; points of different restarts are different points"),
-]
-_MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
-_STORED = {np.dtype(np.bool_): "|u1", np.dtype(np.float16): "<f4"}
+RESULTS_FORMAT = 2
 
 
 class StreamResults(NamedTuple):
@@ -45,14 +32,17 @@ class StreamResults(NamedTuple):
 def read_results(folder: str | Path) -> StreamResults:
     """Reads a results folder, also one that is being written or whose writer was killed: the whole records of it.
 
-    ``records`` is a structured array mapped from the file: ``records["real_area_mm2"]`` (F,), ``records["points"]``
-    (F, N, 2). Raises PlayerError where it is no results folder.
+    ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
+    ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
     """
     folder = Path(folder)
     try:
         header = json.loads((folder / "header.json").read_text(encoding="utf-8"))
         if header["format"] != RESULTS_FORMAT:
-            raise PlayerError(f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}")
+            raise PlayerError(
+                f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}; use the player "
+                "of the bundle that wrote them"
+            )
         dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
         count = (folder / "records.bin").stat().st_size // dtype.itemsize
         lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
@@ -63,13 +53,19 @@ def read_results(folder: str | Path) -> StreamResults:
 
 
 def write_table(folder: str | Path, table: str | Path) -> None:
-    """Writes the scalars of a results folder as CSV, one row a frame; raises PlayerError where the file exists."""
-    records = read_results(folder).records
-    names = [name for name in records.dtype.names or () if records.dtype[name].shape in ((), (2,))]
+    """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
+
+    Raises PlayerError where the file exists.
+    """
+    records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
-    for name in names:
-        pair = records.dtype[name].shape == (2,)
-        columns |= {f"{name}_{i + 1}": records[name][:, i] for i in range(2)} if pair else {name: records[name]}
+    for one in header["fields"]:
+        name, dims = one["name"], tuple(one["dims"])
+        unit = f" ({one['unit']})" if one["unit"] else ""
+        if dims == FRAME:
+            columns[name + unit] = records[name]
+        elif len(dims) == 2 and dims[1] in LABELS:
+            columns |= {f"{name}_{part}{unit}": records[name][:, i] for i, part in enumerate(LABELS[dims[1]])}
     try:
         with open(table, "x", encoding="utf-8") as file:
             file.write(",".join(columns) + "\n")
@@ -152,30 +148,3 @@ class Sink:
                 f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
                 "give --output another place"
             ) from None
-
-
-class RecordLayout:
-    """Which outputs of the graphs a record holds, in which units, and how they get there."""
-
-    def __init__(self, outputs: Mapping[str, Tensor], mm_per_px: float, units: Mapping[str, str]) -> None:
-        own: list[tuple[str, str, tuple[int, ...]]] = [(name, kind, ()) for name, kind, _ in _OWN_FIELDS]
-        self._copied: list[tuple[str, str, float | None]] = []
-        said = {name: unit for name, _, unit in _OWN_FIELDS}
-        for name, tensor in outputs.items():
-            if len(tensor.shape) > 3:  # images are for the live page
-                continue
-            stored, power = _IN_MM.get(name, (name, 0))
-            self._copied.append((name, stored, mm_per_px**power if power else None))
-            own.append((stored, _STORED.get(tensor.dtype, tensor.dtype.newbyteorder("<").str), tensor.shape[1:]))
-            said[stored] = {0: units.get(name, ""), 1: "mm", 2: "mm2"}[power]
-        self.dtype = np.dtype(own)
-        self.fields = [
-            {"name": name, "dtype": kind, "shape": shape, "unit": said[name], "matlab": _MATLAB[kind[1:]]}
-            for name, kind, shape in own
-        ]
-
-    def fill(self, records: Mapping[str, Array], place: int, outputs: Mapping[str, Array]) -> None:
-        """Stores the outputs in one of the records, whose fields are given by name."""
-        for name, stored, factor in self._copied:
-            value = outputs[name][0]
-            records[stored][place] = value if factor is None else value * factor

@@ -51,8 +51,8 @@ class Stepper:
         self._sessions = {name: engine.frame if name == "frame" else engine.open(name) for name in GRAPHS}
         inputs = {name: self._tensors(name, "get_inputs") for name in GRAPHS}
         outputs = {name: self._tensors(name, "get_outputs") for name in GRAPHS}
-        self.threshold = math.nan if scene.threshold is None else scene.threshold
-        self.measures = scene.threshold is None and "threshold" in inputs["background"]
+        self.threshold = math.nan if scene.given_threshold is None else scene.given_threshold
+        self.measures = scene.given_threshold is None and "threshold" in inputs["background"]
         if self.measures:
             self._sessions[MEASURING] = self._open_measuring()
         states = [name for name in inputs["fields"] if f"next_{name}" in outputs["fields"]]

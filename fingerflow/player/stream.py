@@ -22,8 +22,9 @@ from .live import LiveData, LiveViews
 from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
+from .records import RecordLayout
 from .renewal import Renewal
-from .results import RecordLayout, Sink
+from .results import Sink
 from .scene import Scene
 from .sources.source import OpenSource, Source
 from .stepper import Stepper
@@ -448,6 +449,7 @@ class Player:
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
             *(("key_frame", self._upkeep.key_frame), ("restart", self.restarts)),
+            ("contact_threshold", self._stepper.threshold),
         ):
             self._fields[name][place] = value
         self.latencies.add(latency)

@@ -255,7 +255,7 @@ class TrackingStage(Stage):
         stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
             mask = torch.zeros_like(image, dtype=torch.bool)
-            stated.view().crop(mask)[...] = True
+            stated.crop(mask)[...] = True
             return mask
         region = cv2.warpAffine(
             self._region[0, 0].cpu().numpy().astype(np.uint8),

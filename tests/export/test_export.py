@@ -226,15 +226,17 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         tracks.append(results["points"])
         motions = [*motions[1:], motions[-1].see(results["points"].numpy(), number)]
         np.testing.assert_array_equal(record["status"], results["status"][0])
-        np.testing.assert_allclose(record["points"], results["points"][0], rtol=0, atol=1e-3)
-        for name in ("real_area", "gross_area"):
-            np.testing.assert_allclose(record[f"{name}_mm2"], results[f"{name}_px"][0] * 0.05**2, rtol=1e-5)
+        np.testing.assert_allclose(record["position_px"], results["points"][0], rtol=0, atol=1e-3)
+        for name in ("real", "gross"):
+            np.testing.assert_allclose(
+                record[f"{name}_contact_area"], results[f"{name}_area_px"][0] * 0.05**2, rtol=1e-5
+            )
         for name in ("divergence", "median_divergence"):
             np.testing.assert_allclose(record[name], results[name][0], rtol=0, atol=2e-4)
     found = [(event["frame"], event["threshold"]) for event in events if event["event"] == "threshold"]
     assert found == [(number, pytest.approx(threshold.item(), abs=1e-4)) for number, threshold in measured]
-    assert np.isfinite(records["points"]).all(-1).sum(1).min() >= 10
-    assert records["real_area_mm2"][-1] > records["real_area_mm2"][LAG] > records["real_area_mm2"][0] == 0
+    assert np.isfinite(records["position_px"]).all(-1).sum(1).min() >= 10
+    assert records["real_contact_area"][-1] > records["real_contact_area"][LAG] > records["real_contact_area"][0] == 0
     assert np.isfinite(records["divergence"][-1]).any()  # 24 points do not fill the contact: no median over it
 
 

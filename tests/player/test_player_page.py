@@ -93,9 +93,9 @@ def test_what_is_served(served: Served) -> None:
     facts, arrays = served.live()
     assert arrays["topography_view"].shape == arrays["contact_view"].shape == (HEIGHT, WIDTH)
     assert arrays["real_contact_mask"].sum() * facts["mm_per_px"] ** 2 == pytest.approx(
-        facts["scalars"]["real_area_mm2"]
+        facts["scalars"]["real_contact_area"]
     )
-    assert arrays["points"].shape == (POINTS, 2)
+    assert arrays["position_px"].shape == (POINTS, 2)
     assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
     assert facts["provider"] == "CPUExecutionProvider"
     assert np.nanmax(arrays["traces"][:, 1]) > 0

@@ -72,7 +72,7 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
     records, header, events = player.read_results(stream.folder / "results")
     assert len(records) >= 300
     np.testing.assert_array_equal(records["frame"], np.arange(len(records)))
-    assert np.isfinite(records["points"]).all()
+    assert np.isfinite(records["position_px"]).all()
     np.testing.assert_allclose(np.diff(records["time"]), 1 / 300, rtol=1e-6)
     assert (header["source"], events[0]["points"]) == ("synthetic", POINTS)
 

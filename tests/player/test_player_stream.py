@@ -35,15 +35,15 @@ def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
     assert json.loads((stream.folder / "summary.json").read_text()) == ended.summary
     records, header, events = ended.results
     np.testing.assert_array_equal(records["frame"], np.arange(40))
-    np.testing.assert_array_equal(records["real_area_mm2"], np.arange(40) * 10 * 0.5**2)  # mm_per_px is 0.5
+    np.testing.assert_array_equal(records["real_contact_area"], np.arange(40) * 10 * 0.5**2)  # mm_per_px is 0.5
     np.testing.assert_array_equal(records["divergence"], np.arange(40)[:, None].repeat(POINTS, 1))  # the state goes on
-    np.testing.assert_array_equal(records["center"], np.broadcast_to((WIDTH / 2, HEIGHT / 2), (40, 2)))
-    np.testing.assert_array_equal(records["points"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
+    np.testing.assert_array_equal(records["ellipse_center"], np.broadcast_to((WIDTH / 4, HEIGHT / 4), (40, 2)))
+    np.testing.assert_array_equal(records["position_px"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
     np.testing.assert_array_equal(records["status"], 1)
     assert (records["latency"] > 0).all()
     assert "real_contact_mask" not in (records.dtype.names or ())
     units = {field["name"]: field["unit"] for field in header["fields"]}
-    assert (units["real_area_mm2"], units["error"]) == ("mm2", "px")
+    assert (units["real_contact_area"], units["forward_backward_error"]) == ("mm2", "px")
     assert [event["event"] for event in events] == ["restart"]
 
 
@@ -59,11 +59,11 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
         video.write(picture)
     video.release()
     raw = stream.run("--source", str(stream.folder / "frames.raw"), "--shape", str(HEIGHT), str(2 * WIDTH))
-    areas = np.array(raw.results.records["real_area_mm2"])
+    areas = np.array(raw.results.records["real_contact_area"])
     (stream.folder / "results").rename(stream.folder / "raw")
     played = stream.run("--source", str(stream.folder / "frames.avi"))
     np.testing.assert_array_equal(areas, np.arange(4) * 25)
-    np.testing.assert_array_equal(played.results.records["real_area_mm2"], areas)
+    np.testing.assert_array_equal(played.results.records["real_contact_area"], areas)
 
 
 class Slow:
@@ -121,7 +121,7 @@ def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, pa
     np.testing.assert_array_equal(records["restart"], np.where(number < 15 + lag, 1, 2))
     # Points lost before the key frame are not in it, until others are chosen.
     most = np.where((number >= 7 + lag) & (number < 15 + lag), 7, 10)
-    np.testing.assert_array_equal(np.isfinite(records["points"][..., 0]).sum(1), np.minimum(FOUND, most))
+    np.testing.assert_array_equal(np.isfinite(records["position_px"][..., 0]).sum(1), np.minimum(FOUND, most))
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: p
     monkeypatch.setattr(Stepper, "run", together)
     frames = [frame(contact_px=number) for number in range(9)]
     ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "3")
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], np.arange(9) / 4)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(9) / 4)
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2])
@@ -218,7 +218,7 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str)
     levels = (200, 40, 40, 40, 40, 40, 40, 10, 130, 10)
     np.save(stream.folder / "frames.npy", np.stack([_darkened(level) for level in levels]))
     ended = stream.run("--source", str(stream.folder / "frames.npy"))
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0, 0, 0, 0, 0, 6, 6, 0, 6])
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], [0, 0, 0, 0, 0, 0, 6, 6, 0, 6])
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
     assert event["frame"] == 4
     assert event["threshold"] == pytest.approx(0.4, abs=1e-6)
@@ -239,7 +239,7 @@ def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pyte
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
     assert ended.summary["threshold"] is None
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], 0)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], 0)
 
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,7 +254,7 @@ def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pyt
     found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
     assert found == [(0, pytest.approx(0.4, abs=1e-6)), (12, pytest.approx(0.225, abs=1e-6))]
     assert [event["frame"] for event in ended.results.events if event["event"] == "restart"] == [0, 7]
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0] + [6] * 14)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], [0, 0] + [6] * 14)
 
 
 def test_a_growing_contact_measures_the_threshold_again() -> None:
@@ -296,7 +296,9 @@ def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pyte
     ended = stream.run(*stream.frames(frame(found=number) for number in FOUND), "--policy", "every")
     records, number = ended.results.records, np.arange(len(FOUND))
     # `error` is the pixel of the key frame: what `key` gave is held until it runs again.
-    np.testing.assert_array_equal(records["error"][:, 0], np.select([number < 9, number < 17], [10, 7], 4))
+    np.testing.assert_array_equal(
+        records["forward_backward_error"][:, 0], np.select([number < 9, number < 17], [10, 7], 4)
+    )
     assert np.isnan(records["started"][9:17, 7:]).all()  # points lost before the key frame are not in it
     np.testing.assert_array_equal(records["divergence"][:, 0], np.where(number < 17, number, number - 17))
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
@@ -316,8 +318,8 @@ def test_stale_templates_are_renewed(stream: Stream, parallel: str) -> None:
     assert [event["frame"] for event in ended.results.events if event["event"] == "key_frame"] == [27]
     assert "stale" not in (records.dtype.names or ())
     assert "warp" not in (records.dtype.names or ())
-    start = records["points"][0, :, 0]
-    moved = records["points"][..., 0] - start
+    start = records["position_px"][0, :, 0]
+    moved = records["position_px"][..., 0] - start
     np.testing.assert_array_equal(moved[:, 0], np.where(number < 16, 0, 1))
     np.testing.assert_array_equal(moved[:, 5], np.where(number < 16, 0, 1))
     np.testing.assert_array_equal(moved[:, 6], np.where(number < 24, 0, 1))
@@ -365,7 +367,7 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     ended = stream.run(*stream.frames(frames), "--policy", "every")
     assert [event["event"] for event in ended.results.events] == ["restart"]
     np.testing.assert_array_equal(
-        np.isfinite(ended.results.records["points"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
+        np.isfinite(ended.results.records["position_px"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
     )
 
 
@@ -478,7 +480,10 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     table = stream.folder / "table.csv"
     player.write_table(stream.folder / "results", table)
     lines = table.read_text().splitlines()
-    assert lines[0] == "frame,time,latency,key_frame,restart,real_area_mm2,center_1,center_2"
+    assert lines[0] == (
+        "frame,time (s),latency (s),key_frame (1),restart (1),contact_threshold (1),real_contact_area (mm2),"
+        "ellipse_center_x (mm),ellipse_center_y (mm)"
+    )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
         player.write_table(stream.folder / "results", table)

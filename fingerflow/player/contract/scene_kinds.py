@@ -11,7 +11,7 @@ class Kind:
 
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.
-        optional_views: those that it may have.
+        optional_views: those that it may have; the graphs of a stream take them too, so a stream needs them.
         stages: computed by default, as far as the scene allows them; None for every stage there is.
         without: stages that are computed only where one of their outputs is asked for.
     """
@@ -30,7 +30,6 @@ KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
     "slip": Kind(views=("contact",), optional_views=("topography",)),
 }
-VIEWS = tuple(dict.fromkeys(name for kind in KINDS.values() for name in (*kind.views, *kind.optional_views)))
 
 
 def default_kind(values: Mapping[str, Any]) -> str:

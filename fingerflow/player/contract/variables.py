@@ -147,6 +147,17 @@ SLIP = (
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show"),
 )
 
+#: What only a stream has: what it knows of its own course, and fields where its graphs form them otherwise.
+STREAM = (
+    Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4"),
+    Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8"),
+    Variable(
+        "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4"
+    ),
+    Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
+    Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),
+)
+
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
     """Variables by their names."""

@@ -41,15 +41,15 @@ function colour(value) {  // blue, light grey, red over -1 to 1
 }
 
 function drawTopography(live) {
-  const { topography_view, points, divergence } = live.data;
+  const { topography_view, position_px, divergence } = live.data;
   const context = picture($("topography"), topography_view), k = 2 / live.every;
   const known = Array.from(divergence ? divergence.values : []).filter(Number.isFinite).map(Math.abs);
   known.sort((a, b) => a - b);
   if (known.length) range += 0.1 * (Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) - range);
   $("low").textContent = $("high").textContent = (100 * range).toFixed(1) + " %";
-  if (!points) return;
-  for (let i = 0; i < points.shape[0]; i++) {
-    const x = points.values[2 * i], y = points.values[2 * i + 1], d = divergence ? divergence.values[i] : NaN;
+  if (!position_px) return;
+  for (let i = 0; i < position_px.shape[0]; i++) {
+    const [x, y] = position_px.values.subarray(2 * i, 2 * i + 2), d = divergence ? divergence.values[i] : NaN;
     if (!Number.isFinite(x)) continue;
     context.beginPath();
     context.arc((x + 0.5) * k, (y + 0.5) * k, 3, 0, 7);
@@ -60,14 +60,15 @@ function drawTopography(live) {
 }
 
 function drawContact(live) {
-  const { contact_view, real_contact_mask, center, semi_axes_mm } = live.data;
+  const { contact_view, real_contact_mask, ellipse_center, ellipse_semi_axes } = live.data;
   const context = picture($("contact"), contact_view, real_contact_mask), k = 2 / live.every;
-  const angle = live.scalars.angle;
-  if (!center || !semi_axes_mm || angle == null || !Number.isFinite(center.values[0])) return;
-  const [a, b] = Array.from(semi_axes_mm.values, v => v / live.mm_per_px * k);
+  const angle = live.scalars.ellipse_angle;
+  if (!ellipse_center || !ellipse_semi_axes || angle == null || !Number.isFinite(ellipse_center.values[0])) return;
+  const [x, y] = Array.from(ellipse_center.values, v => v / live.mm_per_px);
+  const [a, b] = Array.from(ellipse_semi_axes.values, v => v / live.mm_per_px * k);
   if (!(a > 0 && b > 0)) return;
   context.beginPath();
-  context.ellipse((center.values[0] + 0.5) * k, (center.values[1] + 0.5) * k, a, b, angle, 0, 7);
+  context.ellipse((x + 0.5) * k, (y + 0.5) * k, a, b, angle, 0, 7);
   context.lineWidth = 3; context.strokeStyle = "#00acc1"; context.stroke();
 }
 
@@ -127,8 +128,8 @@ function numbers(live) {
     ["Reconnects", live.reconnects, "", live.reconnects > 0],
     ["Points", live.tracked, `of ${live.found}`],
     ["Threshold", live.threshold == null ? "no contact yet" : text(100 * live.threshold, 1), "%"],
-    ["Real area", text(s.real_area_mm2, 1), "mm\u00b2"],
-    ["Gross area", text(s.gross_area_mm2, 1), "mm\u00b2"],
+    ["Real area", text(s.real_contact_area, 1), "mm\u00b2"],
+    ["Gross area", text(s.gross_contact_area, 1), "mm\u00b2"],
     ["Median divergence", text(s.median_divergence == null ? null : 100 * s.median_divergence, 2), "%"],
   ];
   $("numbers").innerHTML = cells.map(([name, value, unit, bad]) =>
