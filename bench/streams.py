@@ -39,13 +39,13 @@ def play(
     """
     with tempfile.TemporaryDirectory() as folder:
         source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
-        command = [sys.executable, str(bundle / "player.py"), *source, "--page", "off"]
+        command = [sys.executable, "-m", "player", *source, "--page", "off"]
         options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
         options += ["--provider", provider]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,
-            subprocess.Popen([*command, *options, *arguments], stdout=file, stderr=file) as running,
+            subprocess.Popen([*command, *options, *arguments], cwd=bundle, stdout=file, stderr=file) as running,
         ):
             while running.poll() is None:
                 watch(running.pid)

@@ -14,6 +14,7 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.export import export_bundle
+from fingerflow.player.providers import PROVIDERS
 from fingerflow.synthetic import Press, write_recording
 
 HEIGHT, WIDTH, POINTS = 192, 240, 150
@@ -73,7 +74,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
         assert player.main([str(folder / "bundle"), "--scene", str(scene_file), "--threads", "1", *options]) == 0
         played.append(player.read_results(folder / provider))
         assert not played[-1].header["warnings"]
-        assert played[-1].header["provider"] == player.PROVIDERS[provider]
+        assert played[-1].header["provider"] == PROVIDERS[provider]
     return Said(*recorded, *(each.records for each in played))
 
 
@@ -95,16 +96,16 @@ def test_the_same_points_are_chosen(said: Said) -> None:
     assert len(chosen) > 0.9 * POINTS
     np.testing.assert_array_equal(said.onnx["position_px"].values[0], chosen)
     for live in said.played:
-        np.testing.assert_array_equal(live["points"][0, : len(chosen)], chosen)
+        np.testing.assert_array_equal(live["position_px"][0, : len(chosen)], chosen)
 
 
 def test_areas_are_equal(said: Said) -> None:
     counted = said.torch["gross_contact_area"].values > 0
     assert counted.sum() > 50
-    for name, stored in (("real_contact_area", "real_area_mm2"), ("gross_contact_area", "gross_area_mm2")):
+    for name, stored in (("real_contact_area", "real_contact_area"), ("gross_contact_area", "gross_contact_area")):
         for other in (said.onnx[name].values, *(live[stored] for live in said.played)):
             np.testing.assert_allclose(other, said.torch[name], rtol=2e-3)
-    for name, stored in (("ellipse_semi_axes", "semi_axes_mm"), ("ellipse_angle", "angle")):
+    for name, stored in (("ellipse_semi_axes", "ellipse_semi_axes"), ("ellipse_angle", "ellipse_angle")):
         for other in (said.onnx[name].values, *(live[stored] for live in said.played)):
             np.testing.assert_allclose(other, said.torch[name], rtol=2e-3, atol=1e-3)
 
@@ -114,7 +115,7 @@ def test_points_are_equal(said: Said) -> None:
     template: the player expects points from two frames before, and so begins beside another whole pixel now and then.
     And for templates whose deformation exceeds the limit for a renewal in one and not in the other by a digit."""
     count = said.torch.sizes["point"]
-    played = [(live["points"][:, :count], 0.03) for live in said.played]
+    played = [(live["position_px"][:, :count], 0.03) for live in said.played]
     for other, share in ((said.onnx["position_px"].values, 0.005), *played):
         off = np.abs(other - said.torch["position_px"].values)
         assert np.mean(off > 1e-3) < share
@@ -140,6 +141,6 @@ def test_fields_are_equal(said: Said) -> None:
 
 def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
     """The same frames in the same order from the same expectations: only the rounding of sums differs."""
-    assert np.mean(np.abs(said.compiled["points"] - said.live["points"]) > 1e-3) < 0.005
-    np.testing.assert_array_equal(said.compiled["covered"], said.live["covered"])
+    assert np.mean(np.abs(said.compiled["position_px"] - said.live["position_px"]) > 1e-3) < 0.005
+    np.testing.assert_array_equal(said.compiled["in_contact"], said.live["in_contact"])
     np.testing.assert_allclose(said.compiled["median_divergence"], said.live["median_divergence"], rtol=0, atol=1e-4)

@@ -5,6 +5,7 @@ import re
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,14 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import OUTPUTS, plan
+from fingerflow.plan import OUTPUTS, VARIABLES, plan
+from fingerflow.player.contract.variables import SLIP, by_name
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
-from fingerflow.scene import Scene, scene_text
-from fingerflow.stages import slip
+from fingerflow.scene import Scene, Views, scene_text
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
-from fingerflow.views import View
 
 
 @pytest.fixture(scope="session")
@@ -114,14 +114,14 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
     for name, values in result.data_vars.items():
         assert values.attrs["units"], name
         assert values.attrs["long_name"], name
-    assert set(OUTPUTS) - slip.GIVES <= set(map(str, result.data_vars))
+    assert {name for name in OUTPUTS if VARIABLES[name].unasked} - set(by_name(SLIP)) <= set(map(str, result.data_vars))
     assert json.loads(result.attrs["settings"])["tracking"]["window_px"] == 25
 
 
 def test_backward_and_previous_track_too(scene: Scene, press: Path) -> None:
     truth = rebuild_scene(press).truth
-    settings = scene.tracking.model_copy(update={"direction": "backward", "template": "previous"})
-    backward = process(scene.model_copy(update={"tracking": settings}), ["position_px", "status"])
+    settings = replace(scene.tracking, direction="backward", template="previous")
+    backward = process(replace(scene, tracking=settings), ["position_px", "status"])
     pixels = backward["position_px"].values
     material = truth.material(truth.topography_positions(pixels[-1]), len(pixels) - 1)
     found = np.isfinite(pixels[0]).all(-1)
@@ -142,7 +142,7 @@ def test_area_alone_never_looks_at_the_topography(scene: Scene, monkeypatch: pyt
         return view(self, frames, part)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Inputs, "view", counted)
-    monkeypatch.setattr("fingerflow.pipeline.TrackingStage", None)
+    monkeypatch.setattr(TrackingStage, "begin", None)
     areas = process(scene, ["real_contact_area"])
     assert set(seen) == {scene.views.contact}
     assert "position" not in areas
@@ -201,32 +201,33 @@ def test_a_failed_write_leaves_nothing(result: xr.Dataset, tmp_path: Path, monke
 def test_unknown_output_is_named(scene: Scene) -> None:
     with pytest.raises(FingerflowError, match="did you mean 'real_contact_area'"):
         process(scene, ["real_contact_aera"])
+    without = Views({"contact": scene.views.contact})
     with pytest.raises(FingerflowError, match="topography"):
-        plan(["divergence"], has_topography=False, has_forces=True)
+        plan(["divergence"], replace(scene, views=without))
     with pytest.raises(FingerflowError, match="forces"):
-        plan(["normal_force"], has_topography=True, has_forces=False)
+        plan(["normal_force"], replace(scene, forces=None))
 
 
 def test_no_finger_in_view(scene: Scene, press: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "nothing.npy", np.stack([Press().empty(k) for k in range(3)]))
-    recording = scene.recording.model_copy(update={"frames": tmp_path / "nothing.npy"})
+    recording = replace(scene.recording, frames=tmp_path / "nothing.npy")
     with pytest.raises(FingerflowError, match="no finger is in view"):
-        process(scene.model_copy(update={"recording": recording, "forces": None}))
+        process(replace(scene, recording=recording, forces=None))
 
 
 def test_background_of_another_size(scene: Scene, tmp_path: Path) -> None:
     np.save(tmp_path / "small.npy", np.zeros((100, 200), dtype=np.uint8))
-    background = scene.background.model_copy(update={"frames": tmp_path / "small.npy", "dark": None})
+    background = replace(scene.background, frames=tmp_path / "small.npy", dark=None)
     with pytest.raises(FingerflowError, match="100 rows x 200 columns"):
-        process(scene.model_copy(update={"background": background}))
+        process(replace(scene, background=background))
 
 
 def test_forces_that_end_early_are_said(scene: Scene, press: Path, tmp_path: Path) -> None:
     lines = (press / "forces.csv").read_text().splitlines()
     (tmp_path / "short.csv").write_text("\n".join(lines[: len(lines) // 2]))
     assert scene.forces is not None
-    forces = scene.forces.model_copy(update={"file": tmp_path / "short.csv"})
-    short = process(scene.model_copy(update={"forces": forces}), ["normal_force"])
+    forces = replace(scene.forces, file=tmp_path / "short.csv")
+    short = process(replace(scene, forces=forces), ["normal_force"])
     assert np.isnan(short["normal_force"].values[-1])
     assert any("outside the time span" in warning for warning in json.loads(short.attrs["warnings"]))
 
@@ -265,7 +266,7 @@ def test_no_recording_is_closed_while_it_is_read(
     monkeypatch.setattr(Recording, "mapped", Recording.read)
     monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
     monkeypatch.setattr(NpyRecording, "close", noted_close)
-    monkeypatch.setattr(TrackingStage, "run", fail)
+    monkeypatch.setattr(TrackingStage, "step", fail)
     torch_threads(2)
     with pytest.raises(error, match="tracking"):
         process(scene)
@@ -309,22 +310,6 @@ def test_report_of_areas_alone(scene: Scene, tmp_path: Path) -> None:
     assert page.read_text(encoding="utf-8").count("data:image/png;base64,") == 2
 
 
-def test_a_point_that_was_lost_at_its_onset_has_none(scene: Scene) -> None:
-    """A later frame would be taken for the onset, and the displacement since then for the whole."""
-    from fingerflow.stages.deformation import displace
-    from fingerflow.stages.inputs import open_inputs
-    from fingerflow.stages.tracking import TrackSeries
-
-    position = np.zeros((4, 3, 2)) + np.arange(4)[:, None, None]
-    position[1, 1] = np.nan
-    covered = np.array([[0, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 0]], dtype=bool)
-    rest = np.zeros((4, 3), np.float32)
-    moved = displace(open_inputs(scene, "cpu"), TrackSeries(position, rest, rest, rest.astype(np.uint8)), covered)
-    assert moved.onset.tolist() == [1, -1, -1]
-    assert np.isnan(moved.displacement[:, 1:]).all()
-    assert np.isfinite(moved.displacement[1:, 0]).all()
-
-
 def test_triangles_that_are_lost_count_like_the_others() -> None:
     from fingerflow.ops.triangle_strain import area_shares
 
@@ -340,8 +325,8 @@ def test_float64_frames(scene: Scene, tmp_path: Path) -> None:
 
     frames = open_recording(scene.recording.frames, frame_rate=24.0)[-2:].read().astype(np.float64)
     np.save(tmp_path / "frames.npy", frames)
-    recording = scene.recording.model_copy(update={"frames": tmp_path / "frames.npy", "trigger_frame": None})
-    found = process(scene.model_copy(update={"recording": recording, "forces": None}), ["position", "status"])
+    recording = replace(scene.recording, frames=tmp_path / "frames.npy", trigger_frame=None)
+    found = process(replace(scene, recording=recording, forces=None), ["position", "status"])
     assert (found["status"].values[1] == 0).mean() > 0.9
 
 
@@ -352,19 +337,14 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
     areas = []
     for name, stack in (("black", frames), ("whole", expected)):
         np.save(tmp_path / f"{name}.npy", stack)
-        recording = scene.recording.model_copy(update={"frames": tmp_path / f"{name}.npy", "trigger_frame": None})
-        alone = scene.model_copy(update={"recording": recording, "forces": None})
+        recording = replace(scene.recording, frames=tmp_path / f"{name}.npy", trigger_frame=None)
+        alone = replace(scene, recording=recording, forces=None)
         areas.append(process(alone, ["real_contact_area"])["real_contact_area"].values)
     np.testing.assert_allclose(np.delete(areas[0], 7), np.delete(areas[1], 7))
 
 
 def test_swapped_views_are_named(scene: Scene) -> None:
-    from fingerflow.scene import Views
 
-    def given(view: View) -> dict[str, object]:
-        return {"rows": view.rows, "columns": view.columns}
-
-    assert scene.views.topography is not None
-    swapped = Views.model_validate({"contact": given(scene.views.topography), "topography": given(scene.views.contact)})
+    swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
     with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
-        process(scene.model_copy(update={"views": swapped}), ["real_contact_area"])
+        process(replace(scene, views=swapped), ["real_contact_area"])

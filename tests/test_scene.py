@@ -264,3 +264,38 @@ def test_missing_file_and_broken_toml(folder: Path) -> None:
     (folder / "broken.toml").write_text("[recording")
     with pytest.raises(FingerflowError, match="not valid TOML"):
         load_scene(folder / "broken.toml")
+
+
+def test_a_scene_has_a_kind(folder: Path) -> None:
+    """A press, or slip where there is a table of that; or what it states."""
+    assert load_scene(write(folder)).kind == "press"
+    assert load_scene(write(folder, slip=True)).kind == "slip"
+    assert load_scene(write(folder, "[recording]", 'kind = "slip"\n[recording]')).kind == "slip"
+    assert load_scene(write(folder, "[recording]", 'kind = "press"\n[recording]', slip=True)).kind == "press"
+    assert "kind is 'poke': it should be 'press' or 'slip'" in message_of(
+        write(folder, "[recording]", 'kind = "poke"\n[recording]')
+    )
+
+
+def test_a_scene_says_what_it_has(folder: Path) -> None:
+    scene = load_scene(write(folder))
+    for need in ("views.topography", "forces", "forces.tangential", "calibration", "tracking.points", "forces.trigger"):
+        assert scene.has(need), need
+    for need in ("forces.time", "background.dark", "stream.region"):
+        assert not scene.has(need), need
+    bare = load_scene(write(folder, TOPOGRAPHY_TABLE, "", forces=None))
+    for need in ("views.topography", "forces", "forces.tangential"):
+        assert not bare.has(need), need
+    assert not scene.has("views.markers")  # of another kind
+    with pytest.raises(AttributeError):
+        scene.has("tracking.pionts")
+
+
+def test_views_have_names(folder: Path) -> None:
+    scene = load_scene(write(folder))
+    assert scene.views.names() == ("contact", "topography")
+    assert scene.views["contact"] == scene.views.contact
+    bare = load_scene(write(folder, TOPOGRAPHY_TABLE, ""))
+    assert bare.views.names() == ("contact",)
+    with pytest.raises(KeyError, match="no view 'topography'; it has contact"):
+        bare.views["topography"]

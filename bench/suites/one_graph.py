@@ -62,9 +62,11 @@ def run(quick: bool) -> list[Row]:
                             "provider": provider,
                             "side_by_side": parallel,
                             "rate_hz": pace,
-                            "real_area": _largest(records["real_area_mm2"] / result["real_contact_area"] - 1, counted),
+                            "real_area": _largest(
+                                records["real_contact_area"] / result["real_contact_area"] - 1, counted
+                            ),
                             "gross_area": _largest(
-                                records["gross_area_mm2"] / result["gross_contact_area"] - 1, counted
+                                records["gross_contact_area"] / result["gross_contact_area"] - 1, counted
                             ),
                             "divergence": _largest(divergence - ours, counted),
                             "rms": _rms(divergence - ours, counted),

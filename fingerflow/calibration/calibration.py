@@ -1,8 +1,7 @@
 """The calibration of a rig: millimetres a pixel, and where a point of one view is in the other."""
 
-import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,6 +10,7 @@ import numpy as np
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.calibration_file import CalibrationError, TransformRows, read_calibration
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
@@ -64,30 +64,20 @@ class Calibration:
 
         Raises FingerflowError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
         """
-        remedy = "Write it anew with `fingerflow calibrate`"
         try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise FingerflowError(f"{path}: this calibration cannot be read: {error}. {remedy}") from error
-        try:
-            transforms = table.get("topography_to_contact", {})
-            calibration = cls(
-                mm_per_px=float(table["mm_per_px"]),
-                hole_radius_mm=float(table["hole"]["radius_mm"]),
-                hole=_disc(table["hole"]),
-                views={name: View(view["rows"], view["columns"]) for name, view in table["views"].items()},
-                discs=tuple((_disc(pair["topography"]), _disc(pair["contact"])) for pair in table.get("discs", [])),
-                affine=_transform(transforms["affine"]) if transforms else None,
-                similarity=_transform(transforms["similarity"]) if transforms else None,
-                warnings=tuple(table["warnings"]),
-            )
-        except KeyError as error:
-            raise FingerflowError(f"{path}: this calibration has no entry {error}. {remedy}") from error
-        except (TypeError, ValueError, AttributeError, FingerflowError) as error:
-            raise FingerflowError(f"{path}: an entry of this calibration is wrong: {error}. {remedy}") from error
-        if not 0 < calibration.mm_per_px < np.inf:
-            raise FingerflowError(f"{path}: mm_per_px is {calibration.mm_per_px}; it must be above 0. {remedy}")
-        return calibration
+            found = read_calibration(Path(path))
+        except CalibrationError as error:
+            raise FingerflowError(str(error)) from None
+        return cls(
+            mm_per_px=found.mm_per_px,
+            hole_radius_mm=found.hole_radius_mm,
+            hole=Disc(**found.hole),
+            views={name: View(rows, columns) for name, (rows, columns) in found.views.items()},
+            discs=tuple((Disc(**topography), Disc(**contact)) for topography, contact in found.discs),
+            affine=_transform(found.affine),
+            similarity=_transform(found.similarity),
+            warnings=found.warnings,
+        )
 
 
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
@@ -101,13 +91,5 @@ def _written(value: Any) -> str:
     return repr(int(value) if isinstance(value, (int, np.integer)) else float(value))
 
 
-def _disc(table: Mapping[str, Any]) -> Disc:
-    values: dict[str, Any] = {field.name: table[field.name] for field in fields(Disc)}
-    return Disc(**{**values, "center": tuple(values["center"]), "semi_axes_px": tuple(values["semi_axes_px"])})
-
-
-def _transform(table: Mapping[str, Any]) -> Transform:
-    matrix, residuals = (np.array(table[field.name], dtype=np.float64) for field in fields(Transform))
-    if matrix.shape != (2, 3) or not np.isfinite(matrix).all() or np.linalg.det(matrix[:, :2]) == 0:
-        raise ValueError(f"the matrix {matrix.tolist()} is no 2 x 3 transform that can be undone")
-    return Transform(matrix, residuals)
+def _transform(rows: TransformRows | None) -> Transform | None:
+    return None if rows is None else Transform(*(np.array(part, dtype=np.float64) for part in rows))

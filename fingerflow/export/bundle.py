@@ -11,6 +11,7 @@ import json
 import secrets
 import shutil
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import torch
@@ -110,9 +111,19 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     about = {"format": FORMAT, "fingerflow": version(), "recipe": recipe.model_dump(), "graphs": models}
     (folder / "bundle.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
-    (folder / "player.py").write_bytes((package / "player.py").read_bytes())
+    _copy(package / "player", folder / "player")
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "bundle" / name).read_bytes())
+
+
+def _copy(source: Traversable, folder: Path) -> None:
+    """A folder with everything in it, but for what Python has compiled of it."""
+    folder.mkdir()
+    for one in source.iterdir():
+        if one.is_file():
+            (folder / one.name).write_bytes(one.read_bytes())
+        elif one.name != "__pycache__":
+            _copy(one, folder / one.name)
 
 
 def version() -> str:

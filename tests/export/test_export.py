@@ -18,6 +18,10 @@ from fingerflow.export.build import build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, load_recipe
 from fingerflow.export.trial import cases, feed
+from fingerflow.player.motion import Motion
+from fingerflow.player.scene import load_scene
+from fingerflow.player.sources.synthetic import Synthetic
+from fingerflow.player.stepper import LAG
 
 RECIPE = """
 [views]
@@ -59,7 +63,7 @@ def test_bundle_holds_graphs_player_and_what_to_do(bundle: tuple[Path, list[Diff
     assert list(about["graphs"]) == list(GRAPHS)
     for entry in about["graphs"].values():
         assert hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
-    for name in ("player.py", "README.md", "requirements.txt", "scene.toml"):
+    for name in ("player/__main__.py", "player/page/index.html", "README.md", "requirements.txt", "scene.toml"):
         assert (folder / name).stat().st_size > 0
     assert not list(folder.parent.glob(".bundle-*"))
 
@@ -158,8 +162,8 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
     assert min(keyed) <= 12
     assert 0 in chosen
 
-    scene = player.load_scene(scene_file)
-    drawn = player.Synthetic(scene, np.dtype(np.uint8), 8)
+    scene = load_scene(scene_file)
+    drawn = Synthetic(scene, np.dtype(np.uint8), 8)
     graphs = build(load_recipe(bundle[0].parent / "recipe.toml"))
 
     def tensor(picture: np.ndarray) -> Tensor:
@@ -185,21 +189,21 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         known.update(run("key"))
         known["topography_view"] = now
 
-    def choose(view: Tensor, number: int) -> list[player.Motion]:
+    def choose(view: Tensor, number: int) -> list[Motion]:
         known["topography_view"] = view
         points = run("detect")["points"]
         known["reference"] = torch.full_like(points, torch.nan)
         known["reached"] = torch.zeros(points.shape[:2], dtype=torch.uint8)
         key(view, points)
-        return [player.Motion.at_rest(points.numpy(), number)] * player.LAG
+        return [Motion.at_rest(points.numpy(), number)] * LAG
 
     measured, views, tracks = [], [], []
-    motions: list[player.Motion] = []  # after each of the last frames
+    motions: list[Motion] = []  # after each of the last frames
     for number, record in enumerate(records):
         picture = drawn.read()
         views.append(tensor(scene.topography.crop(picture)))
         known["contact_view"] = tensor(scene.contact.crop(picture))
-        changed = number - player.LAG  # what was decided there counts now
+        changed = number - LAG  # what was decided there counts now
         if number == 0:
             known |= run("background")
             motions = choose(views[0], 0)
@@ -222,15 +226,17 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         tracks.append(results["points"])
         motions = [*motions[1:], motions[-1].see(results["points"].numpy(), number)]
         np.testing.assert_array_equal(record["status"], results["status"][0])
-        np.testing.assert_allclose(record["points"], results["points"][0], rtol=0, atol=1e-3)
-        for name in ("real_area", "gross_area"):
-            np.testing.assert_allclose(record[f"{name}_mm2"], results[f"{name}_px"][0] * 0.05**2, rtol=1e-5)
+        np.testing.assert_allclose(record["position_px"], results["points"][0], rtol=0, atol=1e-3)
+        for name in ("real", "gross"):
+            np.testing.assert_allclose(
+                record[f"{name}_contact_area"], results[f"{name}_area_px"][0] * 0.05**2, rtol=1e-5
+            )
         for name in ("divergence", "median_divergence"):
             np.testing.assert_allclose(record[name], results[name][0], rtol=0, atol=2e-4)
     found = [(event["frame"], event["threshold"]) for event in events if event["event"] == "threshold"]
     assert found == [(number, pytest.approx(threshold.item(), abs=1e-4)) for number, threshold in measured]
-    assert np.isfinite(records["points"]).all(-1).sum(1).min() >= 10
-    assert records["real_area_mm2"][-1] > records["real_area_mm2"][player.LAG] > records["real_area_mm2"][0] == 0
+    assert np.isfinite(records["position_px"]).all(-1).sum(1).min() >= 10
+    assert records["real_contact_area"][-1] > records["real_contact_area"][LAG] > records["real_contact_area"][0] == 0
     assert np.isfinite(records["divergence"][-1]).any()  # 24 points do not fill the contact: no median over it
 
 

@@ -11,13 +11,14 @@ import pytest
 from conftest import Stream
 from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle, write_scene
 
-from fingerflow import player, scene
+from fingerflow import player
+from fingerflow.calibration import Calibration, Disc, Transform
+from fingerflow.player.background import mean_view
+from fingerflow.player.bundle import load_bundle
+from fingerflow.player.scene import View
+from fingerflow.views import View as RigView
 
-
-def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
-    assert set(player.SCENE_KEYS) == set(scene._keys_of(()))
-    for table, keys in player.SCENE_KEYS.items():
-        assert sorted(keys) == scene._keys_of((table,)), table
+CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
 
 @pytest.mark.parametrize(
@@ -33,18 +34,18 @@ def test_the_keys_of_a_scene_are_those_of_the_package() -> None:
         ("mm_per_px = 0.5", "", "calibration.mm_per_px is missing"),
         ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0], [0.0, 1.0]]", "an invertible [[a, b, x], [c, d, y]]"),
         ("[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]", "[[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]", "an invertible"),
-        ("threshold = 0.5", "threshold = 35", "contact.threshold is 35; a number above 0 and up to 1"),
+        ("threshold = 0.5", "threshold = 35", "contact.threshold is 35: it should be 'reference_frame' or"),
         ("threshold = 0.5", 'threshold = "auto"', "contact.threshold is 'auto'"),
         ('frames = "empty.npy"', "", "background.frames is missing"),
         ('frames = "empty.npy"', 'frames = "nothing.npy"', "nothing.npy: is no file"),
-        ('frames = "empty.npy"', "frames = 3", "background.frames is 3; a path"),
-        ("[contact]", "[recording]\nfirst_frame = 3\nlast_frame = 2\n[contact]", "first_frame, 3, or more is needed"),
+        ('frames = "empty.npy"', "frames = 3", "background.frames is 3: that is no path"),
+        ("[contact]", "[recording]\nfirst_frame = 3\nlast_frame = 2\n[contact]", "that is before first_frame, 3"),
         ("[contact]", "[recording]\nfirst_frame = -1\n[contact]", "recording.first_frame is -1"),
         ("[contact]", "[stream]\nrekey_share = 2.0\n[contact]", "stream.rekey_share is 2.0"),
         ("[contact]", "[stream]\nrekey_frames = 2.5\n[contact]", "stream.rekey_frames is 2.5"),
         ("[contact]", "[stream]\nregion = {rows = [0, 99], columns = [0, 9]}\n[contact]", "ends beyond"),
-        ("[contact]", "[contact", "cannot be read as TOML"),
-        ("mm_per_px = 0.5", 'file = "nothing.toml"', "nothing.toml: cannot be read"),
+        ("[contact]", "[contact", "is not valid TOML"),
+        (CALIBRATION, 'file = "nothing.toml"', "nothing.toml does not exist"),
     ],
 )
 def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -> None:
@@ -60,7 +61,7 @@ def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -
 def test_a_threshold_that_nothing_gives_is_named(stream: Stream, tmp_path: Path) -> None:
     stream.bundle = write_bundle(tmp_path / "poor", without="contact")
     text = write_scene(stream.bundle / "scene.toml").read_text()
-    for setting in ("", 'threshold = "per_frame"'):
+    for setting in ("", 'threshold = "reference_frame"'):
         (stream.bundle / "scene.toml").write_text(text.replace("threshold = 0.5", setting))
         ended = stream.run(*stream.frames([frame()]))
         assert ended.code == 2
@@ -69,16 +70,36 @@ def test_a_threshold_that_nothing_gives_is_named(stream: Stream, tmp_path: Path)
         assert ended.results is None
 
 
+def test_a_threshold_of_each_frame_is_refused(stream: Stream) -> None:
+    """Not measured once in its place: that would be another setting."""
+    stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", 'threshold = "per_frame"'))
+    ended = stream.run(*stream.frames([frame()]))
+    assert ended.code == 2
+    assert "contact.threshold of the scene is 'per_frame'; a stream computes each frame" in ended.said
+    assert 'give a number, such as 0.25, or "reference_frame"' in ended.said
+    assert ended.results is None
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_background_of_means_is_taken(stream: Stream, kind: type) -> None:
+    np.save(stream.bundle / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 200.25, kind))
+    records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
+    assert records["real_contact_area"][0] == 4.0
+
+
 def test_a_calibration_file_is_read(stream: Stream) -> None:
-    (stream.bundle / "rig.toml").write_text(
-        "mm_per_px = 0.25\n[topography_to_contact.affine]\nmatrix = [[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]]\n"
-    )
+    views = {"contact": (WIDTH, 2 * WIDTH), "topography": (0, WIDTH)}
+    transform = Transform(np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]]), np.zeros((3, 2)))
+    hole = Disc((16.0, 12.0), (8.0, 8.0), 0.3, 0.1, 0.5, 1.0, 0.4, 30.0)
+    rig = {name: RigView((0, HEIGHT), columns) for name, columns in views.items()}
+    text = Calibration(0.25, 2.75, hole, rig, affine=transform, similarity=transform).to_toml()
+    (stream.bundle / "rig.toml").write_text(text)
     text = stream.scene.read_text().split("mm_per_px")
     rest = text[1].split("\n", 2)[2]
     stream.scene.write_text(f'{text[0]}file = "rig.toml"\n{rest}')
     records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
-    assert records["real_area_mm2"][0] == 1.0
-    np.testing.assert_array_equal(records["center"][0], (WIDTH / 2 + 2, HEIGHT / 2 + 3))
+    assert records["real_contact_area"][0] == 1.0
+    np.testing.assert_array_equal(records["ellipse_center"][0], np.multiply((WIDTH / 2 + 2, HEIGHT / 2 + 3), 0.25))
 
 
 def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
@@ -89,12 +110,12 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     np.save(stream.bundle / "empty.npy", pictures)
     picture = frame()
     picture[5, WIDTH:] = 100
-    [event] = stream.run(*stream.frames([picture])).results.records["real_area_mm2"]
+    [event] = stream.run(*stream.frames([picture])).results.records["real_contact_area"]
     assert event == WIDTH / 4
-    mean = player.mean_view(
+    mean = mean_view(
         stream.bundle / "empty.npy",
-        player.View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
-        player.load_bundle(stream.bundle),
+        View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
+        load_bundle(stream.bundle),
         None,
         "",
     )
@@ -132,7 +153,7 @@ def test_the_frames_that_count(stream: Stream) -> None:
         ended = stream.run(*arguments)
         np.testing.assert_array_equal(ended.results.records["frame"], numbers)
         if "others" not in "".join(arguments):
-            np.testing.assert_array_equal(ended.results.records["real_area_mm2"], numbers / 4)
+            np.testing.assert_array_equal(ended.results.records["real_contact_area"], numbers / 4)
         (stream.folder / "results").rename(stream.folder / f"results{len(list(stream.folder.iterdir()))}")
 
 
@@ -165,12 +186,9 @@ strain = "as_printed"
     assert ended.code == 0
     assert ended.results.header["warnings"] == said
     assert all(sentence in ended.said for sentence in said)
-    stream.scene.write_text(
-        text.replace("threshold = 0.5", 'threshold = "per_frame"') + "[fields]\ngauge_length_mm = 4.1\n"
-    )
+    stream.scene.write_text(text.replace("threshold = 0.5", "") + "[fields]\ngauge_length_mm = 4.1\n")
     (stream.folder / "results").rename(stream.folder / "first")
     assert stream.run(*stream.frames([frame()])).results.header["warnings"] == [
-        "contact.threshold of the scene is 'per_frame'; the bundle plays with 'reference_frame'",
         "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 1.6",
     ]
 

@@ -18,6 +18,8 @@ import pytest
 from conftest import Ended, Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH
 
+from fingerflow.player.stream import Player
+
 
 class Served:
     """A stream that plays in a thread while the test looks at its page."""
@@ -71,16 +73,15 @@ class Served:
 
 @pytest.fixture
 def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    from fingerflow import player
 
-    running: list[player.Player] = []
-    run = player.Player.run
+    running: list[Player] = []
+    run = Player.run
 
-    def remember(one: player.Player) -> dict[str, Any]:
+    def remember(one: Player) -> dict[str, Any]:
         running.append(one)
         return run(one)
 
-    monkeypatch.setattr(player.Player, "run", remember)
+    monkeypatch.setattr(Player, "run", remember)
     found = Served(stream)
     yield found
     running[0].stop()
@@ -92,9 +93,9 @@ def test_what_is_served(served: Served) -> None:
     facts, arrays = served.live()
     assert arrays["topography_view"].shape == arrays["contact_view"].shape == (HEIGHT, WIDTH)
     assert arrays["real_contact_mask"].sum() * facts["mm_per_px"] ** 2 == pytest.approx(
-        facts["scalars"]["real_area_mm2"]
+        facts["scalars"]["real_contact_area"]
     )
-    assert arrays["points"].shape == (POINTS, 2)
+    assert arrays["position_px"].shape == (POINTS, 2)
     assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
     assert facts["provider"] == "CPUExecutionProvider"
     assert np.nanmax(arrays["traces"][:, 1]) > 0

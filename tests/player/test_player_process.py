@@ -44,10 +44,10 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], dict[str, str]]:
     """The player of the bundle's folder, as a technician starts it."""
-    shutil.copy(player.__file__, stream.bundle / "player.py")
+    shutil.copytree(Path(player.__file__).parent, stream.bundle / "player")
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1", "--no-spin"]
-    return [str(python), str(stream.bundle / "player.py"), *options, *arguments], environment
+    return [str(python), "-m", "player", *options, *arguments], environment
 
 
 def test_there_is_no_torch(python: Path) -> None:
@@ -59,7 +59,7 @@ def test_there_is_no_torch(python: Path) -> None:
 
 def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> None:
     command, environment = _command(python, stream, "--source", "synthetic", "--rate", "300")
-    with subprocess.Popen(command, env=environment, cwd=stream.folder, stderr=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, env=environment, cwd=stream.bundle, stderr=subprocess.PIPE, text=True) as running:
         path = stream.folder / "results" / "records.bin"
         deadline = time.monotonic() + 60
         while not (path.exists() and path.stat().st_size):
@@ -72,7 +72,7 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
     records, header, events = player.read_results(stream.folder / "results")
     assert len(records) >= 300
     np.testing.assert_array_equal(records["frame"], np.arange(len(records)))
-    assert np.isfinite(records["points"]).all()
+    assert np.isfinite(records["position_px"]).all()
     np.testing.assert_allclose(np.diff(records["time"]), 1 / 300, rtol=1e-6)
     assert (header["source"], events[0]["points"]) == ("synthetic", POINTS)
 
@@ -80,7 +80,7 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 def test_an_interrupt_ends_it_cleanly(python: Path, stream: Stream) -> None:
     command, environment = _command(python, stream, "--source", "synthetic", "--rate", "300")
-    with subprocess.Popen(command, env=environment, cwd=stream.folder, stderr=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, env=environment, cwd=stream.bundle, stderr=subprocess.PIPE, text=True) as running:
         deadline = time.monotonic() + 60
         while not (stream.folder / "results" / "records.bin").exists():
             assert running.poll() is None

@@ -16,6 +16,14 @@ from conftest import Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_bundle
 
 from fingerflow import player
+from fingerflow.player import stream as stream_module
+from fingerflow.player.handover import Channel, Slot
+from fingerflow.player.latency import Latencies
+from fingerflow.player.motion import Motion
+from fingerflow.player.results import Sink
+from fingerflow.player.sources.synthetic import Synthetic, side_by_side
+from fingerflow.player.stepper import Stepper
+from fingerflow.player.upkeep import ThresholdSearch, Upkeep
 
 
 def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
@@ -27,15 +35,15 @@ def test_a_recording_gives_one_record_a_frame(stream: Stream) -> None:
     assert json.loads((stream.folder / "summary.json").read_text()) == ended.summary
     records, header, events = ended.results
     np.testing.assert_array_equal(records["frame"], np.arange(40))
-    np.testing.assert_array_equal(records["real_area_mm2"], np.arange(40) * 10 * 0.5**2)  # mm_per_px is 0.5
+    np.testing.assert_array_equal(records["real_contact_area"], np.arange(40) * 10 * 0.5**2)  # mm_per_px is 0.5
     np.testing.assert_array_equal(records["divergence"], np.arange(40)[:, None].repeat(POINTS, 1))  # the state goes on
-    np.testing.assert_array_equal(records["center"], np.broadcast_to((WIDTH / 2, HEIGHT / 2), (40, 2)))
-    np.testing.assert_array_equal(records["points"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
+    np.testing.assert_array_equal(records["ellipse_center"], np.broadcast_to((WIDTH / 4, HEIGHT / 4), (40, 2)))
+    np.testing.assert_array_equal(records["position_px"][:, 3], np.broadcast_to((9.0, 8.0), (40, 2)))
     np.testing.assert_array_equal(records["status"], 1)
     assert (records["latency"] > 0).all()
     assert "real_contact_mask" not in (records.dtype.names or ())
     units = {field["name"]: field["unit"] for field in header["fields"]}
-    assert (units["real_area_mm2"], units["error"]) == ("mm2", "px")
+    assert (units["real_contact_area"], units["forward_backward_error"]) == ("mm2", "px")
     assert [event["event"] for event in events] == ["restart"]
 
 
@@ -51,24 +59,24 @@ def test_a_raw_file_and_a_video_give_the_same(stream: Stream) -> None:
         video.write(picture)
     video.release()
     raw = stream.run("--source", str(stream.folder / "frames.raw"), "--shape", str(HEIGHT), str(2 * WIDTH))
-    areas = np.array(raw.results.records["real_area_mm2"])
+    areas = np.array(raw.results.records["real_contact_area"])
     (stream.folder / "results").rename(stream.folder / "raw")
     played = stream.run("--source", str(stream.folder / "frames.avi"))
     np.testing.assert_array_equal(areas, np.arange(4) * 25)
-    np.testing.assert_array_equal(played.results.records["real_area_mm2"], areas)
+    np.testing.assert_array_equal(played.results.records["real_contact_area"], areas)
 
 
 class Slow:
     """A graph that takes its time."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-        run = player.Stepper.run
+        run = Stepper.run
 
         def slow(*arguments: Any) -> None:
             time.sleep(seconds)
             run(*arguments)
 
-        monkeypatch.setattr(player.Stepper, "run", slow)
+        monkeypatch.setattr(Stepper, "run", slow)
 
 
 def test_the_policy_every_loses_nothing(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +110,7 @@ FOUND = [10] * 4 + [7] * 6 + [6] * 2 + [4] * 4 + [10] * 6
 @pytest.mark.parametrize(("parallel", "lag"), [("1", 2), ("2", 2), ("3", 3)])
 def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str, lag: int) -> None:
     """Every frame in its order with its own result; key frame and restart count from a frame known beforehand."""
-    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(Upkeep, "_RESTART", 0)
     frames = [frame(found=number) for number in FOUND]
     ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", parallel)
     records, events = ended.results.records, ended.results.events
@@ -113,7 +121,7 @@ def test_frames_side_by_side(stream: Stream, monkeypatch: pytest.MonkeyPatch, pa
     np.testing.assert_array_equal(records["restart"], np.where(number < 15 + lag, 1, 2))
     # Points lost before the key frame are not in it, until others are chosen.
     most = np.where((number >= 7 + lag) & (number < 15 + lag), 7, 10)
-    np.testing.assert_array_equal(np.isfinite(records["points"][..., 0]).sum(1), np.minimum(FOUND, most))
+    np.testing.assert_array_equal(np.isfinite(records["position_px"][..., 0]).sum(1), np.minimum(FOUND, most))
 
 
 @pytest.mark.parametrize(
@@ -123,7 +131,7 @@ def test_results_do_not_depend_on_the_clock(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, parallel: str, arguments: tuple[str, ...]
 ) -> None:
     """Bit for bit the same, whatever the pace, the frames side by side and the time that each takes."""
-    monkeypatch.setattr(player.Upkeep, "_RESTART", 10)
+    monkeypatch.setattr(Upkeep, "_RESTART", 10)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     generator = np.random.default_rng(5)
     found = FOUND + [10] * 20 + FOUND * 3
@@ -136,13 +144,13 @@ def test_results_do_not_depend_on_the_clock(
     plain = stream.run(*source)
     assert len(plain.results.events) > 6
     (stream.folder / "results").rename(stream.folder / "plain")
-    run = player.Stepper.run
+    run = Stepper.run
 
-    def uneven(stepper: player.Stepper, side: int) -> None:
+    def uneven(stepper: Stepper, side: int) -> None:
         time.sleep(float(generator.choice((0, 0, 0, 0.004))))
         run(stepper, side)
 
-    monkeypatch.setattr(player.Stepper, "run", uneven)
+    monkeypatch.setattr(Stepper, "run", uneven)
     other = stream.run(*source, "--parallel-frames", parallel, *arguments)
     reference = player.read_results(stream.folder / "plain").records
     assert np.ptp(reference["expected"][:, 0]) > 5
@@ -154,17 +162,17 @@ def test_results_do_not_depend_on_the_clock(
 
 def test_frames_side_by_side_run_at_the_same_time(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame runs until two others do."""
-    run, started = player.Stepper.run, threading.Barrier(3)
+    run, started = Stepper.run, threading.Barrier(3)
 
-    def together(stepper: player.Stepper, side: int) -> None:
+    def together(stepper: Stepper, side: int) -> None:
         if stepper.found:  # not while it warms up
             started.wait(timeout=60)
         run(stepper, side)
 
-    monkeypatch.setattr(player.Stepper, "run", together)
+    monkeypatch.setattr(Stepper, "run", together)
     frames = [frame(contact_px=number) for number in range(9)]
     ended = stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "3")
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], np.arange(9) / 4)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(9) / 4)
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2])
@@ -172,14 +180,14 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     stream: Stream, monkeypatch: pytest.MonkeyPatch, failing: int
 ) -> None:
     """Also where it fails before those have ended."""
-    begin, run, failed = player.Stepper.begin, player.Stepper.run, threading.Event()
+    begin, run, failed = Stepper.begin, Stepper.run, threading.Event()
     sides: list[int] = []
 
-    def note(stepper: player.Stepper, slot: player.Slot, measure: bool = False) -> int:
+    def note(stepper: Stepper, slot: Slot, measure: bool = False) -> int:
         sides.append(begin(stepper, slot, measure))
         return sides[-1]
 
-    def fail(stepper: player.Stepper, side: int) -> None:
+    def fail(stepper: Stepper, side: int) -> None:
         run(stepper, side)
         if not stepper.found:  # it warms up
             sides.clear()
@@ -189,8 +197,8 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
         else:
             assert failed.wait(timeout=60)
 
-    monkeypatch.setattr(player.Stepper, "begin", note)
-    monkeypatch.setattr(player.Stepper, "run", fail)
+    monkeypatch.setattr(Stepper, "begin", note)
+    monkeypatch.setattr(Stepper, "run", fail)
     with pytest.raises(RuntimeError, match="broken graph"):
         stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", "--parallel-frames", "3")
     np.testing.assert_array_equal(player.read_results(stream.folder / "results").records["frame"], np.arange(failing))
@@ -210,7 +218,7 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str)
     levels = (200, 40, 40, 40, 40, 40, 40, 10, 130, 10)
     np.save(stream.folder / "frames.npy", np.stack([_darkened(level) for level in levels]))
     ended = stream.run("--source", str(stream.folder / "frames.npy"))
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0, 0, 0, 0, 0, 6, 6, 0, 6])
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], [0, 0, 0, 0, 0, 0, 6, 6, 0, 6])
     [event] = [event for event in ended.results.events if event["event"] == "threshold"]
     assert event["frame"] == 4
     assert event["threshold"] == pytest.approx(0.4, abs=1e-6)
@@ -221,22 +229,22 @@ def test_a_threshold_that_is_not_given_is_measured(stream: Stream, setting: str)
 
 def test_a_threshold_below_no_light_is_refused(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """A graph that finds one in frames brighter than the empty glass."""
-    run = player.Stepper._run
+    run = Stepper._run
 
-    def wrong(stepper: player.Stepper, graph: str, given: Any) -> Any:
+    def wrong(stepper: Stepper, graph: str, given: Any) -> Any:
         found = run(stepper, graph, given)
         return found | {"threshold": np.array([-0.127])} if graph == "contact" else found
 
-    monkeypatch.setattr(player.Stepper, "_run", wrong)
+    monkeypatch.setattr(Stepper, "_run", wrong)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     ended = stream.run(*stream.frames(_darkened(40) for _ in range(12)), "--policy", "every")
     assert ended.summary["threshold"] is None
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], 0)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], 0)
 
 
 def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """The old one stays in use until the next is found."""
-    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(Upkeep, "_RESTART", 0)
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", ""))
     frames = [_darkened(40) for _ in range(4)] + [_darkened(110) for _ in range(12)]
     for picture in frames[4:8]:  # points are lost: others are chosen in frame 7 and followed from 9 on
@@ -246,12 +254,12 @@ def test_a_restart_measures_the_threshold_again(stream: Stream, monkeypatch: pyt
     found = [(event["frame"], event["threshold"]) for event in ended.results.events if event["event"] == "threshold"]
     assert found == [(0, pytest.approx(0.4, abs=1e-6)), (12, pytest.approx(0.225, abs=1e-6))]
     assert [event["frame"] for event in ended.results.events if event["event"] == "restart"] == [0, 7]
-    np.testing.assert_array_equal(ended.results.records["real_area_mm2"], [0, 0] + [6] * 14)
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], [0, 0] + [6] * 14)
 
 
 def test_a_growing_contact_measures_the_threshold_again() -> None:
     """Where it had grown by a fourth since the threshold counts, two frames later; and so on."""
-    search = player.ThresholdSearch(2)
+    search = ThresholdSearch(2)
     used, measured = {}, []
     for index in range(40):
         threshold = search.due(index)
@@ -269,7 +277,7 @@ def test_a_growing_contact_measures_the_threshold_again() -> None:
 
 
 def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
-    search = player.ThresholdSearch(2)
+    search = ThresholdSearch(2)
     assert search.see(0, 1.0, 0.3)
     assert (search.due(1), search.due(2)) == (None, 0.3)
     search.used()
@@ -284,11 +292,13 @@ def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
 
 
 def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(Upkeep, "_RESTART", 0)
     ended = stream.run(*stream.frames(frame(found=number) for number in FOUND), "--policy", "every")
     records, number = ended.results.records, np.arange(len(FOUND))
     # `error` is the pixel of the key frame: what `key` gave is held until it runs again.
-    np.testing.assert_array_equal(records["error"][:, 0], np.select([number < 9, number < 17], [10, 7], 4))
+    np.testing.assert_array_equal(
+        records["forward_backward_error"][:, 0], np.select([number < 9, number < 17], [10, 7], 4)
+    )
     assert np.isnan(records["started"][9:17, 7:]).all()  # points lost before the key frame are not in it
     np.testing.assert_array_equal(records["divergence"][:, 0], np.where(number < 17, number, number - 17))
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
@@ -308,8 +318,8 @@ def test_stale_templates_are_renewed(stream: Stream, parallel: str) -> None:
     assert [event["frame"] for event in ended.results.events if event["event"] == "key_frame"] == [27]
     assert "stale" not in (records.dtype.names or ())
     assert "warp" not in (records.dtype.names or ())
-    start = records["points"][0, :, 0]
-    moved = records["points"][..., 0] - start
+    start = records["position_px"][0, :, 0]
+    moved = records["position_px"][..., 0] - start
     np.testing.assert_array_equal(moved[:, 0], np.where(number < 16, 0, 1))
     np.testing.assert_array_equal(moved[:, 5], np.where(number < 16, 0, 1))
     np.testing.assert_array_equal(moved[:, 6], np.where(number < 24, 0, 1))
@@ -317,15 +327,15 @@ def test_stale_templates_are_renewed(stream: Stream, parallel: str) -> None:
 
 def test_a_renewal_that_fails_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """In whatever thread: none waits for it."""
-    run, asked = player.Stepper._run, []
+    run, asked = Stepper._run, []
 
-    def failing(stepper: player.Stepper, graph: str, given: Any) -> Any:
+    def failing(stepper: Stepper, graph: str, given: Any) -> Any:
         asked.append(graph)
         if asked.count("renew") > 2:  # two warm up
             raise MemoryError("no room")
         return run(stepper, graph, given)
 
-    monkeypatch.setattr(player.Stepper, "_run", failing)
+    monkeypatch.setattr(Stepper, "_run", failing)
     frames = [frame(stale=6 if number == 7 else 0) for number in range(32)]
     with pytest.raises(MemoryError, match="no room"):
         stream.run(*stream.frames(frames), "--policy", "every", "--parallel-frames", "2")
@@ -333,7 +343,7 @@ def test_a_renewal_that_fails_ends_the_stream(stream: Stream, monkeypatch: pytes
 
 def test_single_frames_change_nothing() -> None:
     """Nor do four that are not in a row; lost points are chosen anew, and not again at once."""
-    upkeep = player.Upkeep(0.8, math.inf)
+    upkeep = Upkeep(0.8, math.inf)
     upkeep.restarted(0, 0, 100)
     tracked = [100, 10, 100, 10, 10, 10, 100, 70, 70, 70, 100]
     assert [upkeep.see(i, i, count) for i, count in enumerate(tracked)] == [""] * len(tracked)
@@ -350,14 +360,14 @@ def test_single_frames_change_nothing() -> None:
 
 def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     """Points that are covered for a while are found again: they are the same as before."""
-    monkeypatch.setattr(player.Upkeep, "_RESTART", 0)
+    monkeypatch.setattr(Upkeep, "_RESTART", 0)
     black = frame(found=0)
     black[:, :WIDTH] = 0
     frames = [frame()] * 4 + [black] * 10 + [frame()] * 10
     ended = stream.run(*stream.frames(frames), "--policy", "every")
     assert [event["event"] for event in ended.results.events] == ["restart"]
     np.testing.assert_array_equal(
-        np.isfinite(ended.results.records["points"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
+        np.isfinite(ended.results.records["position_px"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
     )
 
 
@@ -383,7 +393,7 @@ def test_a_source_that_fails_is_opened_again(stream: Stream) -> None:
 
 
 def test_a_source_that_stays_away_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player, "_STALL_WARNING", 0.1)
+    monkeypatch.setattr(stream_module, "_STALL_WARNING", 0.1)
     calls = 0
 
     def make() -> Any:
@@ -401,8 +411,8 @@ def test_a_source_that_stays_away_ends_the_stream(stream: Stream, monkeypatch: p
 
 
 def test_a_camera_that_hangs_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player, "_STALL_WARNING", 0.1)
-    monkeypatch.setattr(player, "_HANGING", 0.1)
+    monkeypatch.setattr(stream_module, "_STALL_WARNING", 0.1)
+    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
     released = threading.Event()
     pictures = iter([frame(), frame()])
 
@@ -437,15 +447,15 @@ def test_a_full_disk_ends_the_stream(stream: Stream) -> None:
     """/dev/full takes no byte: what was written before stays."""
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full here")
-    opened = player.Sink.open
+    opened = Sink.open
 
-    def open_full(sink: player.Sink) -> None:
+    def open_full(sink: Sink) -> None:
         opened(sink)
         sink._records.close()
         sink._records = open("/dev/full", "wb", buffering=1000)  # noqa: SIM115
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(player.Sink, "open", open_full)
+        patch.setattr(Sink, "open", open_full)
         ended = stream.run("--source", "synthetic", "--frames", "1000")
     assert ended.code == 2
     assert "No space left on device" in ended.said
@@ -470,7 +480,10 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     table = stream.folder / "table.csv"
     player.write_table(stream.folder / "results", table)
     lines = table.read_text().splitlines()
-    assert lines[0] == "frame,time,latency,key_frame,restart,real_area_mm2,center_1,center_2"
+    assert lines[0] == (
+        "frame,time (s),latency (s),key_frame (1),restart (1),contact_threshold (1),real_contact_area (mm2),"
+        "ellipse_center_x (mm),ellipse_center_y (mm)"
+    )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
         player.write_table(stream.folder / "results", table)
@@ -490,8 +503,8 @@ def test_frames_of_twelve_bits(stream: Stream, tmp_path: Path) -> None:
 
 
 def test_the_synthetic_finger_moves_smoothly_and_grows() -> None:
-    scene = player.side_by_side(64, 80)
-    source = player.Synthetic(scene, np.dtype(np.uint8), 8)
+    scene = side_by_side(64, 80)
+    source = Synthetic(scene, np.dtype(np.uint8), 8)
     frames = [np.array(source.read(), dtype=float) for _ in range(2 * source.half_period)]
     dark = [(scene.contact.crop(picture) < 130).sum() for picture in frames]
     assert dark[0] == dark[2 * source.half_period - 2] > 0
@@ -501,7 +514,7 @@ def test_the_synthetic_finger_moves_smoothly_and_grows() -> None:
 
 
 def test_latencies_are_kept_in_bins() -> None:
-    latencies = player.Latencies()
+    latencies = Latencies()
     assert latencies.summary()["median"] is None
     times = np.linspace(0.001, 0.011, 1001)
     for seconds in times:
@@ -524,11 +537,11 @@ def test_openvino_gives_the_same(stream: Stream) -> None:
         np.testing.assert_allclose(ended.results.records[name], cpu[name], rtol=1e-6, err_msg=name)
 
 
-def _moving() -> tuple[player.Motion, Any, Any]:
+def _moving() -> tuple[Motion, Any, Any]:
     """Four points that have moved for 60 frames, of which every third was seen, and one that is none."""
     start = np.array([[[10, 20], [30, 40], [50, 60], [70, 80], [np.nan, np.nan]]], np.float32)
     speed = np.array([[[1, 0], [2, -1], [0.5, -3], [0, 0], [0, 0]]], np.float32)
-    motion = player.Motion.at_rest(start, 7)
+    motion = Motion.at_rest(start, 7)
     np.testing.assert_array_equal(motion.expect(9), start)
     for frames in range(0, 61, 3):
         motion = motion.see(start + frames * speed, 7 + frames)
@@ -566,7 +579,7 @@ def test_noise_is_not_taken_for_motion() -> None:
     the last two positions alone it would have weights 5 and -4, and 6.4 times."""
     generator = np.random.default_rng(3)
     start = np.full((1, 5000, 2), 100.0)
-    motion = player.Motion.at_rest(start, 0)
+    motion = Motion.at_rest(start, 0)
     for number in range(12):
         motion = motion.see(start + 0.05 * generator.standard_normal(start.shape), number)
     assert np.std(motion.expect(100) - start) < 3.5 * 0.05
@@ -574,7 +587,7 @@ def test_noise_is_not_taken_for_motion() -> None:
 
 @pytest.mark.parametrize(("newest_first", "order"), [(False, [1, 2, 3]), (True, [3, 2, 1])])
 def test_a_closed_channel_still_gives_what_is_in_it(newest_first: bool, order: list[int]) -> None:
-    channel = player.Channel(3, [1, 2], newest_first)
+    channel = Channel(3, [1, 2], newest_first)
     assert channel.put(3)
     channel.close()
     assert not channel.put(4)

@@ -1,0 +1,37 @@
+"""Runs an exported bundle on a live stream: numpy and onnxruntime, no torch; copied into the bundle as it is.
+
+    python -m player --source synthetic             # in the bundle's folder
+    fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
+
+Threads pass frames on: capture, one for each frame that is computed side by side, sink; the main thread watches them
+and another serves the live page.
+Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
+areas mm², axes mm, times s.
+
+A name is loaded when it is first asked for: who reads the contract of scenes alone needs neither numpy nor onnxruntime.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .cli import main as main
+    from .errors import PlayerError as PlayerError
+    from .results import StreamResults as StreamResults
+    from .results import read_results as read_results
+    from .results import write_table as write_table
+
+_HOMES = {
+    "main": ".cli",
+    "PlayerError": ".errors",
+    "StreamResults": ".results",
+    "read_results": ".results",
+    "write_table": ".results",
+}
+__all__ = ["PlayerError", "StreamResults", "main", "read_results", "write_table"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name], __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")

@@ -1,0 +1,91 @@
+"""The folder that `fingerflow export` wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import PlayerError
+
+BUNDLE_FORMAT = 1
+GRAPHS = ("frame", "fields", "detect", "key", "renew", "background")  # without which nothing can be played
+MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """An exported folder whose files are those that the export wrote."""
+
+    folder: Path
+    recipe: Mapping[str, Any]
+    version: str
+    hashes: Mapping[str, str]
+    files: Mapping[str, Path]
+
+    @property
+    def height(self) -> int:
+        return int(self.recipe["views"]["height"])
+
+    @property
+    def width(self) -> int:
+        return int(self.recipe["views"]["width"])
+
+    @property
+    def bit_depth(self) -> int:
+        return int(self.recipe["views"]["bit_depth"])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of a pixel."""
+        return np.dtype(np.uint8 if self.bit_depth == 8 else np.uint16)
+
+
+def load_bundle(folder: Path) -> Bundle:
+    """Reads bundle.json and checks every graph's file against its hash; raises PlayerError."""
+    path = folder / "bundle.json"
+    again = "export the bundle again, or copy its folder again"
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PlayerError(
+            f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
+        ) from None
+    except ValueError as error:
+        raise PlayerError(f"{path}: is no JSON ({error}); {again}") from None
+    if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
+        found = facts.get("format") if isinstance(facts, dict) else facts
+        raise PlayerError(
+            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle"
+        )
+    try:
+        graphs = facts["graphs"]
+        names = (*GRAPHS, MEASURING) if MEASURING in graphs else GRAPHS
+        bundle = Bundle(
+            folder=folder,
+            recipe=facts["recipe"],
+            version=str(facts["fingerflow"]),
+            hashes={name: graphs[name]["sha256"] for name in names},
+            files={name: folder / graphs[name]["file"] for name in names},
+        )
+        _ = bundle.height, bundle.width, bundle.dtype
+    except (KeyError, TypeError, ValueError) as error:
+        raise PlayerError(
+            f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
+        ) from None
+    for name, file in bundle.files.items():
+        try:
+            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        except OSError as error:
+            raise PlayerError(f"{file}: cannot be read ({error.strerror}); {again}") from None
+        if digest != bundle.hashes[name]:
+            raise PlayerError(
+                f"{file}: its SHA-256 is {digest[:16]}..., bundle.json has {bundle.hashes[name][:16]}...: the file is "
+                f"damaged or belongs to another bundle; {again}"
+            )
+    return bundle

@@ -1,0 +1,196 @@
+"""The command line of the player."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from .bundle import load_bundle
+from .errors import PlayerError, first_line
+from .played import played_by
+from .providers import PROVIDERS, Engine
+from .records import RecordLayout
+from .results import RESULTS_FORMAT, Sink
+from .scene import contradictions
+from .stepper import Stepper
+from .stream import Player, Settings
+
+log = logging.getLogger("fingerflow.player")
+
+
+def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
+    """0 at the source's end, 2 something the user can put right, 130 or 143 stopped by Ctrl-C or SIGTERM."""
+    options = _parser(prog).parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
+    # Python lets a thread compute for 5 ms before another gets its turn: as long as a frame may take in all.
+    sys.setswitchinterval(5e-4)
+    try:
+        return _stream(options)
+    except PlayerError as error:
+        print(f"fingerflow: {error}", file=sys.stderr)
+        return 2
+
+
+def _stream(options: argparse.Namespace) -> int:
+    bundle = load_bundle(options.bundle)
+    played = played_by(options, bundle)
+    scene, name = played.scene, played.name
+    for said in (warnings := contradictions(scene, bundle.recipe)):
+        log.warning("%s", said)
+    parallel = options.parallel_frames
+    # Frames side by side share the threads inside operators, beside the one that each has itself.
+    threads = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
+    engine = Engine(bundle, options.provider, threads, options.spin)
+    if parallel > 1 and engine.provider == "directml":
+        raise PlayerError(
+            "--parallel-frames: DirectML computes one frame at a time; leave it out, or add --provider cpu"
+        )
+    stepper = Stepper(engine, scene, played.glass, played.dark, parallel)
+    stepper.warm_up()
+    properties = engine.frame.get_modelmeta().custom_metadata_map
+    layout = RecordLayout(stepper.outputs, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}")))
+    folder = options.output or scene.output or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
+    live = options.camera is not None
+    every = options.policy == "every" if options.policy else not live
+    settings = Settings(
+        every=every,
+        queue=options.queue if every else 1,
+        rate=options.rate or (None if live else scene.frame_rate),
+        first=played.first,
+        frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
+        give_up=options.give_up,
+        page=options.page,
+    )
+    header = {
+        "format": RESULTS_FORMAT,
+        "started": datetime.now(UTC).isoformat(),
+        "fingerflow": bundle.version,
+        "recipe": bundle.recipe,
+        "graph_sha256": bundle.hashes,
+        "provider": PROVIDERS[engine.provider],
+        "source": name,
+        "policy": "every" if every else "latest",
+        "mm_per_px": scene.mm_per_px,
+        "topography_to_contact": scene.topography_to_contact.tolist(),
+        "threshold": "measured" if stepper.measures else scene.given_threshold,
+        "coordinates": properties.get("fingerflow.coordinates", ""),
+        "warnings": warnings,
+        "record_bytes": layout.dtype.itemsize,
+        "fields": layout.fields,
+    }
+    log.info("results: %s, %.1f kB a frame", folder, layout.dtype.itemsize / 1e3)
+    sink = Sink(folder, header)
+    try:
+        source = played.open_source(played.first)
+    except PlayerError:
+        raise
+    except Exception as error:
+        raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
+    player = Player(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name)
+    with _stopped_by_signals(player) as received:
+        summary = player.run()
+    text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)
+    print(text)
+    if options.json is not None:
+        try:
+            options.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise PlayerError(
+                f"{options.json}: cannot be written ({error.strerror}); results are in {folder}"
+            ) from None
+    return 128 + received[0] if received else 0
+
+
+@contextlib.contextmanager
+def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
+    """The first Ctrl-C or SIGTERM ends the stream cleanly; a second one is Python's own. Gives what was received."""
+    received: list[int] = []
+    before: dict[int, Any] = {}
+
+    def stop(number: int, _: Any) -> None:
+        received.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        player.stop()
+
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _parser(prog: str | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog, description="Contact area, points and divergence of a live stream.")
+    here = Path(__file__).resolve().parents[1]
+    add = parser.add_argument
+    add(
+        "bundle",
+        nargs="?",
+        type=Path,
+        default=here,
+        help="folder of the exported bundle; default: the player's own",
+    )
+    add("--source", help="a .npy, raw or video file, or `synthetic`; default: recording.frames of the scene")
+    add(
+        "--camera",
+        metavar="MODULE:FACTORY",
+        help="factory() gives a callable that returns the next frame, None at the end",
+    )
+    add("--scene", type=Path, help="scene file; default: scene.toml of the bundle, the synthetic source needs none")
+    add("--shape", type=_count, nargs=2, metavar=("HEIGHT", "WIDTH"), help="of the frames of a raw file")
+    add("--dtype", default="uint8", help="of the frames of a raw file, such as '<u2'; default uint8")
+    add("--rate", type=_positive, help="play a recording at so many frames a second, as a camera would give them")
+    add("--frames", type=_count, help="end after so many frames")
+    add("--policy", choices=("every", "latest"), help="every frame (default for files), or the newest (for cameras)")
+    add("--queue", type=_count, default=Settings.queue, help="frames that wait at most under the policy `every`")
+    add(
+        "--provider",
+        choices=PROVIDERS,
+        help="execution provider; default: the first of onnxruntime's that works, in this order. `compiled` is for "
+        "computers with the package fingerflow: six times as fast as cpu",
+    )
+    add("--threads", type=_count, default=0, help="threads inside an operator; default one a core")
+    add("--parallel-frames", type=_count, default=1, metavar="N", help="compute N frames side by side, on N cores")
+    add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
+    add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
+    add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")
+    add("--page", type=_address, default=("127.0.0.1", 8765), metavar="[HOST:]PORT", help="of the live page, or `off`")
+    add("--give-up", type=_positive, default=Settings.give_up, metavar="S", help="end after so long without a frame")
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _address(text: str) -> tuple[str, int] | None:
+    if text == "off":
+        return None
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no [HOST:]PORT and not `off`")
+    return host or "127.0.0.1", int(port)

@@ -1,0 +1,117 @@
+"""The calibration of a rig as `fingerflow calibrate` writes it, in plain numbers."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+Pixels = tuple[int, int]
+DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")  # numbers of a disc
+DISC_PAIRS = ("center", "semi_axes_px")
+_REMEDY = "Write it anew with `fingerflow calibrate`"
+
+
+class CalibrationError(Exception):
+    """Names the file, what is wrong in it, and the remedy."""
+
+
+class TransformRows(NamedTuple):
+    """(2, 3) from (x, y, 1) px to (x, y) px, and (N, 2) px that are left."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    residuals_px: tuple[tuple[float, ...], ...]
+
+
+class CalibrationFile(NamedTuple):
+    """What the file says. All pixels are those of a view, half-open ranges of rows and columns of a frame."""
+
+    mm_per_px: float
+    hole_radius_mm: float
+    hole: Mapping[str, Any]
+    views: Mapping[str, tuple[Pixels, Pixels]]
+    discs: tuple[tuple[Mapping[str, Any], Mapping[str, Any]], ...]
+    affine: TransformRows | None
+    similarity: TransformRows | None
+    warnings: tuple[str, ...]
+
+    def matrix(self) -> list[list[float]] | None:
+        """[[a, b, x], [c, d, y]] from px of the topography view to px of the contact view; None for a scale alone."""
+        return None if self.affine is None else [list(row) for row in self.affine.matrix]
+
+
+def read_calibration(path: Path) -> CalibrationFile:
+    """Raises CalibrationError where the file cannot be read, lacks an entry, or holds a scale or a transform that
+    cannot be."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise CalibrationError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
+    try:
+        transforms = table.get("topography_to_contact", {})
+        found = CalibrationFile(
+            mm_per_px=float(_number(table["mm_per_px"])),
+            hole_radius_mm=float(_number(table["hole"]["radius_mm"])),
+            hole=_disc(table["hole"]),
+            views={
+                name: (pixel_range("rows", view["rows"]), pixel_range("columns", view["columns"]))
+                for name, view in table["views"].items()
+            },
+            discs=tuple((_disc(pair["topography"]), _disc(pair["contact"])) for pair in table.get("discs", [])),
+            affine=_transform(transforms["affine"]) if transforms else None,
+            similarity=_transform(transforms["similarity"]) if transforms else None,
+            warnings=tuple(map(str, table["warnings"])),
+        )
+    except KeyError as error:
+        raise CalibrationError(f"{path}: this calibration has no entry {error}. {_REMEDY}") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise CalibrationError(f"{path}: an entry of this calibration is wrong: {error}. {_REMEDY}") from None
+    if not 0 < found.mm_per_px < math.inf:
+        raise CalibrationError(f"{path}: mm_per_px is {found.mm_per_px}; it must be above 0. {_REMEDY}")
+    return found
+
+
+def pixel_range(name: str, values: Any) -> Pixels:
+    """Two whole numbers [first, end) with 0 <= first < end; raises ValueError for anything else."""
+    try:
+        first, end = (int(value) for value in values)
+        whole = (first, end) == tuple(values)
+    except (TypeError, ValueError):
+        whole = False
+    if not whole or not 0 <= first < end:
+        raise ValueError(
+            f"a view's {name} are {values!r}; two whole numbers [first, end) with 0 <= first < end are needed, "
+            f"for example [0, 512]"
+        )
+    return first, end
+
+
+def can_be_undone(matrix: tuple[tuple[float, ...], ...], least: float = 0.0) -> bool:
+    """Whether the 2 x 2 part of a (2, 3) transform has a determinant beyond the least."""
+    (a, b, _), (c, d, _) = matrix
+    return abs(a * d - b * c) > least
+
+
+def _disc(table: Mapping[str, Any]) -> dict[str, Any]:
+    pairs = {name: _numbers(table[name]) for name in DISC_PAIRS}
+    return {**pairs, **{name: _number(table[name]) for name in DISC}}
+
+
+def _transform(table: Mapping[str, Any]) -> TransformRows:
+    found = TransformRows(*(tuple(map(_numbers, table[name])) for name in TransformRows._fields))
+    matrix = found.matrix
+    whole = [len(row) for row in matrix] == [3, 3] and all(math.isfinite(one) for row in matrix for one in row)
+    if not whole or not can_be_undone(matrix):
+        raise ValueError(f"the matrix {[list(row) for row in matrix]} is no 2 x 3 transform that can be undone")
+    return found
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(map(_number, values))
+
+
+def _number(value: Any) -> float:
+    """As it is written: a whole number stays one. Raises TypeError where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is no number")
+    return value

@@ -1,0 +1,37 @@
+"""Kinds of scenes: which views each has, and what is computed where nothing is asked for by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of scene.
+
+    Attributes:
+        views: tables [views.NAME] that a scene of this kind must have.
+        optional_views: those that it may have; the graphs of a stream take them too, so a stream needs them.
+        stages: computed by default, as far as the scene allows them; None for every stage there is.
+        without: stages that are computed only where one of their outputs is asked for.
+    """
+
+    views: tuple[str, ...]
+    optional_views: tuple[str, ...] = ()
+    stages: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+
+    def computes(self, stage: str) -> bool:
+        """Whether a stage is among those that are computed by default."""
+        return (self.stages is None or stage in self.stages) and stage not in self.without
+
+
+KINDS = {
+    "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
+    "slip": Kind(views=("contact",), optional_views=("topography",)),
+}
+
+
+def default_kind(values: Mapping[str, Any]) -> str:
+    """The kind of a scene file that does not state one: a press, or slip where it has the table of that."""
+    return "slip" if "slip" in values else "press"

@@ -1,0 +1,118 @@
+"""What a single setting may be: its value, or what is wrong with it in words."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from .calibration_file import can_be_undone
+from .scene_keys import Choice, Number, PixelRange, Switch, Text, Transform, Type, Whole
+
+_LEAST_DETERMINANT = 1e-6
+
+
+class WrongValue(Exception):
+    """In words that follow "KEY is VALUE: "."""
+
+
+def value_of(kind: Type, value: Any) -> Any:
+    """A value as TOML gives it in the type of its key: numbers as float, ranges and matrices as tuples.
+
+    Raises WrongValue.
+    """
+    match kind:
+        case Whole():
+            return _whole(kind, value)
+        case Number():
+            return _number(kind, value)
+        case Choice():
+            return _choice(kind, value)
+        case PixelRange():
+            return _pixel_range(value)
+        case Transform():
+            return _transform(value)
+        case Switch():
+            if not isinstance(value, bool):
+                raise WrongValue("it should be a valid boolean, true or false")
+        case Text():
+            if not isinstance(value, str):
+                raise WrongValue("it should be a valid string, in quotes")
+    return value
+
+
+def either(words: Iterable[str]) -> str:
+    """'a', 'b' or 'c'."""
+    *others, last = map(repr, words)
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def _whole(kind: Whole, value: Any) -> int:
+    if type(value) is not int:
+        raise WrongValue("it should be a valid integer")
+    _within(kind, value)
+    if kind.odd and value % 2 == 0:
+        raise WrongValue(f"{value} is even; the middle pixel needs an odd side, such as {value + 1}")
+    return value
+
+
+def _number(kind: Number, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise WrongValue("it should be a valid number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise WrongValue("it should be a finite number")
+    _within(kind, number)
+    return number
+
+
+def _within(kind: Number, value: float) -> None:
+    if kind.above is not None and value <= kind.above:
+        raise WrongValue(f"it should be greater than {kind.above:g}")
+    if kind.least is not None and value < kind.least:
+        raise WrongValue(f"it should be greater than or equal to {kind.least:g}")
+    if kind.most is not None and value > kind.most:
+        raise WrongValue(f"it should be less than or equal to {kind.most:g}")
+    if kind.below is not None and value >= kind.below:
+        raise WrongValue(f"it should be less than {kind.below:g}")
+
+
+def _choice(kind: Choice, value: Any) -> Any:
+    if isinstance(value, str) and value in kind.words:
+        return value
+    words = f"it should be {either(kind.words)}"
+    if kind.number is None:
+        raise WrongValue(words)
+    try:
+        return _number(kind.number, value)
+    except WrongValue as wrong:
+        raise WrongValue(f"{words}, or {wrong}") from None
+
+
+def _pixel_range(value: Any) -> tuple[int, int]:
+    if not isinstance(value, list):
+        raise WrongValue("it should be a list of two whole numbers, [first, end)")
+    if len(value) != 2:
+        raise WrongValue(f"it should have at {'most' if len(value) > 2 else 'least'} 2 items, not {len(value)}")
+    for place, item in enumerate(value, start=1):
+        if type(item) is not int:
+            raise WrongValue(f"item {place} should be a valid integer")
+    first, end = value
+    if not 0 <= first < end:
+        raise WrongValue("two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]")
+    return first, end
+
+
+def _transform(value: Any) -> tuple[tuple[float, ...], ...]:
+    needed = "an invertible [[a, b, x], [c, d, y]] is needed"
+    rows = value if isinstance(value, list) else []
+    if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3]:
+        raise WrongValue(f"it should be a list of 2 lists of 3 numbers; {needed}")
+    try:
+        matrix = tuple(tuple(_number(Number(), item) for item in row) for row in rows)
+    except WrongValue as wrong:
+        raise WrongValue(f"of its items {wrong}; {needed}") from None
+    if not can_be_undone(matrix, _LEAST_DETERMINANT):
+        raise WrongValue(f"it maps the whole view onto a line; its 2 x 2 part must be invertible; {needed}")
+    return matrix

@@ -1,0 +1,164 @@
+"""The results of a trial: name, dimensions, unit and definition of each, once for all.
+
+The data set, its files and tables, the records of a stream and the report take them from here. Nothing is imported
+but the standard library: an exported bundle carries this file.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+#: Names along the dimensions that have them.
+LABELS = {
+    "xy": ("x", "y"),
+    "axis": ("major", "minor"),
+    "strain_component": ("exx", "eyy", "exy"),
+    "shear_component": ("along_axes", "along_diagonals"),
+    "principal": ("major", "minor"),
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One result.
+
+    Attributes:
+        name: in the data set, in tables and in records.
+        dims: names of its dimensions.
+        units: as UDUNITS writes them; "1" for none.
+        long_name: what it is.
+        kind: of number, as NumPy writes it.
+        needs: keys of the scene without which there is none.
+        flags: meanings of the values 0, 1, 2 ...
+        unasked: whether it is computed when nobody asks for it by name.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    kind: str = "f8"
+    needs: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+    unasked: bool = True
+
+    def attributes(self) -> dict[str, object]:
+        """The attributes of CF conventions."""
+        flags: dict[str, object] = {}
+        if self.flags:
+            flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
+        return {"units": self.units, "long_name": self.long_name, **flags}
+
+
+FRAME, POINT, FRAME_POINT, TRIANGLE = ("frame",), ("point",), ("frame", "point"), ("frame", "triangle")
+CELLS = ("frame", "cell_row", "cell_column")
+
+TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
+
+LOADING = (
+    Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
+    Variable("tangential_force", FRAME, "N", "tangential force", needs=("forces.tangential",)),
+    Variable("load_ratio", FRAME, "1", "tangential over normal force, T/N", needs=("forces.tangential",)),
+)
+
+CONTACT = (
+    Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact"),
+    Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions"),
+    Variable("gross_contact_area", FRAME, "mm2", "area of the region that the contact spans (apparent contact area)"),
+    Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass"),
+    Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact"),
+    Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y"),
+    Variable(
+        "gross_contact_region", CELLS, "1", "1 where the gross contact covers a cell of the contact view", "u1",
+        unasked=False,
+    ),
+)  # fmt: skip
+
+#: `fingerflow.ops.tracking.TrackStatus`, which says more of each.
+TRACK_STATUS = (
+    "tracked",
+    "not_finite",
+    "left_frame",
+    "no_texture",
+    "not_converged",
+    "mismatch",
+    "forward_backward",
+    "uncertain",
+    "off_neighbours",
+)
+TRACKING = (
+    Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
+    Variable("position_px", ("frame", "point", "xy"), "px", "position in the topographic view"),
+    Variable("position_std_px", FRAME_POINT, "px", "standard deviation of a component of the position", "f4"),
+    Variable("forward_backward_error", FRAME_POINT, "px", "distance after tracking forward and back", "f4"),
+    Variable("status", FRAME_POINT, "1", "why a point has a position, or none", "u1", flags=TRACK_STATUS),
+    Variable("in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1"),
+    Variable("tracked_share", FRAME, "1", "share of the points that are tracked"),
+    Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
+)
+
+DISPLACEMENT = (
+    Variable(
+        "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4"
+    ),
+    Variable(
+        "reference_position",
+        ("point", "xy"),
+        "mm",
+        "position at onset; of points that are touched in passing alone, where they were then",
+    ),
+    Variable("displacement", ("frame", "point", "xy"), "mm", "displacement since onset"),
+    Variable("displacement_std", FRAME_POINT, "mm", "standard deviation of a component since onset", "f4"),
+    Variable("global_displacement_vector", ("frame", "xy"), "mm", "median displacement, by component"),
+    Variable("global_displacement", FRAME, "mm", "length of the median displacement"),
+)
+
+_MEDIAN = "over the area of the gross contact"
+_ERROR = "standard deviation of the"
+_ALONE = "by the errors of the points alone: those of the ellipse and of the places of onset come on top"
+FIELDS = (
+    Variable("divergence", FRAME_POINT, "1", "divergence of the displacement", "f4"),
+    Variable("curl", FRAME_POINT, "rad", "curl of the displacement", "f4"),
+    Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
+    Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
+    Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
+    Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}"),
+    Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence"),
+    Variable("median_curl", FRAME, "rad", f"median curl {_MEDIAN}"),
+    Variable("median_curl_std", FRAME, "rad", f"{_ERROR} median curl {_ALONE}"),
+    Variable("median_strain", ("frame", "strain_component"), "1", f"median strain {_MEDIAN}"),
+    Variable("median_strain_std", ("frame", "strain_component"), "1", f"{_ERROR} median strain {_ALONE}"),
+    Variable("median_strain_rate", ("frame", "strain_component"), "1/s", "rate of median_strain"),
+)
+
+STRAIN = (
+    Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
+    Variable("strain", (*TRIANGLE, "strain_component"), "1", "strain of a triangle", "f4"),
+    Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
+    Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
+    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact, without that of noise"),
+    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy"),
+    Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy"),
+)
+
+SLIP = (
+    Variable("stuck_area", FRAME, "mm2", "area of the contact whose skin has not slipped"),
+    Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²"),
+    Variable("stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1"),
+    Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show"),
+)
+
+#: What only a stream has: what it knows of its own course, and fields where its graphs form them otherwise.
+STREAM = (
+    Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4"),
+    Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8"),
+    Variable(
+        "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4"
+    ),
+    Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
+    Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),
+)
+
+
+def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
+    """Variables by their names."""
+    return {variable.name: variable for group in groups for variable in group}

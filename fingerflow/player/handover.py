@@ -1,0 +1,168 @@
+"""What threads pass on to each other."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
+
+import numpy as np
+import onnxruntime as ort
+
+from .arrays import Array
+from .bundle import Bundle
+from .errors import PlayerError
+from .scene import Scene, View
+
+T = TypeVar("T")
+
+
+class Channel(Generic[T]):
+    """A bounded queue between threads that can be closed: what is in it is still given, then None.
+
+    Args:
+        newest_first: give the item that came last first.
+    """
+
+    def __init__(self, size: int, items: Iterable[T] = (), newest_first: bool = False) -> None:
+        self._items = deque(items)
+        self._size = size
+        self._take = self._items.pop if newest_first else self._items.popleft
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def put(self, item: T) -> bool:
+        """Waits for room; False, and the item is not taken, where the channel is closed."""
+        with self._changed:
+            while len(self._items) >= self._size and not self._closed:
+                self._changed.wait()
+            if not self._closed:
+                self._items.append(item)
+                self._changed.notify_all()
+            return not self._closed
+
+    def put_newest(self, item: T) -> T | None:
+        """Never waits: where there is no room, the oldest item leaves and is returned."""
+        with self._changed:
+            left = self._items.popleft() if len(self._items) >= self._size else None
+            self._items.append(item)
+            self._changed.notify_all()
+            return left
+
+    def get(self, wait: bool = True) -> T | None:
+        """The next item; None where there is none and the channel is closed or is not to be waited for."""
+        with self._changed:
+            while wait and not self._items and not self._closed:
+                self._changed.wait()
+            item = self._take() if self._items else None
+            self._changed.notify_all()
+            return item
+
+    def is_empty(self) -> bool:
+        """Whether there is no item now."""
+        return not self._items
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+class InOrder(Generic[T]):
+    """Ends in the order in which they began what several threads do side by side.
+
+    A thread that is done before its turn leaves its piece to the one that has the turn.
+
+    Args:
+        end: called with one piece after the other, by any of the threads; False stops.
+        most: pieces that have begun and not ended, at most.
+
+    Attributes:
+        begun: pieces that have begun.
+    """
+
+    def __init__(self, end: Callable[[T], bool], most: int) -> None:
+        self._end, self._most = end, most
+        self._done: dict[int, T] = {}
+        self.begun = self._ended = 0
+        self._ending = self._stopped = False
+        self._changed = threading.Condition()
+
+    def wait_for_room(self) -> bool:
+        """Until another may begin; False after a stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self.begun - self._ended < self._most)
+            return not self._stopped
+
+    def wait_for_all(self) -> bool:
+        """Until all that have begun have ended; False after a stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._ended == self.begun)
+            return not self._stopped
+
+    def begin(self) -> int:
+        """The number of a piece that begins, by one thread at a time."""
+        self.begun += 1
+        return self.begun - 1
+
+    def done(self, number: int, piece: T) -> None:
+        """Ends a piece, and those that wait for it, unless one before it is missing."""
+        with self._changed:
+            self._done[number] = piece
+            if self._ending:
+                return
+            self._ending = True
+        while True:
+            with self._changed:
+                if self._ended not in self._done:
+                    self._ending = False
+                    return
+                piece = self._done.pop(self._ended)
+            going = self._end(piece)
+            with self._changed:
+                self._ended += 1
+                self._stopped |= not going
+                self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Nothing begins any more; what has begun before the first that does not come still ends."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+
+class Slot:
+    """Room for one frame: both views (1, 1, H, W), and the tensors that the graph reads them from without a copy."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        shape = (1, 1, bundle.height, bundle.width)
+        self.number = 0
+        self.arrival = 0.0
+        self.views = {name: np.zeros(shape, bundle.dtype) for name in ("contact_view", "topography_view")}
+        self.values = {name: ort.OrtValue.ortvalue_from_numpy(view) for name, view in self.views.items()}
+
+    def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
+        """Copies the views out of a frame; raises PlayerError where its size or depth is another one."""
+        needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
+        if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
+            raise PlayerError(
+                f"{source}: a frame is {frame.shape}, the views of the scene need (H, W) of at least {tuple(needed)}; "
+                "correct [views] of the scene or the size that the camera is set to"
+            )
+        if frame.dtype != bundle.dtype:
+            raise PlayerError(
+                f"{source}: a frame is {frame.dtype}, the bundle takes {bundle.dtype} (bit_depth {bundle.bit_depth}); "
+                "set the camera to that depth or export a bundle with the camera's"
+            )
+        for name, view in _views(scene).items():
+            np.copyto(self.views[name][0, 0], view.crop(frame))
+            if 8 < bundle.bit_depth < 16 and self.views[name].max() >> bundle.bit_depth:
+                raise PlayerError(
+                    f"{source}: a frame holds {self.views[name].max()}, more than the {bundle.bit_depth} bits of the "
+                    "bundle; export one with the camera's bit_depth"
+                )
+
+
+def _views(scene: Scene) -> dict[str, View]:
+    return {"contact_view": scene.contact, "topography_view": scene.topography}

@@ -1,0 +1,82 @@
+"""The latest picture and the traces of a stream, for its page."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .arrays import Array
+from .bundle import Bundle
+from .handover import Slot
+
+_PAGE_INTERVAL = 1 / 15  # s between pictures, made only while somebody looks
+_TRACE_LENGTH = 900  # 30 s, as the page shows, of a point every 1 / 30 s
+_PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
+
+
+class LiveViews(NamedTuple):
+    """What a picture is drawn from: a frame, and the (1, 1, H, W) real-contact mask where the recipe has it."""
+
+    slot: Slot
+    real_contact_mask: Array | None
+
+
+class LiveData:
+    """The latest picture and the traces, written by the sink and read by the page."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
+        self._shift = bundle.bit_depth - 8
+        self._asked = self._drawn = -math.inf
+        self._arrays: dict[str, Array] = {}
+        self._scalars: dict[str, float] = {}
+        self._traces: deque[tuple[float, float, float, float]] = deque(maxlen=_TRACE_LENGTH)
+
+    def is_due(self) -> bool:
+        """Whether somebody looks, and the last picture is old enough."""
+        now = time.perf_counter()
+        if now - self._asked > 2 or now - self._drawn < _PAGE_INTERVAL:
+            return False
+        self._drawn = now
+        return True
+
+    def show(self, record: Array, views: LiveViews) -> None:
+        """Keeps a small picture of a frame and its result."""
+        arrays = {
+            name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
+            for name, view in views.slot.views.items()
+        }
+        if views.real_contact_mask is not None:
+            arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
+        names = record.dtype.names or ()
+        arrays |= {
+            n: record[n].astype(np.float32)
+            for n in ("position_px", "divergence", "ellipse_center", "ellipse_semi_axes")
+            if n in names
+        }
+        self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
+        self._arrays = arrays
+
+    def trace(self, record: Array) -> None:
+        names = record.dtype.names or ()
+        wanted = ("time", "real_contact_area", "gross_contact_area", "median_divergence")
+        self._traces.append(tuple(float(record[n]) if n in names else math.nan for n in wanted))  # type: ignore[arg-type]
+
+    def packed(self, facts: Mapping[str, Any]) -> bytes:
+        """Length of a JSON text (little-endian uint32), the text, and the arrays it lists, each padded to 4 bytes."""
+        self._asked = time.perf_counter()
+        arrays = self._arrays | {"traces": np.array(list(self._traces), np.float32).reshape(-1, 4)}
+        listed = [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()]
+        scalars = {name: value if math.isfinite(value) else None for name, value in self._scalars.items()}
+        text = json.dumps({**facts, "every": self._every, "scalars": scalars, "arrays": listed}).encode()
+        blocks = [struct.pack("<I", len(text)), text, b"\0" * (-len(text) % 4)]
+        for array in arrays.values():
+            blocks += [array.tobytes(), b"\0" * (-array.nbytes % 4)]
+        return b"".join(blocks)

@@ -1,0 +1,150 @@
+"""The folder of results: how it is written and read."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, TextIO
+
+import numpy as np
+
+from .arrays import Array
+from .contract.variables import FRAME, LABELS
+from .errors import PlayerError
+
+RESULTS_FORMAT = 2
+
+
+class StreamResults(NamedTuple):
+    """What `read_results` gives: one record a processed frame, the header, and what happened beside the frames."""
+
+    records: Array
+    header: dict[str, Any]
+    events: list[dict[str, Any]]
+
+
+def read_results(folder: str | Path) -> StreamResults:
+    """Reads a results folder, also one that is being written or whose writer was killed: the whole records of it.
+
+    ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
+    ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
+    """
+    folder = Path(folder)
+    try:
+        header = json.loads((folder / "header.json").read_text(encoding="utf-8"))
+        if header["format"] != RESULTS_FORMAT:
+            raise PlayerError(
+                f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}; use the player "
+                "of the bundle that wrote them"
+            )
+        dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
+        count = (folder / "records.bin").stat().st_size // dtype.itemsize
+        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PlayerError(f"{folder}: is no results folder of a stream ({error})") from None
+    records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
+    return StreamResults(records, header, [json.loads(line) for line in lines if line.endswith("\n")])
+
+
+def write_table(folder: str | Path, table: str | Path) -> None:
+    """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
+
+    Raises PlayerError where the file exists.
+    """
+    records, header, _ = read_results(folder)
+    columns: dict[str, Array] = {}
+    for one in header["fields"]:
+        name, dims = one["name"], tuple(one["dims"])
+        unit = f" ({one['unit']})" if one["unit"] else ""
+        if dims == FRAME:
+            columns[name + unit] = records[name]
+        elif len(dims) == 2 and dims[1] in LABELS:
+            columns |= {f"{name}_{part}{unit}": records[name][:, i] for i, part in enumerate(LABELS[dims[1]])}
+    try:
+        with open(table, "x", encoding="utf-8") as file:
+            file.write(",".join(columns) + "\n")
+            for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+                file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+    except OSError as error:
+        raise PlayerError(
+            f"{table}: cannot be written ({error.strerror}); name a new file where there is room"
+        ) from None
+
+
+class Sink:
+    """Appends records to a new folder; a kill loses at most what came since the last second.
+
+    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when.
+    """
+
+    def __init__(self, folder: Path, header: Mapping[str, Any]) -> None:
+        self.folder, self._header = folder, header
+        self._records: BinaryIO | None = None
+        self._events: TextIO | None = None
+        self._synced = 0.0
+        self._lock = threading.Lock()
+
+    def open(self) -> None:
+        """Makes the folder; raises PlayerError where it is there already or cannot be made."""
+        with self._said():
+            self.folder.mkdir(parents=True)
+            with open(self.folder / "header.json", "x", encoding="utf-8") as file:
+                file.write(json.dumps(self._header, indent=1) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            self._events = open(self.folder / "events.jsonl", "x", encoding="utf-8")  # noqa: SIM115
+            self._records = open(self.folder / "records.bin", "xb")  # noqa: SIM115
+
+    def write(self, record: Array) -> None:
+        """A record as bytes; once a second all of them go to the disk."""
+        assert self._records is not None
+        with self._said():
+            self._records.write(record.data)
+            if time.perf_counter() - self._synced >= 1:
+                self.sync()
+
+    def sync(self) -> None:
+        assert self._records is not None
+        self._synced = time.perf_counter()
+        self._records.flush()
+        os.fsync(self._records.fileno())
+
+    def event(self, event: str, frame: int, **facts: Any) -> None:
+        """One line; may come from any thread."""
+        assert self._events is not None
+        with self._said(), self._lock:
+            line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
+            self._events.write(json.dumps(line) + "\n")
+            self._events.flush()
+
+    def close(self) -> None:
+        if self._records is None or self._events is None:
+            return
+        with self._said():
+            try:
+                self.sync()
+            finally:
+                for file in (self._records, self._events):
+                    # After a full disk the rest cannot be written at the second try either.
+                    with contextlib.suppress(OSError):
+                        file.close()
+
+    @contextlib.contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError:
+            raise PlayerError(
+                f"{self.folder}: exists already and results are never overwritten; give --output another name"
+            ) from None
+        except OSError as error:
+            raise PlayerError(
+                f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
+                "give --output another place"
+            ) from None

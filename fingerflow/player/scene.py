@@ -1,0 +1,136 @@
+"""What a stream takes from a scene file, whose keys and rules are those of `contract`, as for `fingerflow process`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .arrays import Array
+from .bundle import Bundle
+from .contract.scene_file import SceneError, read_scene
+from .errors import PlayerError
+
+
+class View(NamedTuple):
+    """A rectangle of pixels, half-open ranges."""
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) px."""
+        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
+
+    def crop(self, frame: Array) -> Array:
+        """The view's part of a frame (H, W), without a copy."""
+        return frame[self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where the views lie in a frame, their scale, and what empty glass looks like.
+
+    Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
+    in place of one. ``region`` is the part of the topography view in which points are chosen, None for all of it.
+    ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
+    """
+
+    contact: View
+    topography: View
+    mm_per_px: float
+    topography_to_contact: Array
+    threshold: float | str = "reference_frame"
+    background: Path | None = None
+    dark: Path | None = None
+    frames: Path | None = None
+    frame_rate: float | None = None
+    first_frame: int = 0
+    last_frame: int | None = None
+    output: Path | None = None
+    region: View | None = None
+    rekey_share: float | None = None
+    rekey_frames: int | None = None
+    asked: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def given_threshold(self) -> float | None:
+        """None where it is to be measured."""
+        return None if isinstance(self.threshold, str) else self.threshold
+
+
+_DECIDED_BY_RECIPES = ("contact", "tracking", "fields")
+
+
+def load_scene(path: Path) -> Scene:
+    """Reads a scene file; raises PlayerError with file, line, key, value and remedy."""
+    try:
+        checked = read_scene(path, "stream")
+    except SceneError as error:
+        raise PlayerError(str(error)) from None
+    found = checked.values
+    views, recording, stream = found["views"], found["recording"], found["stream"]
+    background = found["background"] or {"frames": None, "dark": None}
+    return Scene(
+        contact=View(**views["contact"]),
+        topography=View(**views["topography"]),
+        mm_per_px=found["calibration"]["mm_per_px"],
+        topography_to_contact=np.array(found["calibration"]["topography_to_contact"]),
+        threshold=found["contact"]["threshold"],
+        background=background["frames"],
+        dark=background["dark"],
+        frames=recording["frames"],
+        frame_rate=recording["frame_rate"],
+        first_frame=recording["first_frame"],
+        last_frame=recording["last_frame"],
+        output=stream["output"],
+        region=None if stream["region"] is None else View(**stream["region"]),
+        rekey_share=stream["rekey_share"],
+        rekey_frames=stream["rekey_frames"],
+        asked={
+            f"{table}.{key}": value
+            for table in _DECIDED_BY_RECIPES
+            for key, value in found[table].items()
+            if f"{table}.{key}" in checked.given
+        },
+    )
+
+
+def check_scene(scene: Scene, bundle: Bundle) -> None:
+    """Raises PlayerError where the views are not of the bundle's size, or a threshold is asked for that a stream cannot
+    have."""
+    size = (bundle.height, bundle.width)
+    for name, view in (("contact", scene.contact), ("topography", scene.topography)):
+        if view.shape != size:
+            raise PlayerError(
+                f"views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
+                f"{size[0]} x {size[1]}; correct rows and columns, or export one with views of that size"
+            )
+    if scene.threshold == "per_frame":
+        raise PlayerError(
+            "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
+            'known before it comes: give a number, such as 0.25, or "reference_frame", which is measured while the '
+            "contact grows; `fingerflow process` of the recording takes one of each frame"
+        )
+
+
+_PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
+    "tracking.direction": "forward",
+    "tracking.search_px": 0,
+    "tracking.template": "keyframe",
+    "fields.strain": "green_lagrange",
+}
+
+
+def contradictions(scene: Scene, recipe: Mapping[str, Any]) -> list[str]:
+    """One sentence for each setting of the scene that the recipe has decided otherwise."""
+    decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
+    return [
+        f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"
+        for name, value in scene.asked.items()
+        if name in decided and value != decided[name]
+    ]

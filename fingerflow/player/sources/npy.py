@@ -1,0 +1,23 @@
+"""NumPy's own files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import PlayerError
+from .source import Asked, Recording, Source
+
+READS = ".npy"
+
+
+def reads(asked: Asked) -> bool:
+    return asked.path.is_file() and asked.path.suffix == ".npy"
+
+
+def open_frames(asked: Asked) -> Source:
+    """An array (N, H, W) or (H, W), mapped; raises PlayerError for another."""
+    frames = np.load(asked.path, mmap_mode="r")
+    frames = frames[None] if frames.ndim == 2 else frames
+    if frames.ndim != 3 or not len(frames):
+        raise PlayerError(f"{asked.path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed")
+    return Recording(frames, asked.first)

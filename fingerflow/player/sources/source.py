@@ -1,0 +1,55 @@
+"""What a stream reads its frames from, and what is said of them where a file does not say it itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from ..arrays import Array
+
+
+class Source(Protocol):
+    """Gives frames (H, W) one after another, None at the end. Anything it raises but PlayerError is tried again."""
+
+    live: bool  # frames come whether or not there is room for them
+
+    def read(self) -> Array | None: ...
+
+    def close(self) -> None: ...
+
+
+OpenSource = Callable[[int], Source]  # from the number of the next frame
+
+
+class Asked(NamedTuple):
+    """A file or folder of frames, as the user names it.
+
+    Attributes:
+        first: number of the frame to begin with.
+        shape, dtype: of a frame of a raw file, (H, W) and as NumPy has it.
+    """
+
+    path: Path
+    first: int
+    shape: tuple[int, int] | None
+    dtype: str
+
+
+class Recording:
+    """Frames (N, H, W) that can be read by number."""
+
+    live = False
+
+    def __init__(self, frames: Array, first: int) -> None:
+        self._frames = frames
+        self._next = first
+
+    def read(self) -> Array | None:
+        if self._next >= len(self._frames):
+            return None
+        self._next += 1
+        return self._frames[self._next - 1]
+
+    def close(self) -> None:
+        """A map of a file goes with its last reader."""

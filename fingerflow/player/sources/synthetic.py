@@ -1,0 +1,81 @@
+"""A pressed fingertip drawn from formulas."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..arrays import Array
+from ..scene import Scene, View
+
+
+def side_by_side(height: int, width: int) -> Scene:
+    """The scene of the synthetic source: topography on the left, contact on the right, one scale."""
+    return Scene(
+        contact=View((0, height), (width, 2 * width)),
+        topography=View((0, height), (0, width)),
+        mm_per_px=0.025,
+        topography_to_contact=np.array([[1.0, 0, 0], [0, 1, 0]]),
+        threshold=0.35,
+    )
+
+
+class Synthetic:
+    """Frames of a pressed fingertip drawn from formulas: no end, and no cost once a ring of them is drawn.
+
+    Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
+    The divergence of a stream is another one, even negative: each point's counts from when the contact reaches it.
+    Of one period only half is kept, played forwards and backwards.
+    """
+
+    live = False
+    half_period = 60  # frames
+
+    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int) -> None:
+        self._next = 0
+        views = (scene.topography, scene.contact)
+        shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
+        self._ring = np.zeros((self.half_period, *shape), dtype)
+        gain = 2.0 ** (bit_depth - 8)
+        for number, frame in enumerate(self._ring):
+            progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
+            skin, _ = _draw_finger(scene.topography.shape, progress)
+            scene.topography.crop(frame)[...] = (90 + 70 * skin) * gain
+            _, lost = _draw_finger(scene.contact.shape, progress)
+            scene.contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
+        self.background = np.full(shape, 200 * gain, dtype)
+
+    def from_frame(self, number: int) -> Synthetic:
+        self._next = number
+        return self
+
+    def read(self) -> Array:
+        place = self._next % (2 * self.half_period - 2)
+        self._next += 1
+        return self._ring[min(place, 2 * self.half_period - 2 - place)]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
+    """Brightness of the skin, about -1 to 1, and share 0 to 1 of intensity lost to contact, both (H, W) float32."""
+    height, width = shape
+    turn, spread = 0.01 * progress, 1 + 0.04 * progress
+    y, x = np.meshgrid(
+        np.arange(height, dtype=np.float32) - height / 2,
+        np.arange(width, dtype=np.float32) - width / 2,
+        indexing="ij",
+        sparse=True,
+    )
+    moved_x, moved_y = x - 4 * progress, y + 2 * progress
+    # Where the skin that is seen at a pixel was at the start.
+    u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread
+    v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
+    ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))
+    pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
+    semi_x, semi_y = (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
+    inside = np.clip((1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y), 0, 1)
+    return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside

@@ -1,0 +1,38 @@
+"""Videos, by OpenCV where it is installed."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from ..arrays import Array
+from ..errors import PlayerError
+
+
+class Video:
+    """Frames of a video, made grey; only where OpenCV is installed."""
+
+    live = False
+
+    def __init__(self, path: Path, first: int) -> None:
+        try:
+            self._cv2 = importlib.import_module("cv2")
+        except ImportError:
+            raise PlayerError(
+                f"{path}: videos need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
+            ) from None
+        self._capture = self._cv2.VideoCapture(str(path))
+        if not self._capture.isOpened():
+            raise PlayerError(f"{path}: OpenCV cannot open this video; give frames as .npy")
+        for _ in range(first):
+            self._capture.grab()
+
+    def read(self) -> Array | None:
+        there, frame = self._capture.read()
+        if not there:
+            return None
+        grey: Array = self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+        return grey
+
+    def close(self) -> None:
+        self._capture.release()

@@ -1,0 +1,261 @@
+"""Scene files that are wrong, and what is said of each: for whoever reads scenes.
+
+A case changes one place of a scene that is right, in a folder that `write_folder` makes. ``said`` is a part of the one
+line of the complaint, ``start`` is how the line begins that is blamed, in the file as it is then.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fingerflow.calibration import Calibration, Disc, Transform
+from fingerflow.views import View
+
+RIGHT = """\
+[recording]
+frames = "frames.npy"
+frame_rate = 300.0
+first_frame = 2
+last_frame = 20
+
+[views.contact]
+rows = [0, 512]
+columns = [640, 1280]
+
+[views.topography]
+rows = [0, 500]
+columns = [0, 640]
+
+[background]
+frames = "empty.npy"
+dark = "dark.npy"
+
+[forces]
+file = "forces.csv"
+normal = "normal_force"
+tangential = "tangential_force"
+trigger = "trigger"
+trigger_level = 2.5
+sample_rate = 1000.0
+
+[calibration]
+mm_per_px = 0.0325
+topography_to_contact = [[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]
+
+[contact]
+median_px = 3
+threshold = "reference_frame"
+gross_radius_px = 8
+
+[tracking]
+points = 700
+window_px = 25
+min_distance_px = 6.0
+direction = "forward"
+template = "keyframe"
+forward_backward_limit_px = 1.0
+search_px = 8
+gain_offset = true
+
+[fields]
+gauge_length_mm = 1.6
+strain = "green_lagrange"
+young_modulus_mpa = 1.0
+poisson_ratio = 0.4
+depth_mm = 2.0
+rate_window_s = 0.05
+
+[stream]
+output = "results"
+region = {rows = [100, 400], columns = [100, 540]}
+rekey_share = 0.8
+rekey_frames = 300
+"""
+_CALIBRATION = RIGHT[RIGHT.index("mm_per_px") : RIGHT.index("\n\n[contact]")]
+_MATRIX = "[[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]"
+_VIEWS = {"topography": View((0, 500), (0, 640)), "contact": View((0, 512), (640, 1280))}
+
+
+class WrongScene(NamedTuple):
+    old: str
+    new: str
+    start: str
+    said: str
+
+
+def write_folder(folder: Path) -> Path:
+    """The files that RIGHT names, and calibrations; the path of a scene file that is not there yet."""
+    for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
+        (folder / name).write_bytes(b"")
+    hole = Disc((100.0, 90.0), (80.0, 79.0), 0.3, 0.1, 0.5, 1.0, 0.4, 30.0)
+    transform = Transform(np.array([[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]), np.zeros((3, 2)))
+
+    def rig(views: dict[str, View], both: Transform | None = transform) -> str:
+        return Calibration(0.0325, 2.75, hole, views, affine=both, similarity=both).to_toml()
+
+    texts = {
+        "rig": rig(_VIEWS),
+        "other_rig": rig(_VIEWS | {"contact": View((0, 512), (650, 1280))}),
+        "other_topography": rig(_VIEWS | {"topography": View((1, 501), (0, 640))}),
+        "ring_alone": rig({"contact": _VIEWS["contact"]}, None),
+        "coarse": rig(_VIEWS).replace("mm_per_px = 0.0325", "mm_per_px = 3.25"),
+        "negative": rig(_VIEWS).replace("mm_per_px = 0.0325", "mm_per_px = -0.0325"),
+        "flat": rig(_VIEWS).replace("0.01, 1.01, -6.2", "1.01, -0.01, -6.2"),
+        "no_hole": "mm_per_px = 0.0325\n",
+        "broken": "mm_per_px 0.0325\n",
+        "of_words": rig(_VIEWS).replace("mm_per_px = 0.0325", 'mm_per_px = "small"'),
+    }
+    for name, text in texts.items():
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    return folder / "scene.toml"
+
+
+def _number(key: str, value: str, said: str, wrong: str) -> WrongScene:
+    return WrongScene(f"{key} = {value}", f"{key} = {wrong}", f"{key} = {wrong}", said)
+
+
+def _calibrated(name: str, said: str) -> WrongScene:
+    file = f'file = "{name}.toml"'
+    return WrongScene(_CALIBRATION, file, file, f"calibration.file is '{name}.toml': {said}")
+
+
+WRONG = (
+    # Keys that are not there, or not known.
+    WrongScene("[recording]", "[recordings]", "[recordings]", "recordings is not a key; did you mean 'recording'?"),
+    WrongScene("[contact]", "[contakt]", "[contakt]", "contakt is not a key; did you mean 'contact'? known here: "),
+    WrongScene("median_px", "median_pix", "median_pix", "contact.median_pix is not a key; did you mean 'median_px'?"),
+    WrongScene("[tracking]", "[tracking]\nturbo = 9", "turbo", "tracking.turbo is not a key; known here: direction,"),
+    WrongScene("[tracking]", "[tracking.gpu]\n[tracking]", "[tracking.gpu]", "tracking.gpu is not a key; "),
+    WrongScene("[recording]", 'path = "x"\n[recording]', "path", "path is not a key; known here: background, calib"),
+    WrongScene("[views.contact]", "[views.contct]", "[views.contct]", "views.contct is not a key; did you mean 'con"),
+    WrongScene(
+        "[forces]", "[views.markers]\n[forces]", "[views.markers]", "views.markers is not a key; known here: co"
+    ),
+    WrongScene("rows = [0, 512]\n", "", "[views.contact]", "views.contact.rows is missing; add it"),
+    WrongScene('frames = "empty.npy"\n', "", "[background]", "background.frames is missing; add it"),
+    WrongScene('normal = "normal_force"\n', "", "[forces]", "forces.normal is missing; add it"),
+    WrongScene("mm_per_px = 0.0325\n", "", "[calibration]", "calibration.mm_per_px is missing; add it"),
+    WrongScene(f"[calibration]\n{_CALIBRATION}", "", "[recording]", "calibration is missing; add it"),
+    WrongScene(", columns = [100, 540]}", "}", "region", "stream.region.columns is missing; add it"),
+    # Kinds.
+    WrongScene("[recording]", 'kind = "poke"\n[recording]', "kind", "kind is 'poke': it should be 'press' or 'slip'"),
+    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press' or 'slip'"),
+    # Types.
+    WrongScene("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
+    WrongScene(
+        "[stream]", "[slip]\nstuck_mm = {a = 1}\n[stream]", "stuck_mm", "slip.stuck_mm is a table: it should be"
+    ),
+    WrongScene("{rows = [100, 400], columns = [100, 540]}", "7", "region", "stream.region is 7: it should be a table"),
+    WrongScene('frames = "frames.npy"', "frames = 3", "frames = 3", "recording.frames is 3: that is no path of a file"),
+    WrongScene('frames = "empty.npy"', "frames = true", "frames = true", "background.frames is True: that is no path"),
+    WrongScene('dark = "dark.npy"', "dark = []", "dark", "background.dark is []: that is no path of a file; it should"),
+    WrongScene('file = "forces.csv"', "file = 1.5", "file", "forces.file is 1.5: that is no path of a file"),
+    WrongScene('output = "results"', "output = 5", "output", "stream.output is 5: that is no path of a file"),
+    WrongScene('normal = "normal_force"', "normal = 0", "normal", "forces.normal is 0: it should be a valid string"),
+    _number("points", "700", "tracking.points is '700': it should be a valid integer", '"700"'),
+    _number("points", "700", "tracking.points is True: it should be a valid integer", "true"),
+    _number("points", "700", "tracking.points is 700.0: it should be a valid integer", "700.0"),
+    _number("rekey_frames", "300", "stream.rekey_frames is 2.5: it should be a valid integer", "2.5"),
+    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is True: it should be a valid number", "true"),
+    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is nan: it should be a finite number", "nan"),
+    _number("depth_mm", "2.0", "fields.depth_mm is inf: it should be a finite number", "inf"),
+    _number("mm_per_px", "0.0325", "calibration.mm_per_px is '0.0325': it should be a valid number", '"0.0325"'),
+    _number("frame_rate", "300.0", "recording.frame_rate is [300]: it should be a valid number", "[300]"),
+    _number("gain_offset", "true", "tracking.gain_offset is 0: it should be a valid boolean", "0"),
+    # Ranges.
+    _number("points", "700", "tracking.points is 2: it should be greater than or equal to 3", "2"),
+    _number("window_px", "25", "tracking.window_px is 3: it should be greater than or equal to 5", "3"),
+    _number("window_px", "25", "tracking.window_px is 257: it should be less than or equal to 255", "257"),
+    _number("window_px", "25", "tracking.window_px is 24: 24 is even; the middle pixel needs an odd side", "24"),
+    _number("median_px", "3", "contact.median_px is 4: 4 is even; the middle pixel needs an odd side, such as 5", "4"),
+    _number("median_px", "3", "contact.median_px is 65: it should be less than or equal to 63", "65"),
+    _number("gross_radius_px", "8", "contact.gross_radius_px is 0: it should be greater than or equal to 1", "0"),
+    _number("gross_radius_px", "8", "contact.gross_radius_px is 256: it should be less than or equal to 255", "256"),
+    _number("min_distance_px", "6.0", "tracking.min_distance_px is 0: it should be greater than 0", "0"),
+    _number("search_px", "8", "tracking.search_px is -1: it should be greater than or equal to 0", "-1"),
+    _number("mm_per_px", "0.0325", "calibration.mm_per_px is -1: it should be greater than 0", "-1"),
+    _number("mm_per_px", "0.0325", "calibration.mm_per_px is 32.5: it should be less than or equal to 1", "32.5"),
+    _number("gauge_length_mm", "1.6", "fields.gauge_length_mm is 101: it should be less than or equal to 100", "101"),
+    _number("poisson_ratio", "0.4", "fields.poisson_ratio is 0.5: it should be less than 0.5", "0.5"),
+    _number("poisson_ratio", "0.4", "fields.poisson_ratio is -1.0: it should be greater than -1", "-1.0"),
+    _number("young_modulus_mpa", "1.0", "fields.young_modulus_mpa is -1.0: it should be greater than 0", "-1.0"),
+    _number("rate_window_s", "0.05", "fields.rate_window_s is 0: it should be greater than 0", "0"),
+    _number("rekey_share", "0.8", "stream.rekey_share is 2.0: it should be less than or equal to 1", "2.0"),
+    _number("rekey_frames", "300", "stream.rekey_frames is 0: it should be greater than or equal to 1", "0"),
+    _number("frame_rate", "300.0", "recording.frame_rate is 0.0: it should be greater than 0", "0.0"),
+    _number("sample_rate", "1000.0", "forces.sample_rate is -1: it should be greater than 0", "-1"),
+    _number("first_frame", "2", "recording.first_frame is -1: it should be greater than or equal to 0", "-1"),
+    # One of some words.
+    _number("direction", '"forward"', "tracking.direction is 'up': it should be 'forward' or 'backward'", '"up"'),
+    _number("template", '"keyframe"', "tracking.template is 1: it should be 'keyframe' or 'previous'", "1"),
+    _number("strain", '"green_lagrange"', "'as_printed' or 'infinitesimal'", '"hencky"'),
+    _number("threshold", '"reference_frame"', "contact.threshold is 1.0: it should be 'reference_frame' or", "1.0"),
+    _number("threshold", '"reference_frame"', "'per_frame', or it should be less than 1", "35"),
+    _number("threshold", '"reference_frame"', "'per_frame', or it should be greater than 0", "0"),
+    _number("threshold", '"reference_frame"', "contact.threshold is 'auto': it should be 'refer", '"auto"'),
+    # Pixels.
+    _number("rows", "[0, 512]", "views.contact.rows is 512: it should be a list of two whole numbers", "512"),
+    _number(
+        "rows", "[0, 512]", "views.contact.rows is [0, 5, 12]: it should have at most 2 items, not 3", "[0, 5, 12]"
+    ),
+    _number("rows", "[0, 512]", "views.contact.rows is [512]: it should have at least 2 items, not 1", "[512]"),
+    _number("rows", "[0, 512]", "views.contact.rows is [0, True]: item 2 should be a valid integer", "[0, true]"),
+    _number("rows", "[0, 500]", "views.topography.rows is [0.0, 5]: item 1 should be a valid integer", "[0.0, 5]"),
+    _number("columns", "[640, 1280]", "views.contact.columns is [1280, 640]: two whole numbers", "[1280, 640]"),
+    _number("columns", "[640, 1280]", "with 0 <= first < end are needed", "[-1, 1280]"),
+    _number("columns", "[0, 640]", "views.topography.columns is [3, 3]: two whole numbers [first, end)", "[3, 3]"),
+    # Transforms.
+    _number("topography_to_contact", _MATRIX, "it should be a list of 2 lists of 3 numbers", "[[1, 0], [0, 1]]"),
+    _number("topography_to_contact", _MATRIX, "of its items it should be a valid number", "[[1, 0, 'x'], [0, 1, 0]]"),
+    _number("topography_to_contact", _MATRIX, "it maps the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
+    # Keys that do not go together.
+    _number("last_frame", "20", "recording.last_frame is 1: that is before first_frame, 2; both are included", "1"),
+    WrongScene(
+        "trigger_level = 2.5\n", "", "trigger = ", "forces.trigger is 'trigger': trigger and trigger_level belo"
+    ),
+    WrongScene('trigger = "trigger"\n', "", "trigger_level", "forces.trigger_level is 2.5: trigger and trigger_level"),
+    WrongScene(
+        "rows = [100, 400]", "rows = [100, 501]", "region", "it ends beyond the topography view of 500 x 640 px"
+    ),
+    WrongScene(
+        "columns = [100, 540]}", "columns = [1, 641]}", "region", "stream.region is a table: it ends beyond the"
+    ),
+    WrongScene(f"topography_to_contact = {_MATRIX}", "", "mm_per_px", "calibration.mm_per_px is 0.0325: the scene has"),
+    WrongScene(
+        "[calibration]", '[calibration]\nfile = "rig.toml"', 'file = "rig', "a file and mm_per_px, topography_to_cont"
+    ),
+    WrongScene(
+        _CALIBRATION, 'file = "rig.toml"\nmm_per_px = 1', 'file = "rig', "a file and mm_per_px exclude each other"
+    ),
+    # Calibrations.
+    _calibrated("nothing", ""),
+    WrongScene(_CALIBRATION, "file = 3", "file = 3", "calibration.file is 3: that is no path of a file"),
+    _calibrated("other_rig", "it was made with the contact view rows [0, 512], columns [650, 1280], and the scene has"),
+    _calibrated(
+        "other_topography", "it was made with the topography view rows [1, 501], columns [0, 640], and the sce"
+    ),
+    _calibrated("ring_alone", "the scene has a topography view, and this calibration is the scale alone; write one"),
+    WrongScene(_CALIBRATION, 'file = "coarse.toml"', "[calibration]", "calibration.mm_per_px is 3.25: it should be le"),
+    WrongScene(
+        _CALIBRATION,
+        'file = "negative.toml"',
+        'file = "negative',
+        "mm_per_px is -0.0325; it must be above 0. Write it a",
+    ),
+    WrongScene(
+        _CALIBRATION, 'file = "flat.toml"', 'file = "flat', "is no 2 x 3 transform that can be undone. Write it anew"
+    ),
+    WrongScene(
+        _CALIBRATION, 'file = "no_hole.toml"', 'file = "no_hole', "this calibration has no entry 'hole'. Write it anew"
+    ),
+    WrongScene(
+        _CALIBRATION, 'file = "broken.toml"', 'file = "broken', "broken.toml: this calibration cannot be read: "
+    ),
+    WrongScene(
+        _CALIBRATION,
+        'file = "of_words.toml"',
+        'file = "of_words',
+        "an entry of this calibration is wrong: 'small' is n",
+    ),
+)

@@ -1,0 +1,141 @@
+"""One contract of scenes: `fingerflow process` and the player give the same verdict in the same words."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scene_cases import RIGHT, WRONG, WrongScene, write_folder
+
+from fingerflow import scene as package
+from fingerflow.errors import FingerflowError
+from fingerflow.player import PlayerError
+from fingerflow.player import scene as player
+from fingerflow.player.contract.scene_keys import SCENE, Key, Table
+from fingerflow.player.contract.scene_kinds import KINDS
+
+
+def said_by_both(path: Path) -> tuple[str, str]:
+    with pytest.raises(FingerflowError) as ours:
+        package.load_scene(path)
+    with pytest.raises(PlayerError) as theirs:
+        player.load_scene(path)
+    return str(ours.value), str(theirs.value)
+
+
+def test_there_are_many_cases_and_no_two_alike() -> None:
+    assert len({case[:2] for case in WRONG}) == len(WRONG) >= 60
+
+
+@pytest.mark.parametrize("case", WRONG, ids=lambda case: case.said[:60])
+def test_a_wrong_scene_is_refused_by_both_in_the_same_words(case: WrongScene, tmp_path: Path) -> None:
+    path = write_folder(tmp_path)
+    assert case.old in RIGHT
+    text = RIGHT.replace(case.old, case.new, 1)
+    path.write_text(text, encoding="utf-8")
+    ours, theirs = said_by_both(path)
+    assert ours == theirs
+    line = next(number for number, line in enumerate(text.splitlines(), 1) if line.startswith(case.start))
+    [first] = [one for one in ours.splitlines() if case.said in one]
+    assert first.startswith(f"{path}, line {line}: "), first
+    if "it was made with" not in case.said:  # a calibration of other views may differ in both
+        assert ours.count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"[recording", "is not valid TOML: "),
+        (b"# \xff", "is not UTF-8 text (invalid start byte); save it as UTF-8"),
+        (None, "cannot be read (No such file or directory); `fingerflow init` writes a new one"),
+    ],
+)
+def test_no_scene_file_at_all(text: bytes | None, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    if text is not None:
+        path.write_bytes(text)
+    ours, theirs = said_by_both(path)
+    assert ours == theirs
+    assert f"{path}: {said}" in ours
+
+
+def test_what_is_right_is_read_alike(tmp_path: Path) -> None:
+    path = write_folder(tmp_path)
+    text = RIGHT.replace('"reference_frame"', "0.25")
+    path.write_text(f'\ufeffkind = "slip"\n{text}', encoding="utf-8")
+    ours, theirs = package.load_scene(path), player.load_scene(path)
+    assert (ours.kind, theirs.threshold, ours.contact.threshold) == ("slip", 0.25, 0.25)
+    assert theirs.topography_to_contact.tolist() == [list(row) for row in ours.calibration.topography_to_contact]
+    for name, view in ours.views.items():
+        assert tuple(getattr(theirs, name)) == (view.rows, view.columns)
+    assert ours.stream.region is not None
+    assert theirs.region == (ours.stream.region.rows, ours.stream.region.columns)
+    for name in ("frames", "frame_rate", "first_frame", "last_frame"):
+        assert getattr(theirs, name) == getattr(ours.recording, name)
+    assert (theirs.background, theirs.dark) == (ours.background.frames, ours.background.dark)
+    assert theirs.asked["tracking.points"] == ours.tracking.points
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('frames = "frames.npy"', 'frames = "away.npy"', "recording.frames is 'away.npy'"),
+        ('frames = "frames.npy"\n', "", "recording.frames is missing"),
+        ('frames = "empty.npy"', 'frames = "away.npy"', "background.frames is 'away.npy'"),
+        ('[background]\nframes = "empty.npy"\ndark = "dark.npy"\n', "", "background is missing"),
+        ('file = "forces.csv"', 'file = "away.csv"', "forces.file is 'away.csv'"),
+    ],
+)
+def test_what_a_stream_may_do_without(old: str, new: str, said: str, tmp_path: Path) -> None:
+    path = write_folder(tmp_path)
+    assert old in RIGHT
+    path.write_text(RIGHT.replace(old, new, 1), encoding="utf-8")
+    player.load_scene(path)
+    with pytest.raises(FingerflowError, match=said):
+        package.load_scene(path)
+
+
+def test_what_a_stream_needs_besides(tmp_path: Path) -> None:
+    """Both views, whatever the kind: the graphs of a bundle take them."""
+    path = write_folder(tmp_path)
+    views = RIGHT[RIGHT.index("[views.topography]") : RIGHT.index("[background]")]
+    path.write_text(RIGHT.replace(views, ""), encoding="utf-8")
+    assert package.load_scene(path).views.names() == ("contact",)
+    with pytest.raises(PlayerError, match=r"views.topography is missing; add it"):
+        player.load_scene(path)
+
+
+def test_the_validated_scene_has_the_keys_of_the_contract() -> None:
+    types: dict[str, Any] = {
+        "recording": package.RecordingSettings,
+        "background": package.BackgroundSettings,
+        "calibration": package.CalibrationSettings,
+        "forces": package.ForceSettings,
+        "contact": package.ContactSettings,
+        "tracking": package.TrackingSettings,
+        "fields": package.FieldSettings,
+        "slip": package.SlipSettings,
+        "stream": package.StreamSettings,
+    }
+    assert types.keys() == SCENE.keys()
+    assert {field.name for field in fields(package.Scene)} == {"path", "kind", "views", *types}
+    for name, table in SCENE.items():
+        assert isinstance(table, Table)
+        assert [field.name for field in fields(types[name])] == list(table.keys), name
+
+
+def test_defaults_are_values_that_may_be_given() -> None:
+    from fingerflow.player.contract.scene_values import value_of
+
+    for table in SCENE.values():
+        assert isinstance(table, Table)
+        for name, key in table.keys.items():
+            if isinstance(key, Key) and key.default is not None:
+                given = [list(row) for row in key.default] if isinstance(key.default, tuple) else key.default
+                assert value_of(key.type, given) == key.default, name
+
+
+def test_kinds_say_what_is_computed() -> None:
+    assert KINDS["press"].computes("tracking")
+    assert not KINDS["press"].computes("slip")
+    assert KINDS["slip"].computes("slip")
