@@ -5,6 +5,7 @@ Each chooses its points itself, in the region that the scene states; the thresho
 otherwise measure while frames come. Tolerances are those of `export/README.md`.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.export import export_bundle
 from fingerflow.player.providers import PROVIDERS
+from fingerflow.report import write_report
 from fingerflow.synthetic import Press, write_recording
 
 HEIGHT, WIDTH, POINTS = 192, 240, 150
@@ -148,7 +150,7 @@ def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
     np.testing.assert_allclose(said.compiled["median_divergence"], said.live["median_divergence"], rtol=0, atol=1e-4)
 
 
-def test_a_stream_opens_as_the_same_data_set(said: Said) -> None:
+def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:
     """Variables, dimensions, units, definitions and flags; and the numbers, by the tolerances above."""
     both = {
         *("contact_threshold", "real_contact_area", "gross_contact_area"),
@@ -170,3 +172,5 @@ def test_a_stream_opens_as_the_same_data_set(said: Said) -> None:
         np.testing.assert_allclose(stream["contact_threshold"], said.torch["contact_threshold"], rtol=1e-6)
         np.testing.assert_allclose(stream["tracked_share"], said.torch["tracked_share"], atol=1e-6)
         np.testing.assert_allclose(stream["position"], said.torch["position"], rtol=0, atol=0.01 * 0.05)
+    page = write_report(said.streams[0], None, tmp_path).read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 3  # contact, medians, quality

@@ -73,7 +73,7 @@ def test_report_and_tables(played: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["report", str(played)], catch_exceptions=False).exit_code == 0
     page = (played / "report.html").read_text(encoding="utf-8")
     assert "fingertip on glass, a stream" in page
-    assert "data:image/png" in page
+    assert "<td>scale</td><td>0.50000 mm/px</td>" in page
     for name in ("table.mat", "table.csv"):
         ended = CliRunner().invoke(app, ["export-table", str(played), str(tmp_path / name)], catch_exceptions=False)
         assert ended.exit_code == 0
