@@ -1,33 +1,34 @@
 """The main job: a scene in, a labelled data set out."""
 
+import json
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import torch
 import xarray as xr
-from torch import Tensor
 from tqdm import tqdm
 
+from fingerflow import __version__
+from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import plan
-from fingerflow.result import Outcome, label
+from fingerflow.plan import VARIABLES, Plan, plan
+from fingerflow.result import open_result
 from fingerflow.scene import Scene, load_scene
-from fingerflow.stages import deformation
-from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.inputs import Inputs, open_inputs
-from fingerflow.stages.loading import load
-from fingerflow.stages.slip import find_slip
-from fingerflow.stages.tracking import TrackingStage, TrackSeries
+from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.store import FileStore, MemoryStore, Store
 
 if TYPE_CHECKING:
     from fingerflow.export.runtime import OnnxRuntime
 
-_BATCH = 8  # frames in memory at a time, and as many on their way
+_PICTURES = 8  # frames in memory at a time, and as many on their way
+_NUMBERS = 64  # frames at a time where no stage reads pictures
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 
@@ -38,6 +39,7 @@ def process(
     device: str = "auto",
     progress: bool = False,
     engine: str = "torch",
+    to: Path | None = None,
 ) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
@@ -48,50 +50,114 @@ def process(
         progress: show a bar.
         engine: what runs the modules of `fingerflow.graphs`: "torch" with its compiled kernels, or "onnx", ONNX Runtime
             on the processor, from graphs as an exported bundle has them. The results agree to rounding.
+        to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
+            appears when it is complete. None keeps them in memory.
 
     Returns:
-        The data set of :mod:`fingerflow.result`: with what the stages that ran have given.
+        The data set, with what the stages that ran have given (`fingerflow.player.contract.variables`); of a file, what
+        is looked at is read from it.
 
     Raises:
         FingerflowError: whatever the user can put right, named with its file and value.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
-    wanted = None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
-    is_slip = scene.kind == "slip"
-    stages = plan(wanted, scene.views.topography is not None, scene.forces is not None, is_slip)
-    seconds: dict[str, float] = {}
+    wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     runtime = _onnx_runtime(engine, device)
     inputs = open_inputs(scene, device if runtime is None else "cpu")
     if runtime is not None:
         inputs.engine = runtime
-    outcome = Outcome(inputs=inputs, seconds=seconds)
-    with torch.inference_mode(), inputs.recording:
-        with _timed(seconds, "loading"):
-            outcome.loading = load(inputs)
-        with _timed(seconds, "contact"):
-            normal = None if outcome.loading is None else outcome.loading.normal
-            contact = ContactStage(inputs, normal, "slip" in stages) if "contact" in stages else None
-            tracking = _tracking(inputs, contact, "slip" in stages) if contact and "tracking" in stages else None
-        if contact is not None:
-            covered = _stream(inputs, contact, tracking, seconds, progress)
-            outcome.contact = contact.series
-            if "tracking" in stages:
-                outcome.tracks = _no_tracks(len(inputs.times)) if tracking is None else tracking.series
-        if outcome.tracks is not None and outcome.contact is not None:
-            with _timed(seconds, "fields"):
-                if "displacement" in stages:
-                    outcome.displacement = deformation.displace(inputs, outcome.tracks, covered)
-                if "fields" in stages and outcome.displacement is not None:
-                    outcome.fields = deformation.fields(inputs, outcome.displacement, outcome.contact)
-                if "strain" in stages and outcome.displacement is not None:
-                    outcome.strain = deformation.strains(inputs, outcome.displacement, outcome.contact)
-            if "slip" in stages and contact is not None:
-                with _timed(seconds, "slip"):
-                    regions = contact.regions, contact.cell_px
-                    outcome.slip = find_slip(inputs, outcome.tracks, outcome.contact, *regions, outcome.loading)
+    frames = len(inputs.times)
+    with inputs.recording:
+        if to is None:
+            store = MemoryStore(VARIABLES, frames)
+            _run(wanted, inputs, store, runtime, progress)
+            return store.dataset
+
+        def write(part: Path) -> None:
+            with FileStore(VARIABLES, frames, part) as file:
+                _run(wanted, inputs, file, runtime, progress)
+
+        write_atomically(to, write)
+        return open_result(to)
+
+
+def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | None", progress: bool) -> None:
+    """Every pass of the plan, into the store."""
+    seconds: dict[str, float] = {}
+    stages: dict[type[Stage], Stage] = {}
+    trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
+    with torch.inference_mode():
+        for kinds in wanted.passes():
+            stages.update({kind: kind(trial) for kind in kinds})
+            _pass([stages[kind] for kind in kinds], trial, seconds, progress)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
-    return label(outcome)
+    scene = inputs.scene
+    store.finish(
+        inputs.times,
+        np.arange(len(inputs.times)) + scene.recording.first_frame,
+        {
+            "title": "fingertip on glass",
+            "fingerflow_version": __version__,
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "settings": scene.as_json(),
+            "strain_measure": scene.fields.strain,
+            "warnings": json.dumps(inputs.warnings),
+            "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
+            "mm_per_px": inputs.mm_per_px,
+            "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
+            "frames": str(scene.recording.frames),
+        },
+    )
+
+
+def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+    """Takes the frames through these stages, batch by batch."""
+    for stage in stages:
+        with _timed(seconds, stage.name):
+            stage.begin()
+    stepping = [stage for stage in stages if type(stage).step is not Stage.step]
+    if stepping:
+        _go_over_frames(stepping, trial, seconds, progress)
+    for stage in stages:
+        with _timed(seconds, stage.name):
+            stage.finish()
+
+
+def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+    pictures = any(stage.reads_frames for stage in stages)
+    order = np.arange(len(trial))
+    if any(stage.backward for stage in stages):
+        order = order[::-1]
+    size = _PICTURES if pictures else _NUMBERS
+    batches = [order[first : first + size] for first in range(0, len(order), size)]
+    *early, last = stages
+
+    def begin(indices: np.ndarray) -> Batch:
+        """Pictures, and all stages but the last one, which may still be busy with the batch before."""
+        with torch.inference_mode():  # of this thread
+            batch = Batch(indices)
+            if pictures:
+                with _timed(seconds, "decoding"):
+                    batch.frames = trial.inputs.recording[indices].mapped()
+            for stage in early:
+                _step(stage, batch, seconds)
+        return batch
+
+    ahead = pictures and bool(early) and torch.get_num_threads() > 1
+    begun = _ahead(begin, batches) if ahead else (begin(indices) for indices in batches)
+    bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
+    # Closed also after an error: the recording must not be while another thread reads from it.
+    with closing(begun), bar:
+        for batch in begun:
+            _step(last, batch, seconds)
+            bar.update(len(batch.indices))
+            del batch  # before the batch after the next one is read
+
+
+def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
+    with _timed(seconds, stage.name):
+        batch.keep(stage, stage.step(batch))
 
 
 def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
@@ -104,71 +170,6 @@ def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
     from fingerflow.export.runtime import OnnxRuntime  # what it needs to load is not needed otherwise
 
     return OnnxRuntime(torch.get_num_threads())
-
-
-def _tracking(inputs: Inputs, contact: ContactStage, is_slip: bool) -> TrackingStage | None:
-    """None where no skin touches, so that there is none to follow."""
-    region = contact.first_and_largest(inputs.scene.tracking.window_px) if is_slip else contact.largest()
-    if region.any():
-        return TrackingStage(inputs, region)
-    inputs.warnings.append(
-        f"no contact was found in frame {contact.reference_frame + inputs.scene.recording.first_frame}, where most of "
-        f"it was expected: there are no points and no deformation"
-    )
-    return None
-
-
-def _no_tracks(frames: int) -> TrackSeries:
-    def nothing(dtype: type) -> np.ndarray:
-        return np.empty((frames, 0), dtype)
-
-    return TrackSeries(np.empty((frames, 0, 2)), nothing(np.float32), nothing(np.float32), nothing(np.uint8))
-
-
-def _stream(
-    inputs: Inputs, contact: ContactStage, tracking: TrackingStage | None, seconds: dict[str, float], progress: bool
-) -> np.ndarray:
-    """Runs the frames through contact and tracking, batch by batch; (F, N) which points the contact covers."""
-    scene, recording = inputs.scene, inputs.recording
-    order = np.arange(len(recording))
-    if tracking is not None and scene.tracking.direction == "backward":
-        order = order[::-1]
-    covered: dict[int, np.ndarray] = {}
-    damaged: list[int] = []
-
-    def begin(indices: np.ndarray) -> tuple[np.ndarray, np.ndarray, Tensor]:
-        with torch.inference_mode():  # of this thread
-            with _timed(seconds, "decoding"):
-                frames = recording[indices].mapped()
-            with _timed(seconds, "contact"):
-                density_margin = contact.run(indices, frames).density_margin
-                damaged.extend(indices[~_whole(scene.views.contact.crop(frames))].tolist())
-        return indices, frames, density_margin
-
-    batches = [order[first : first + _BATCH] for first in range(0, len(order), _BATCH)]
-    if torch.get_num_threads() == 1 or tracking is None:
-        begun = (begin(indices) for indices in batches)
-    else:
-        begun = _ahead(begin, batches)
-    bar = tqdm(total=len(order), desc="frames", unit="frame", disable=not progress)
-    # Closed also after an error: the recording must not be while another thread reads from it.
-    with closing(begun), bar:
-        for indices, frames, density_margin in begun:
-            if tracking is not None:
-                with _timed(seconds, "tracking"):
-                    covered.update(zip(indices.tolist(), tracking.run(indices, frames, density_margin), strict=True))
-            bar.update(len(indices))
-            del frames, density_margin  # before the batch after the next one is read
-    contact.finish()
-    if damaged:
-        # What is left of such a frame has some area, but not that of the contact.
-        for values in vars(contact.series).values():
-            values[damaged] = np.nan
-        inputs.warnings.append(
-            f"{len(damaged)} frames, the first is {min(damaged) + scene.recording.first_frame}, have pixels in the "
-            f"contact view that are NaN or infinite: their contact is NaN"
-        )
-    return np.stack([covered[i] for i in range(len(order))]) if covered else np.zeros((len(order), 0), dtype=bool)
 
 
 def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generator[_Result, None, None]:
@@ -186,13 +187,6 @@ def _ahead(act: Callable[[_Given], _Result], given: Iterable[_Given]) -> Generat
                 yield result.pop()
         if coming is not None:
             yield coming.result()
-
-
-def _whole(frames: np.ndarray) -> np.ndarray:
-    """(n,) whether every pixel of the frames (n, h, w) is a number."""
-    if frames.dtype.kind != "f":
-        return np.ones(len(frames), dtype=bool)
-    return np.asarray(np.isfinite(frames).all(axis=(1, 2)))
 
 
 @contextmanager

@@ -2,57 +2,90 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError
-from fingerflow.stages import contact, deformation, loading, slip, tracking
+from fingerflow.player.contract.scene_kinds import KINDS
+from fingerflow.player.contract.variables import Variable, by_name
+from fingerflow.scene import Scene
+from fingerflow.stages import all_stages
+from fingerflow.stages.stage import Stage
 
-#: What each stage gives, and which stages it needs, in the order in which they run.
-STAGES: dict[str, tuple[frozenset[str], tuple[str, ...]]] = {
-    "loading": (loading.GIVES, ()),
-    "contact": (contact.GIVES, ("loading",)),
-    "tracking": (tracking.GIVES, ("contact",)),
-    "displacement": (deformation.DISPLACEMENT_GIVES, ("tracking",)),
-    "fields": (deformation.FIELDS_GIVE, ("displacement",)),
-    "strain": (deformation.STRAIN_GIVES, ("displacement",)),
-    "slip": (slip.GIVES, ("loading", "contact", "tracking")),
+_STAGE_OF = {variable.name: stage for stage in all_stages() for variable in stage.gives}
+#: Every variable that there is, by its name.
+VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))
+#: Names of all outputs.
+OUTPUTS = tuple(sorted(VARIABLES))
+_REMEDIES = {
+    "forces": "needs forces, and the scene has no [forces] table",
+    "forces.tangential": "needs a tangential force, and the scene names no channel in [forces] tangential",
+    "views.topography": "follows the skin in the topographic view, and the scene has no [views.topography] table",
 }
 
-OUTPUTS = tuple(sorted(name for gives, _ in STAGES.values() for name in gives))
+
+class Plan(NamedTuple):
+    """The stages, each behind those that it needs, and the variables that some of them give only when asked."""
+
+    stages: tuple[type[Stage], ...]
+    asked: frozenset[str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the stages."""
+        return tuple(stage.name for stage in self.stages)
+
+    def passes(self) -> list[list[type[Stage]]]:
+        """The stages by passes over the frames: those of one pass need each other's steps alone."""
+        number: dict[type[Stage], int] = {}
+        for stage in self.stages:
+            later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
+            number[stage] = max([0, *later, *(number[other] for other in stage.beside)])
+        return [
+            [stage for stage in self.stages if number[stage] == k] for k in range(max(number.values(), default=-1) + 1)
+        ]
 
 
-def plan(
-    outputs: Iterable[str] | None, has_topography: bool, has_forces: bool, is_slip: bool = False
-) -> tuple[str, ...]:
-    """The stages that give these outputs, in order; None asks for everything that the scene allows, and for slip only
-    where the scene says that it is about it: in a press there is none to judge.
+def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
+    """The stages that give these outputs; None asks for everything that the scene's kind computes by default and the
+    scene allows.
 
     Raises FingerflowError for an output that does not exist or that the scene cannot give.
     """
     if outputs is None:
-        return tuple(
-            name
-            for name in STAGES
-            if name in ("loading", "contact") or (has_topography and (name != "slip" or is_slip))
-        )
-    needed: set[str] = set()
-    for output in outputs:
-        stage = next((name for name, (gives, _) in STAGES.items() if output in gives), None)
-        if stage is None:
-            close = get_close_matches(output, OUTPUTS, n=1)
+        kind = KINDS[scene.kind]
+        wanted = [stage for stage in all_stages() if kind.computes(stage.name) and not _lacking(stage, scene)]
+        return _with_needs(wanted, frozenset())
+    names = list(outputs)
+    for name in names:
+        if name not in VARIABLES:
+            close = get_close_matches(name, OUTPUTS, n=1)
             hint = f"did you mean {close[0]!r}? " if close else ""
-            raise FingerflowError(f"there is no output {output!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
-        if stage == "loading" and not has_forces:
-            raise FingerflowError(f"the output {output!r} needs forces, and the scene has no [forces] table")
-        _need(stage, needed)
-    if "tracking" in needed and not has_topography:
-        raise FingerflowError(
-            "outputs that follow the skin need the topographic view, and the scene has no [views.topography] table; "
-            f"without it the outputs are {', '.join(sorted(contact.GIVES | loading.GIVES))}"
-        )
-    return tuple(name for name in STAGES if name in needed)
+            raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
+        stage = _STAGE_OF[name]
+        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _lacking(stage, scene)
+        if lacking:
+            possible = [one for one in OUTPUTS if not _lacking(_STAGE_OF[one], scene)]
+            possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
+            why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
+            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
+    return _with_needs([_STAGE_OF[name] for name in names], frozenset(names))
 
 
-def _need(stage: str, needed: set[str]) -> None:
-    needed.add(stage)
-    for earlier in STAGES[stage][1]:
-        _need(earlier, needed)
+def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str]) -> Plan:
+    needed: set[type[Stage]] = set()
+
+    def need(stage: type[Stage]) -> None:
+        needed.add(stage)
+        for earlier in (*stage.after, *stage.beside):
+            need(earlier)
+
+    for stage in wanted:
+        need(stage)
+    stages = tuple(stage for stage in all_stages() if stage in needed)
+    return Plan(stages, asked.union(*(stage.reads for stage in stages)))
+
+
+def _lacking(stage: type[Stage], scene: Scene) -> list[str]:
+    """Keys of the scene that a stage, or one that it needs, wants in vain."""
+    lacking = [need for need in stage.needs if not scene.has(need)]
+    return lacking + [key for earlier in (*stage.after, *stage.beside) for key in _lacking(earlier, scene)]

@@ -190,9 +190,9 @@ CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calib
     ("arguments", "place", "calls"),
     [
         (PROCESS, "fingerflow.scene.load_scene", 0),
-        (PROCESS, "fingerflow.stages.contact.ContactStage.run", 0),
-        (PROCESS, "fingerflow.stages.tracking.TrackingStage.run", 0),
-        (PROCESS, "fingerflow.stages.deformation.strains", 0),
+        (PROCESS, "fingerflow.stages.contact.ContactStage.step", 0),
+        (PROCESS, "fingerflow.stages.tracking.TrackingStage.step", 0),
+        (PROCESS, "fingerflow.stages.strain.StrainStage.step", 0),
         (PROCESS, "h5netcdf.File.close", 0),
         (PROCESS, "pathlib.Path.replace", 0),
         ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),

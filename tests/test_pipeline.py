@@ -15,12 +15,12 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import OUTPUTS, plan
+from fingerflow.plan import OUTPUTS, VARIABLES, plan
+from fingerflow.player.contract.variables import SLIP, by_name
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, scene_text
-from fingerflow.stages import slip
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 
@@ -114,7 +114,7 @@ def test_every_variable_says_its_unit(result: xr.Dataset) -> None:
     for name, values in result.data_vars.items():
         assert values.attrs["units"], name
         assert values.attrs["long_name"], name
-    assert set(OUTPUTS) - slip.GIVES <= set(map(str, result.data_vars))
+    assert {name for name in OUTPUTS if VARIABLES[name].unasked} - set(by_name(SLIP)) <= set(map(str, result.data_vars))
     assert json.loads(result.attrs["settings"])["tracking"]["window_px"] == 25
 
 
@@ -142,7 +142,7 @@ def test_area_alone_never_looks_at_the_topography(scene: Scene, monkeypatch: pyt
         return view(self, frames, part)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Inputs, "view", counted)
-    monkeypatch.setattr("fingerflow.pipeline.TrackingStage", None)
+    monkeypatch.setattr(TrackingStage, "begin", None)
     areas = process(scene, ["real_contact_area"])
     assert set(seen) == {scene.views.contact}
     assert "position" not in areas
@@ -201,10 +201,11 @@ def test_a_failed_write_leaves_nothing(result: xr.Dataset, tmp_path: Path, monke
 def test_unknown_output_is_named(scene: Scene) -> None:
     with pytest.raises(FingerflowError, match="did you mean 'real_contact_area'"):
         process(scene, ["real_contact_aera"])
+    without = scene.views.model_copy(update={"topography_range": None})
     with pytest.raises(FingerflowError, match="topography"):
-        plan(["divergence"], has_topography=False, has_forces=True)
+        plan(["divergence"], scene.model_copy(update={"views": without}))
     with pytest.raises(FingerflowError, match="forces"):
-        plan(["normal_force"], has_topography=True, has_forces=False)
+        plan(["normal_force"], scene.model_copy(update={"forces": None}))
 
 
 def test_no_finger_in_view(scene: Scene, press: Path, tmp_path: Path) -> None:
@@ -265,7 +266,7 @@ def test_no_recording_is_closed_while_it_is_read(
     monkeypatch.setattr(Recording, "mapped", Recording.read)
     monkeypatch.setattr(NpyRecording, "_read_frame", slow_read)
     monkeypatch.setattr(NpyRecording, "close", noted_close)
-    monkeypatch.setattr(TrackingStage, "run", fail)
+    monkeypatch.setattr(TrackingStage, "step", fail)
     torch_threads(2)
     with pytest.raises(error, match="tracking"):
         process(scene)
@@ -307,22 +308,6 @@ def test_report_of_areas_alone(scene: Scene, tmp_path: Path) -> None:
 
     page = write_report(process(scene, ["gross_contact_area"]), scene, tmp_path)
     assert page.read_text(encoding="utf-8").count("data:image/png;base64,") == 2
-
-
-def test_a_point_that_was_lost_at_its_onset_has_none(scene: Scene) -> None:
-    """A later frame would be taken for the onset, and the displacement since then for the whole."""
-    from fingerflow.stages.deformation import displace
-    from fingerflow.stages.inputs import open_inputs
-    from fingerflow.stages.tracking import TrackSeries
-
-    position = np.zeros((4, 3, 2)) + np.arange(4)[:, None, None]
-    position[1, 1] = np.nan
-    covered = np.array([[0, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 0]], dtype=bool)
-    rest = np.zeros((4, 3), np.float32)
-    moved = displace(open_inputs(scene, "cpu"), TrackSeries(position, rest, rest, rest.astype(np.uint8)), covered)
-    assert moved.onset.tolist() == [1, -1, -1]
-    assert np.isnan(moved.displacement[:, 1:]).all()
-    assert np.isfinite(moved.displacement[1:, 0]).all()
 
 
 def test_triangles_that_are_lost_count_like_the_others() -> None:

@@ -11,10 +11,10 @@ from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
 from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.onset import LASTING as LASTING
+from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates, renewable
-
-LASTING = 3  # frames in a row that the contact covers a point to count as its onset
 
 
 class Prepared(NamedTuple):
@@ -194,8 +194,6 @@ class SinceOnsetGraph(nn.Module):
     """Onset of contact of each point, and the fields that count from there, on the glass.
 
     A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
-    A touch of fewer than `LASTING` frames is forgotten: whether the border grazes a point is chance, and the skin moves
-    on until it comes to stay.
     """
 
     def __init__(self, gauge_length_mm: float = 1.6) -> None:
@@ -218,7 +216,7 @@ class SinceOnsetGraph(nn.Module):
         before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view."""
         kind = points.dtype
         before = reached.to(kind)
-        lasts = torch.where(before < LASTING, covered.to(kind) * (before + 1), before)[..., None]
+        lasts = touch_length(before, covered)[..., None]
         onset = torch.where(lasts == 1, points, torch.where(lasts > 0, reference, torch.nan))
         scale = mm_per_px.to(kind)
         turn = topography_to_contact[:, :2].to(kind) * scale

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import xarray as xr
 
+from fingerflow.atomic_write import write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report.views import ViewPainter
-from fingerflow.result import write_atomically
 from fingerflow.scene import Scene
 
 _MOST_FRAMES = 300

@@ -12,11 +12,11 @@ import numpy as np
 import xarray as xr
 from jinja2 import Environment
 
+from fingerflow.atomic_write import write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report import figures
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.views import ViewPainter
-from fingerflow.result import write_atomically
 from fingerflow.scene import Scene
 
 

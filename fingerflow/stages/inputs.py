@@ -50,6 +50,21 @@ class Inputs:
         """(2, 3), px of the topography view to px of the contact view."""
         return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
 
+    def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 2) px of the topographic view to mm on the glass."""
+        matrix = self.topography_to_contact
+        result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
+        return result
+
+    @property
+    def topography_mm_per_px(self) -> float:
+        """Mean scale of the topographic view."""
+        return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
+
+    def tensor(self, values: NDArray[np.floating]) -> Tensor:
+        """In float32 on the device."""
+        return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
+
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
         """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
         memory of the frames. uint16 becomes int32, which torch can compute with."""

@@ -1,6 +1,9 @@
 """Which part of the contact sticks to the glass, and what becomes of it in a trial of tangential loading."""
 
-from dataclasses import dataclass, replace
+import json
+import math
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,47 +22,16 @@ from fingerflow.models.partial_slip import (
 )
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops.components import largest_component
-from fingerflow.stages.contact import ContactSeries
-from fingerflow.stages.deformation import glass_positions
-from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.loading import Loading
-from fingerflow.stages.tracking import TrackSeries
+from fingerflow.player.contract.variables import SLIP
+from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.loading import LoadingStage
+from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.stages.tracking import TrackingStage
 
-GIVES = frozenset({"stuck_area", "stuck_ratio", "stuck_region", "slip_coverage"})
 LEAST_COVERAGE = 0.9  # of the contact in which the displacement must be known
 
 
-@dataclass
-class SlipSeries:
-    """The stuck part of every frame, and the verdict of the trial.
-
-    Attributes:
-        stuck_area: (F,) mm^2; NaN without contact, and where too little of it is known.
-        stuck_ratio: (F,) d^2, the stuck area over the gross contact area.
-        region: (F, h, w) bool, the stuck part on cells of `cell_px` px of the contact view.
-        coverage: (F,) share of the gross contact that a tracked point's window shows; NaN without contact.
-        verdict: of Terekhov & Hayward's rule.
-        fit, curves: of the frames of slow loading, where there is a verdict; else None.
-    """
-
-    stuck_area: NDArray[np.float64]
-    stuck_ratio: NDArray[np.float64]
-    region: NDArray[np.bool_]
-    cell_px: int
-    coverage: NDArray[np.float64]
-    verdict: TrialVerdict
-    fit: FrictionFit | None
-    curves: CurveComparison | None
-
-
-def find_slip(
-    inputs: Inputs,
-    tracks: TrackSeries,
-    contact: ContactSeries,
-    regions: NDArray[np.bool_],
-    cell_px: int,
-    loading: Loading | None,
-) -> SlipSeries:
+class SlipStage(Stage):
     """The stuck part as Terekhov & Hayward (2011) take it: the largest connected part of the gross contact whose skin
     has moved by less than a length since the first frame.
 
@@ -70,35 +42,90 @@ def find_slip(
     an area that fades at mu_k of 1.0 to 1.2 mu_s is judged to vanish abruptly. Coefficients of friction that are
     fitted to it are wrong: a fit that contradicts the T/N at which adhesion was lost is marked as not identified,
     others deserve no more trust than d^2.
-
-    Args:
-        regions: (F, h, w) the gross contact on cells of cell_px px of the contact view.
     """
-    position = glass_positions(inputs, tracks.position)
-    moved = position - position[0]
-    y, x = (np.arange(size) * cell_px + (cell_px - 1) / 2 for size in regions.shape[1:])
-    places = np.stack(np.meshgrid(x, y), axis=-1) * inputs.mm_per_px
-    scale = inputs.mm_per_px * np.sqrt(abs(np.linalg.det(inputs.topography_to_contact[:, :2])))
-    reach = inputs.scene.tracking.window_px / 2 * float(scale)
-    ratio, coverage = np.full(len(moved), np.nan), np.full(len(moved), np.nan)
-    stuck = np.zeros_like(regions)
-    for frame in np.flatnonzero(regions.any((1, 2)) & np.isfinite(contact.gross_area)):
-        region = regions[frame]
-        displacement, distance = displacement_at(places[region], position[frame], moved[frame])
-        coverage[frame] = (distance <= reach).mean()
-        if coverage[frame] >= LEAST_COVERAGE:
-            still = np.zeros_like(region)
-            still[region] = np.linalg.norm(displacement, axis=-1) < inputs.scene.slip.stuck_mm
-            stuck[frame] = largest_component(torch.from_numpy(still)[None, None])[0, 0]
-            ratio[frame] = int(stuck[frame].sum()) / int(region.sum())
-    _warn_of_unknown(inputs, coverage)
-    verdict = _judged(inputs, contact, loading, ratio)
-    fit, curves = None, None
-    if verdict.outcome != "inconclusive" and loading is not None and loading.ratio is not None:
-        slow = verdict.loading()
-        fit = _consistent(fit_friction(ratio[slow], loading.ratio[slow]), verdict)
-        curves = compare_curves(ratio[slow], loading.ratio[slow])
-    return SlipSeries(ratio * contact.gross_area, ratio, stuck, cell_px, coverage, verdict, fit, curves)
+
+    name = "slip"
+    gives = SLIP
+    reads = ("gross_contact_region",)
+    needs = ("views.topography",)
+    after = (LoadingStage, ContactStage, TrackingStage)
+    follows_border = True
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._ratio, self._coverage = np.full((2, len(trial)), np.nan)
+        self._limit = self.inputs.scene.slip.stuck_mm
+
+    def begin(self) -> None:
+        contact = self.trial.stage(ContactStage)
+        self._area = contact.series["gross_contact_area"]
+        rows, columns = self.results["gross_contact_region"].shape[1:]
+        y, x = (np.arange(size) * contact.cell_px + (contact.cell_px - 1) / 2 for size in (rows, columns))
+        self._places = np.stack(np.meshgrid(x, y), axis=-1) * self.inputs.mm_per_px
+        self._reach = self.inputs.scene.tracking.window_px / 2 * self.inputs.topography_mm_per_px
+        self._first = self.results["position"][slice(0, 1)]
+        self.results.create("stuck_region", contact.cells())
+
+    def step(self, batch: Batch) -> None:
+        regions, positions = (self.results[name][batch.indices] for name in ("gross_contact_region", "position"))
+        stuck = np.zeros(regions.shape, dtype=bool)
+        for k, frame in enumerate(batch.indices):
+            region = regions[k] > 0
+            if not region.any() or not np.isfinite(self._area[frame]):
+                continue
+            moved = positions[k] - self._first[0]
+            displacement, distance = displacement_at(self._places[region], positions[k], moved)
+            self._coverage[frame] = (distance <= self._reach).mean()
+            if self._coverage[frame] >= LEAST_COVERAGE:
+                still = np.zeros_like(region)
+                still[region] = np.linalg.norm(displacement, axis=-1) < self._limit
+                stuck[k] = largest_component(torch.from_numpy(still)[None, None])[0, 0]
+                self._ratio[frame] = int(stuck[k].sum()) / int(region.sum())
+        self.results["stuck_region"][batch.indices] = stuck
+
+    def finish(self) -> None:
+        self._warn_of_unknown()
+        forces = self.trial.stage(LoadingStage).ratio
+        verdict = self._judged(forces)
+        parts: dict[str, TrialVerdict | FrictionFit | CurveComparison] = {"verdict": verdict}
+        if verdict.outcome != "inconclusive" and forces is not None:
+            slow = verdict.loading()
+            parts["friction_fit"] = _consistent(fit_friction(self._ratio[slow], forces[slow]), verdict)
+            parts["curves"] = compare_curves(self._ratio[slow], forces[slow])
+        judged = {name: json.dumps(_plain(asdict(part)), ensure_ascii=False) for name, part in parts.items()}
+        limit = {"stuck_mm": self._limit}
+        self.results.put("stuck_area", self._ratio * self._area, limit)
+        self.results.put("stuck_ratio", self._ratio, limit | judged)
+        self.results.put("slip_coverage", self._coverage)
+
+    def _judged(self, forces: NDArray[np.float64] | None) -> TrialVerdict:
+        reason = ""
+        if not np.nanmax(self._area, initial=0.0) > 0:
+            reason = "there is no contact in any frame"
+        elif not self._area[0] > 0:
+            reason = (
+                "there is no contact in the first frame, from which displacement counts: set [recording] first_frame"
+            )
+        elif self.inputs.scene.forces is None:
+            reason = "there are no forces: the scene has no [forces] table"
+        elif forces is None:
+            reason = "there is no tangential force: name its channel in [forces] tangential"
+        elif not np.isfinite(self._ratio).any():
+            reason = "the displacement is known in too little of the contact in every frame"
+        if reason or forces is None:
+            return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(self._ratio))
+        return judge_trial(self._ratio, forces, self.inputs.times)
+
+    def _warn_of_unknown(self) -> None:
+        low = np.flatnonzero(self._coverage < LEAST_COVERAGE)
+        if len(low):
+            first = int(low[0]) + self.inputs.scene.recording.first_frame
+            self.inputs.warnings.append(
+                f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less "
+                f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(self._coverage[low]):.0%}: their stuck "
+                f"area is NaN. Points were lost there, or skin came into contact that was in no point's window: raise "
+                f"[tracking] points or search_px"
+            )
 
 
 def displacement_at(
@@ -128,25 +155,6 @@ def displacement_at(
     return result, distance
 
 
-def _judged(
-    inputs: Inputs, contact: ContactSeries, loading: Loading | None, ratio: NDArray[np.float64]
-) -> TrialVerdict:
-    reason = ""
-    if not np.nanmax(contact.gross_area, initial=0.0) > 0:
-        reason = "there is no contact in any frame"
-    elif not contact.gross_area[0] > 0:
-        reason = "there is no contact in the first frame, from which displacement counts: set [recording] first_frame"
-    elif loading is None:
-        reason = "there are no forces: the scene has no [forces] table"
-    elif loading.ratio is None:
-        reason = "there is no tangential force: name its channel in [forces] tangential"
-    elif not np.isfinite(ratio).any():
-        reason = "the displacement is known in too little of the contact in every frame"
-    if reason or loading is None or loading.ratio is None:
-        return TrialVerdict("inconclusive", reason, "inconclusive", frames_missing=len(ratio))
-    return judge_trial(ratio, loading.ratio, inputs.times)
-
-
 def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
     """The fit; not identified where its curve does not lose adhesion at the T/N at which the trial did."""
     if not fit.identified:
@@ -161,13 +169,10 @@ def _consistent(fit: FrictionFit, verdict: TrialVerdict) -> FrictionFit:
     return replace(fit, identified=False, reason=reason)
 
 
-def _warn_of_unknown(inputs: Inputs, coverage: NDArray[np.float64]) -> None:
-    low = np.flatnonzero(coverage < LEAST_COVERAGE)
-    if len(low):
-        first = int(low[0]) + inputs.scene.recording.first_frame
-        inputs.warnings.append(
-            f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less than "
-            f"{LEAST_COVERAGE:.0%} of the contact, down to {np.min(coverage[low]):.0%}: their stuck area is NaN. "
-            f"Points were lost there, or skin came into contact that was in no point's window: raise [tracking] points "
-            f"or search_px"
-        )
+def _plain(value: Any) -> Any:
+    """What JSON can say: null for NaN."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

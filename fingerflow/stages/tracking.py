@@ -1,13 +1,11 @@
 """Points of the skin through all frames of the topography view."""
 
 import math
-from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
@@ -29,50 +27,33 @@ from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import TrackStatus
-from fingerflow.stages.inputs import Inputs
+from fingerflow.player.contract.variables import TRACKING
+from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.series import nanmedian
+from fingerflow.stages.stage import Batch, Stage, Trial
 
-GIVES = frozenset(
-    {
-        "position",
-        "position_px",
-        "position_std_px",
-        "forward_backward_error",
-        "status",
-        "tracked_share",
-        "forward_backward_median",
-    }
-)
 _FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
 _FASTEST_PX = 0.2  # that the edges of windows may change by until then
 
 
-@dataclass
-class TrackSeries:
-    """Tracks of all frames, px of the topography view; NaN where the status is not TRACKED."""
-
-    position: NDArray[np.float64]
-    position_std: NDArray[np.float32]
-    error: NDArray[np.float32]
-    status: NDArray[np.uint8]
-
-
-class TrackingStage:
+class TrackingStage(Stage):
     """Follows points from frame to frame, in the order of time or against it.
 
     With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
     so far: errors do not add up. From frame to frame they do.
     """
 
-    def __init__(self, inputs: Inputs, region: Tensor) -> None:
-        """``region`` (1, 1, h, w) bool, px of the contact view: where to look for points if the scene says nothing."""
-        view = inputs.scene.views.topography
-        if view is None:
-            raise FingerflowError(
-                f"{inputs.scene.path}: tracking needs the topographic view; add [views.topography] with rows "
-                f"and columns"
-            )
-        self._inputs = inputs
+    name = "tracking"
+    gives = TRACKING
+    needs = ("views.topography",)
+    beside = (ContactStage,)
+    reads_frames = True
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        inputs, view = self.inputs, self.inputs.scene.views.topography
+        assert view is not None
         self._view = view
         self._settings = inputs.scene.tracking
         self._detect = inputs.engine(
@@ -83,7 +64,6 @@ class TrackingStage:
         self._agreement = inputs.engine(AgreementGraph())
         self._deformation = inputs.engine(DeformationGraph(self._settings.window_px))
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
-        self._region = region
         self._key: Tensor | None = None  # the image that the templates are from
         self._noise = torch.empty(0)
         self._templates: Templates | None = None
@@ -96,28 +76,64 @@ class TrackingStage:
         self._at_once = MOST_AT_ONCE if self._settings.template == "keyframe" else 1  # frames
         self._followed = self._looked = 1  # frames since the points were chosen, and when templates were looked at
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
-        self.series: TrackSeries | None = None
+        self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
+        self._share, self._error = np.full((2, len(trial)), np.nan)
 
-    def run(self, indices: NDArray[np.intp], frames: NDArray[np.generic], density_margin: Tensor) -> NDArray[np.bool_]:
-        """Tracks through these frames, in the order given; says which points the gross contact
-        (`Contact.density_margin`) covers, (n, N)."""
-        images = self._inputs.view(frames, self._view)
+    @property
+    def backward(self) -> bool:
+        return self._settings.direction == "backward"
+
+    def begin(self) -> None:
+        """Finds out where skin touches; where none does there is none to follow, which a warning says."""
+        contact = self.trial.stage(ContactStage)
+        border = any(stage.follows_border for stage in self.trial.planned)
+        self._region = contact.first_and_largest(self._settings.window_px) if border else contact.largest()
+        if not self._region.any():
+            self.inputs.warnings.append(
+                f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
+                f"where most of it was expected: there are no points and no deformation"
+            )
+            self._create(0)
+
+    def step(self, batch: Batch) -> None:
+        """Tracks through these frames, in the order given."""
+        if "position" in self.results and not self.results["position"].shape[1]:
+            return
+        assert batch.frames is not None
+        images = self.inputs.view(batch.frames, self._view)
         steps, done = [], 0
         if self._key is None:
-            steps.append(self._begin(images[:1]))
+            steps.append(self._choose(images[:1]))
             done = 1
         while done < len(images):
             until_look = MOST_AT_ONCE - self._followed % MOST_AT_ONCE
             step = self._step(images[done : done + min(self._at_once, until_look)])
             steps.append(step)
             done += len(step.status)
-        assert self.series is not None
         found = Found.joined(steps)
-        self.series.position[indices] = found.points.cpu()
-        self.series.position_std[indices] = self._since_start(found.variance).sqrt().cpu()
-        self.series.error[indices] = found.error.cpu()
-        self.series.status[indices] = found.status.cpu()
-        return self._inside(density_margin, found.estimate).cpu().numpy()
+        pixels, error, status = (one.cpu().numpy() for one in (found.points, found.error, found.status))
+        in_contact = self._inside(batch.of(ContactStage).density_margin, found.estimate)
+        for name, values in {
+            "position": self.inputs.on_glass(pixels.astype(np.float64)),
+            "position_px": pixels,
+            "position_std_px": self._since_start(found.variance).sqrt().cpu().numpy(),
+            "forward_backward_error": error,
+            "status": status,
+            "in_contact": in_contact.cpu().numpy(),
+        }.items():
+            self.results[name][batch.indices] = values
+        tracked = status == TrackStatus.TRACKED
+        self._share[batch.indices] = tracked.mean(1)
+        self._error[batch.indices] = nanmedian(np.where(tracked, error, np.nan))
+
+    def finish(self) -> None:
+        self.results.put("tracked_share", self._share)
+        self.results.put("forward_backward_median", self._error)
+
+    def _create(self, points: int) -> None:
+        for variable in TRACKING:
+            if "point" in variable.dims:
+                self.results.create(variable.name, point=points)
 
     def _since_start(self, variance: Tensor) -> Tensor:
         """Variance (n, N) of positions relative to the skin that was chosen; from frame to frame those of all steps."""
@@ -214,23 +230,17 @@ class TrackingStage:
         self._templates = merged(self._templates, renewed, chosen)
         self._inverse_warp = self._inverse_warp.index_copy(1, chosen, inverse_2x2(warp))
 
-    def _begin(self, image: Tensor) -> Found:
+    def _choose(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
         found, _ = self._detect(image, self._where(image))
         points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
-                f"{self._inputs.recording.path}: {points.shape[1]} points with texture were found in the "
+                f"{self.inputs.recording.path}: {points.shape[1]} points with texture were found in the "
                 f"contact region of the topographic view, at least 3 are needed. Check [views.topography], "
                 f"[stream] region, the calibration and the focus."
             )
-        count = (len(self._inputs.recording), points.shape[1])
-        self.series = TrackSeries(
-            position=np.full((*count, 2), np.nan),
-            position_std=np.full(count, np.nan, dtype=np.float32),
-            error=np.full(count, np.nan, dtype=np.float32),
-            status=np.full(count, TrackStatus.NOT_FINITE, dtype=np.uint8),
-        )
+        self._create(points.shape[1])
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
         self._warp = self._inverse_warp = torch.eye(2, device=image.device).expand(1, points.shape[1], 2, 2)
@@ -242,14 +252,14 @@ class TrackingStage:
     def _where(self, image: Tensor) -> Tensor:
         """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both
         have the same points; else, and where the last frame comes first, all that touches at some time."""
-        stated = self._inputs.scene.stream.region
+        stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
             mask = torch.zeros_like(image, dtype=torch.bool)
             stated.crop(mask)[...] = True
             return mask
         region = cv2.warpAffine(
             self._region[0, 0].cpu().numpy().astype(np.uint8),
-            self._inputs.topography_to_contact,
+            self.inputs.topography_to_contact,
             (image.shape[3], image.shape[2]),
             flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         )
@@ -266,7 +276,7 @@ class TrackingStage:
     def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
         """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
         x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
-        return covered(density_margin, x, y, cell_of(self._inputs.scene.contact.gross_radius_px))
+        return covered(density_margin, x, y, cell_of(self.inputs.scene.contact.gross_radius_px))
 
 
 def _may_disagree(found: Found, expected: Tensor) -> Tensor:

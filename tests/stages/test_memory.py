@@ -24,7 +24,7 @@ class Watch:
         self.frames = self.most_frames = self.most_tensors = 0
         self._pixels = pixels
         self._batches = 0
-        run = ContactStage.run
+        run = ContactStage.step
 
         def counted_read(recording: Recording) -> np.ndarray[Any, Any]:
             frames = recording.read()  # as from a file that has to be decoded
@@ -40,7 +40,7 @@ class Watch:
             return run(stage, *arguments)
 
         monkeypatch.setattr(Recording, "mapped", counted_read)
-        monkeypatch.setattr(ContactStage, "run", counted_run)
+        monkeypatch.setattr(ContactStage, "step", counted_run)
 
     def _tensors(self) -> int:
         found = [part.numel() for part in gc.get_objects() if type(part) is torch.Tensor]

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.typing import NDArray
+from stages_alone import run, trial_of, values_of
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import plan
 from fingerflow.scene import Scene
-from fingerflow.stages.contact import ContactSeries
 from fingerflow.stages.inputs import open_inputs
-from fingerflow.stages.slip import displacement_at, find_slip
-from fingerflow.stages.tracking import TrackSeries
+from fingerflow.stages.slip import SlipStage, displacement_at
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 
 NAMES = ("abrupt", "fading")
@@ -100,16 +99,20 @@ def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Data
     assert json.loads(result.attrs["warnings"]) == []
 
 
-def test_only_what_is_needed_runs() -> None:
-    assert plan(["stuck_ratio"], True, True) == ("loading", "contact", "tracking", "slip")
-    assert plan(["load_ratio"], True, True) == ("loading",)
-    assert "slip" not in plan(None, True, True)
-    assert "slip" in plan(None, True, True, is_slip=True)
-    assert "slip" not in plan(None, False, True, is_slip=True)
+def test_only_what_is_needed_runs(slip_trials: Path) -> None:
+    """A trial of slip that is called a press gives it where it is asked for."""
+    slip = load_scene(slip_trials / "abrupt" / "scene.toml")
+    press = slip.model_copy(update={"kind": "press"})
+    areas = slip.model_copy(update={"views": slip.views.model_copy(update={"topography_range": None})})
+    assert plan(["stuck_ratio"], press).names == ("loading", "contact", "tracking", "slip")
+    assert plan(["load_ratio"], press).names == ("loading",)
+    assert "slip" not in plan(None, press).names
+    assert "slip" in plan(None, slip).names
+    assert "slip" not in plan(None, areas).names
     with pytest.raises(FingerflowError, match="load_ratio"):
-        plan(["load_ratio"], True, has_forces=False)
+        plan(["load_ratio"], slip.model_copy(update={"forces": None}))
     with pytest.raises(FingerflowError, match="topographic view"):
-        plan(["stuck_area"], has_topography=False, has_forces=True)
+        plan(["stuck_area"], areas)
 
 
 def test_a_scene_that_is_about_slip_gives_it_unasked(slip_trials: Path) -> None:
@@ -226,24 +229,22 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
     rests = ((x > 60) & (x < 120) & (y > 40)) | ((x > 150) & (x < 170) & (y > 40) & (y < 100))
     position = np.repeat(np.stack((x, y), -1).reshape(1, -1, 2), 2, axis=0)
     position[1, ~rests.ravel(), 0] += 2  # px, 0.065 mm
-    number = position.shape[1]
-    one = np.zeros((2, number), np.float32)
-    tracks = TrackSeries(position, one, one, one.astype(np.uint8))
     scene = inputs.scene
     identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     calibration = replace(scene.calibration, topography_to_contact=identity)
     inputs.scene = replace(scene, calibration=calibration)
     regions = np.zeros((2, 48, 60), bool)
     regions[:, :40] = True  # rows to 160 px
-    nothing = np.full(2, np.nan)
-    contact = ContactSeries(nothing, nothing, np.full(2, 10.0), nothing, nothing, nothing)
-    found = find_slip(inputs, tracks, contact, regions, 4, None)
-    assert found.stuck_ratio[0] == 1
+    given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
+    trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
+    run(trial, SlipStage(trial))
+    ratio, stuck = (values_of(trial, name) for name in ("stuck_ratio", "stuck_region"))
+    assert ratio[0] == 1
     # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
-    assert found.stuck_ratio[1] == pytest.approx(14 * 29 / (60 * 40), abs=2 * (14 + 29) / (60 * 40))
-    assert not found.region[1][:, 36:].any()
-    assert not found.region[1][40:].any()
-    np.testing.assert_allclose(found.stuck_area, 10 * found.stuck_ratio)
+    assert ratio[1] == pytest.approx(14 * 29 / (60 * 40), abs=2 * (14 + 29) / (60 * 40))
+    assert not stuck[1][:, 36:].any()
+    assert not stuck[1][40:].any()
+    np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
 
 
 def test_displacement_of_a_linear_field_is_exact() -> None:

@@ -1,0 +1,224 @@
+"""Displacement of each point from where it was when the contact came to cover it."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.onset import touch_length
+from fingerflow.player.contract.variables import DISPLACEMENT
+from fingerflow.stages.series import nanmedian
+from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.stages.tracking import TrackingStage
+from fingerflow.store import Store
+
+# Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
+# Measured on the shipped press, where the border is known.
+_BORDER_MM = 0.06
+_LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
+_FRAMES = 64  # read at a time
+Points = NDArray[np.float64]
+
+
+class Moved(NamedTuple):
+    """Displacement of n frames since the onset of contact; NaN before it and for points that never touch.
+
+    Attributes:
+        displacement: (n, N, 2) mm; in a touch that does not stay, since that touch.
+        variance: (n, N) mm^2, of a component, by the noise of the pictures.
+    """
+
+    displacement: Points
+    variance: NDArray[np.float32]
+
+
+class DisplacementStage(Stage):
+    """Where each point was at the onset of contact, what is uncertain about it, and how far it has moved since.
+
+    Attributes:
+        onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
+            then: a later one would be taken for it.
+        reference: (N, 2) position at onset, mm; of points that are touched in passing alone, where they were then.
+        reference_px: (N, 2) the same, px of the topographic view.
+        noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
+        of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames.
+        late: (N, 2) mm, how far skin moves in half a frame at onset: the first frame with contact comes so much after
+            the contact, on average. Of neighbours it is the same, and no part of the errors of a gradient.
+    """
+
+    name = "displacement"
+    gives = DISPLACEMENT
+    needs = ("views.topography",)
+    after = (TrackingStage,)
+
+    onset: NDArray[np.int32]
+    reference: Points
+    reference_px: Points
+    noise: Points
+    of_onset: Points
+    late: Points
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._scale = self.inputs.topography_mm_per_px
+        self._template = self.inputs.scene.tracking.template
+        self._vector = np.full((len(trial), 2), np.nan)
+
+    def begin(self) -> None:
+        self._find_onsets()
+        self._find_errors_of_onset()
+        points = len(self.onset)
+        first_frame = self.inputs.scene.recording.first_frame
+        self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
+        self.results.put("reference_position", self.reference)
+        for name in ("displacement", "displacement_std"):
+            self.results.create(name)
+        self._touch = _Touch(points)
+        of_onset = np.trace(self.of_onset, axis1=1, axis2=2) + (self.late**2).sum(1)
+        self._of_onset = of_onset.astype(np.float32) / 2  # (N,) mean square of a component
+
+    def step(self, batch: Batch) -> Moved:
+        moved = self._since_touch(self._touch, batch.indices)
+        self.results["displacement"][batch.indices] = moved.displacement
+        # Root mean square error of a component.
+        self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
+        # Component by component (the lab's script takes the x median twice).
+        self._vector[batch.indices] = nanmedian(moved.displacement)
+        return moved
+
+    def finish(self) -> None:
+        self.results.put("global_displacement_vector", self._vector)
+        self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1))
+
+    def covariance(self, moved: Moved) -> NDArray[np.float32]:
+        """(n, N, 2, 2) mm^2, of the displacement."""
+        own = moved.variance[:, :, None, None] * np.eye(2, dtype=np.float32)
+        result: NDArray[np.float32] = own + self.of_onset.astype(np.float32)
+        return result
+
+    def _find_onsets(self) -> None:
+        touch = _Touch(self.results["position"].shape[1])
+        count, total = np.zeros((2, touch.points))
+        for indices in _runs(len(self.trial)):
+            variance = self._since_touch(touch, indices).variance
+            known = np.isfinite(variance)
+            count += known.sum(0)
+            total += np.where(known, variance, 0).sum(0, dtype=np.float64)
+        self.noise = total / np.maximum(count, 1)
+        # A touch that lasts to the end may be one that stays.
+        stays = touch.length > 0
+        came = np.where(stays, touch.start, touch.first)
+        touched = came >= 0
+        self.reference = np.where(stays[:, None], touch.place, touch.first_place)
+        self.reference_px = _at(self.results, "position_px", np.maximum(came, 0))
+        self.reference_px[~touched] = np.nan
+        known_then = stays & np.isfinite(self.reference).all(-1)
+        self.onset = np.where(known_then, touch.start, -1).astype(np.int32)
+
+    def _since_touch(self, touch: "_Touch", indices: NDArray[np.intp]) -> Moved:
+        """What the frames (n,), which follow those that `touch` has seen, have moved by since the touch of each."""
+        position, covered = self.results["position"][indices], self.results["in_contact"][indices]
+        variance = self.results["position_std_px"][indices] ** 2
+        moved, noise = np.empty_like(position), np.empty_like(variance)
+        for k, frame in enumerate(indices):
+            touch.go_on(int(frame), covered[k], position[k], variance[k])
+            moved[k] = np.where(touch.length[:, None] > 0, position[k] - touch.place, np.nan)
+            noise[k] = self._noise(variance[k], touch.variance, touch.start == frame)
+        noise *= np.float32(self._scale**2)
+        noise[np.isnan(moved).any(-1)] = np.nan
+        return Moved(moved, noise)
+
+    def _noise(
+        self, now: NDArray[np.float32], then: NDArray[np.float32], begins: NDArray[np.bool_]
+    ) -> NDArray[np.float32]:
+        """Variance (N,) px^2 of a component of the displacement, from those of the position now and then.
+
+        Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
+        of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
+        variances add up.
+        """
+        if self._template == "previous":
+            return abs(now - then)
+        result: NDArray[np.float32] = np.where(begins, 0, np.where(then > 0, (now + then) / 2, now))
+        return result
+
+    def _find_errors_of_onset(self) -> None:
+        """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time; and its
+        mean.
+
+        The time is known to a frame, uniformly within it: 1/12 frame^2; and the place of the border to `_BORDER_MM`,
+        which takes it as many frames as neighbouring points are apart in time. Both change from one neighbour to the
+        next, as the border crosses several between two frames or one ridge after the other, so errors are taken as
+        independent. A point that touches in the first frame has no onset: its displacement counts from that frame.
+        """
+        onset, frames = self.onset, len(self.trial)
+        after_first = onset > 0
+        known = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
+        slope = local_gradients(
+            known,
+            torch.from_numpy(onset.astype(np.float64))[None, :, None],
+            gauge_length=self.inputs.scene.fields.gauge_length_mm,
+        ).gradient[0, :, 0]
+        frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
+        variance = 1 / 12 + (_BORDER_MM * frames_per_mm) ** 2
+        reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
+        before, after = np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)
+        before, after = (np.where(np.isfinite(self._place(k)).all(-1), k, onset) for k in (before, after))
+        step = self._place(after) - self._place(before)
+        speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
+        # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
+        errors = [self._scale * _at(self.results, "position_std_px", k % frames) for k in (after, before)]
+        noise = (errors[0] ** 2 + errors[1] ** 2) / 2 / np.maximum(after - before, 1) ** 2
+        square = (speed**2).sum(1)
+        share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
+        speed = speed * np.sqrt(share)[:, None]
+        self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+        self.late = speed / 2
+
+    def _place(self, frames: NDArray[np.integer]) -> Points:
+        """(N, 2) mm, of each point in its frame (N,), -1 for the last."""
+        return _at(self.results, "position", frames % len(self.trial))
+
+
+class _Touch:
+    """The present touch of each point, frame after frame: `ops.onset` for numbers on their way."""
+
+    def __init__(self, points: int) -> None:
+        self.points = points
+        self.length = np.zeros(points, np.uint8)  # as `touch_length` counts
+        self.start = np.full(points, -1)  # frame in which it began
+        self.place = np.full((points, 2), np.nan)  # mm, of the point then
+        self.variance = np.full(points, np.nan, np.float32)  # px^2, then
+        self.first = np.full(points, -1)  # frame of the first touch of all
+        self.first_place = np.full((points, 2), np.nan)
+
+    def go_on(self, frame: int, covered: NDArray[Any], position: Points, variance: NDArray[np.float32]) -> None:
+        """One frame more."""
+        before = self.length
+        self.length = touch_length(torch.from_numpy(before), torch.from_numpy(covered)).numpy()
+        begins = (self.length == 1) & (before == 0)
+        if begins.any():
+            self.start = np.where(begins, frame, self.start)
+            self.place = np.where(begins[:, None], position, self.place)
+            self.variance = np.where(begins, variance, self.variance)
+            first = begins & (self.first < 0)
+            self.first = np.where(first, frame, self.first)
+            self.first_place = np.where(first[:, None], position, self.first_place)
+
+
+def _runs(frames: int) -> list[NDArray[np.intp]]:
+    """All frames, some at a time."""
+    return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
+
+
+def _at(results: Store, name: str, frames: NDArray[np.integer]) -> NDArray[Any]:
+    """(N, ...) a variable of each point in its frame (N,)."""
+    values = results[name]
+    found = np.empty(values.shape[1:], dtype=np.float64)
+    for indices in _runs(values.shape[0]):
+        here = np.flatnonzero((frames >= indices[0]) & (frames <= indices[-1]))
+        if len(here):
+            found[here] = values[indices][frames[here] - indices[0], here]
+    return found

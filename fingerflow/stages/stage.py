@@ -1,0 +1,104 @@
+"""What a stage is: what it needs, what it gives, and its three parts, which the pipeline calls."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.player.contract.variables import Variable
+from fingerflow.stages.inputs import Inputs
+from fingerflow.store import Store
+
+S = TypeVar("S", bound="Stage")
+
+
+@dataclass
+class Batch:
+    """Consecutive frames on their way through the stages of one pass, in the order in which these want them.
+
+    Attributes:
+        indices: (n,) their numbers, from 0 for the first frame that counts; up or down by one.
+        frames: (n, H, W) the pictures, where a stage of the pass reads them.
+    """
+
+    indices: NDArray[np.intp]
+    frames: NDArray[np.generic] | None = None
+    _steps: dict[type["Stage"], Any] = field(default_factory=dict)
+
+    def keep(self, stage: "Stage", result: Any) -> None:
+        """What a stage's step has given, for the stages beside it."""
+        self._steps[type(stage)] = result
+
+    def of(self, stage: type["Stage"]) -> Any:
+        """What the step of a stage beside has given for these frames."""
+        return self._steps[stage]
+
+
+@dataclass
+class Trial:
+    """A scene on its way: what it is computed from, what was asked for, and what is there so far."""
+
+    inputs: Inputs
+    results: Store
+    planned: tuple[type["Stage"], ...]
+    asked: frozenset[str]  # variables, by name or because a stage reads them
+    stages: Mapping[type["Stage"], "Stage"]  # those that run or have run
+
+    def stage(self, kind: type[S]) -> S:
+        """The stage of this class, which runs beside or before."""
+        found = self.stages[kind]
+        assert isinstance(found, kind)
+        return found
+
+    def __len__(self) -> int:
+        return len(self.inputs.times)
+
+
+class Stage:
+    """One step of the computation. A file of this folder holds it; that is all it takes.
+
+    The pipeline goes over the frames once for all stages that need nothing but each other's steps, and once more for
+    those that come after them. It calls `begin` of each, in the order of their needs, `step` with batch after batch,
+    and `finish`. A stage writes results of frames to `Trial.results` as they come: what it holds for all frames is a
+    few numbers a frame.
+
+    Attributes:
+        name: in the plan and in the seconds that a result states.
+        gives: the results.
+        reads: results of others, of those that are computed only where they are asked for.
+        needs: keys of the scene without which it cannot run (`Scene.has`).
+        beside: stages whose step of the same frames comes before its own.
+        after: stages that must be finished before it begins.
+        reads_frames: whether `step` wants pictures.
+        follows_border: whether it wants points on both sides of the border of the contact, from the first frame on.
+    """
+
+    name: ClassVar[str]
+    gives: ClassVar[tuple[Variable, ...]]
+    reads: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()
+    beside: ClassVar[tuple[type["Stage"], ...]] = ()
+    after: ClassVar[tuple[type["Stage"], ...]] = ()
+    reads_frames: ClassVar[bool] = False
+    follows_border: ClassVar[bool] = False
+
+    def __init__(self, trial: Trial) -> None:
+        self.trial = trial
+        self.inputs = trial.inputs
+        self.results = trial.results
+
+    @property
+    def backward(self) -> bool:
+        """Whether frames come from the last to the first one."""
+        return False
+
+    def begin(self) -> None:
+        """Opens what it needs. Raises FingerflowError for what the user can put right."""
+
+    def step(self, batch: Batch) -> Any:
+        """Results of these frames; what it returns, stages beside it get by `Batch.of`."""
+
+    def finish(self) -> None:
+        """Results that need all frames, and warnings."""

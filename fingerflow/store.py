@@ -1,0 +1,163 @@
+"""Results on their way: arrays by variable, in memory or in a file that grows frame by frame."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import h5netcdf
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.player.contract.variables import LABELS, TIME, Variable
+
+_CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
+_FEWEST_BYTES = 256  # a frame, below which compression is not worth its bookkeeping
+
+
+class Values(Protocol):
+    """Values of a variable by its first dimension, frames mostly; an index is a slice, or consecutive numbers."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, index: Any) -> NDArray[Any]: ...
+
+    def __setitem__(self, index: Any, values: Any) -> None: ...
+
+
+class Store(ABC):
+    """Variables of a trial while stages write and read them.
+
+    A variable is created once, when the sizes of its dimensions are known, and then filled by frames: NaN, or 0 for
+    whole numbers, until they are written.
+    """
+
+    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
+        """Variables that may be created are `known`, by their names."""
+        self._known = known
+        self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
+        self._values: dict[str, Values] = {}
+
+    def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
+        """The variable of this name, empty; `sizes` of dimensions that no variable had before."""
+        self._sizes.update(sizes)
+        variable = self._known[name]
+        of_it = {**variable.attributes(), **(attributes or {})}
+        values = self._values[name] = self._new(variable, tuple(self._sizes[dim] for dim in variable.dims), of_it)
+        return values
+
+    def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
+        """A variable as a whole."""
+        self.create(name, attributes, **sizes)[:] = values
+
+    def __getitem__(self, name: str) -> Values:
+        return self._values[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    @abstractmethod
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values: ...
+
+    @abstractmethod
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        """Adds the coordinates and the attributes of the whole: nothing is written any more."""
+
+
+class MemoryStore(Store):
+    """In memory; `dataset` when it is finished."""
+
+    dataset: xr.Dataset
+
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
+        values = np.full(shape, *_fill(variable))
+        self._arrays[variable.name] = (variable.dims, values, attributes)
+        return values
+
+    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
+        super().__init__(known, frames)
+        self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
+
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
+        coordinates = {"time": (TIME.dims, time, TIME.attributes()), "frame": frame}
+        labels = {name: list(labels) for name, labels in LABELS.items() if name in used}
+        self.dataset = xr.Dataset(self._arrays, {**coordinates, **labels}, dict(attributes))
+
+
+class FileStore(Store):
+    """In a file of HDF5/NetCDF4, of which a part is in memory at a time, whatever the number of frames."""
+
+    def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
+        super().__init__(known, frames)
+        self._file = h5netcdf.File(path, "w")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
+        for dim, size in zip(variable.dims, shape, strict=True):
+            if dim not in self._file.dimensions:
+                self._file.dimensions[dim] = size
+        fill, kind = _fill(variable)
+        layout: dict[str, Any] = {"fillvalue": fill if np.dtype(kind).kind == "f" else None}
+        frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
+        if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
+            frames = min(shape[0], max(1, _CHUNK_BYTES // frame_bytes // 8 * 8 or _CHUNK_BYTES // frame_bytes), 64)
+            layout |= {"chunks": (frames, *shape[1:]), "compression": "gzip", "compression_opts": 2}
+        stored = self._file.create_variable(variable.name, variable.dims, kind, **layout)
+        if "frame" in variable.dims:
+            attributes = {**attributes, "coordinates": "time"}
+        stored.attrs.update(attributes)
+        return _Stored(stored)
+
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        file = self._file
+        if "frame" not in file.dimensions:
+            file.dimensions["frame"] = len(frame)
+        file.create_variable("frame", ("frame",), frame.dtype, data=frame)
+        file.create_variable("time", ("frame",), time.dtype, data=time).attrs.update(TIME.attributes())
+        for name, labels in LABELS.items():
+            if name in file.dimensions:
+                file.create_variable(name, (name,), data=np.array(labels, dtype=object))
+        file.attrs.update(attributes)
+
+
+class _Stored:
+    """A variable of a file, read and written by consecutive frames in either order."""
+
+    def __init__(self, variable: Any) -> None:
+        self._variable = variable
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(self._variable.shape)
+
+    def __getitem__(self, index: Any) -> NDArray[Any]:
+        first, step = _consecutive(index)
+        return np.asarray(self._variable[first])[::step]
+
+    def __setitem__(self, index: Any, values: Any) -> None:
+        first, step = _consecutive(index)
+        self._variable[first] = values if step == 1 or np.ndim(values) == 0 else np.asarray(values)[::step]
+
+
+def _consecutive(index: Any) -> tuple[Any, int]:
+    """Numbers that go up or down by one, as a slice upwards and the step that makes it what was asked for."""
+    if not isinstance(index, np.ndarray):
+        return index, 1
+    step = -1 if len(index) > 1 and index[1] < index[0] else 1
+    first = int(index[::step][0]) if len(index) else 0
+    if not np.array_equal(index[::step], np.arange(first, first + len(index))):
+        raise IndexError(f"frames {index.tolist()} are not consecutive: a file is read and written by runs of frames")
+    return slice(first, first + len(index)), step
+
+
+def _fill(variable: Variable) -> tuple[float, str]:
+    """What stands where nothing was written, and the kind of number."""
+    return (np.nan if variable.kind.startswith("f") else 0), variable.kind

@@ -1,0 +1,38 @@
+"""Stages without a recording: results of earlier ones are given, as arrays."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.pipeline import _pass
+from fingerflow.plan import VARIABLES
+from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.loading import LoadingStage
+from fingerflow.stages.stage import Stage, Trial
+from fingerflow.store import MemoryStore
+
+
+def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> Trial:
+    """A trial whose contact has these results a frame, and whose variables are given."""
+    inputs.times = inputs.times[:frames]
+    trial = Trial(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
+    stage = object.__new__(ContactStage)
+    stage.series, stage.inputs, stage.cell_px = contact, inputs, 4
+    trial.stages = {ContactStage: stage, LoadingStage: LoadingStage(trial)}
+    for name, values in given.items():
+        sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
+        trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})
+    return trial
+
+
+def run(trial: Trial, *stages: Stage) -> None:
+    """All parts of these stages, which share a pass."""
+    trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
+    _pass(stages, trial, {}, progress=False)
+
+
+def values_of(trial: Trial, name: str) -> NDArray[Any]:
+    """A variable as a whole."""
+    return np.asarray(trial.results[name][:])
