@@ -195,15 +195,13 @@ def process(
     as_json: AsJson = False,
 ) -> None:
     """Compute a scene and save the result."""
-    from fingerflow.result import save_result
     from fingerflow.scene import load_scene
 
     path = to or scene.parent / "result.h5"
     loaded = load_scene(scene)
     forces = None if loaded.forces is None else loaded.forces.file
     _spare(path, scene, loaded.recording.frames, loaded.background.frames, loaded.background.dark, forces)
-    result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine)
-    save_result(result, path)
+    result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine, to=path)
     if as_json:
         _print_json(
             {
@@ -420,10 +418,17 @@ def _views(
     return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}
 
 
-def _process(scene: Any, outputs: list[str] | None, quiet: bool, device: str = "auto", engine: str = "torch") -> Any:
+def _process(
+    scene: Any,
+    outputs: list[str] | None,
+    quiet: bool,
+    device: str = "auto",
+    engine: str = "torch",
+    to: Path | None = None,
+) -> Any:
     from fingerflow.pipeline import process as run
 
-    return run(scene, outputs, device=device, progress=not quiet, engine=engine)
+    return run(scene, outputs, device=device, progress=not quiet, engine=engine, to=to)
 
 
 def _print_json(facts: Any) -> None:

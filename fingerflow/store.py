@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 import h5netcdf
+import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from fingerflow.player.contract.variables import LABELS, TIME, Variable
 
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
+_CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is compressed once
 _FEWEST_BYTES = 256  # a frame, below which compression is not worth its bookkeeping
 
 
@@ -108,13 +110,14 @@ class FileStore(Store):
         layout: dict[str, Any] = {"fillvalue": fill if np.dtype(kind).kind == "f" else None}
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
-            frames = min(shape[0], max(1, _CHUNK_BYTES // frame_bytes // 8 * 8 or _CHUNK_BYTES // frame_bytes), 64)
+            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
             layout |= {"chunks": (frames, *shape[1:]), "compression": "gzip", "compression_opts": 2}
         stored = self._file.create_variable(variable.name, variable.dims, kind, **layout)
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}
         stored.attrs.update(attributes)
-        return _Stored(stored)
+        # The data set itself: h5netcdf looks it up by its name at every access, which takes as long as the writing.
+        return _Stored(stored._h5ds)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         file = self._file
@@ -124,7 +127,7 @@ class FileStore(Store):
         file.create_variable("time", ("frame",), time.dtype, data=time).attrs.update(TIME.attributes())
         for name, labels in LABELS.items():
             if name in file.dimensions:
-                file.create_variable(name, (name,), data=np.array(labels, dtype=object))
+                file.create_variable(name, (name,), data=np.array(labels, dtype=h5py.string_dtype()))
         file.attrs.update(attributes)
 
 
