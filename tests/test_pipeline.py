@@ -344,7 +344,6 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_swapped_views_are_named(scene: Scene) -> None:
-
     swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
     with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
         process(replace(scene, views=swapped), ["real_contact_area"])
