@@ -4,8 +4,9 @@ The data set, its files and tables, the records of a stream and the report take 
 but the standard library: an exported bundle carries this file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 #: Names along the dimensions that have them.
 LABELS = {
@@ -30,6 +31,7 @@ class Variable:
         needs: keys of the scene without which there is none.
         flags: meanings of the values 0, 1, 2 ...
         unasked: whether it is computed when nobody asks for it by name.
+        formula, of: what it is of other results of the same stage, where that is all it takes.
     """
 
     name: str
@@ -40,6 +42,8 @@ class Variable:
     needs: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
     unasked: bool = True
+    formula: Callable[..., Any] | None = None
+    of: tuple[str, ...] = ()
 
     def attributes(self) -> dict[str, object]:
         """The attributes of CF conventions."""
