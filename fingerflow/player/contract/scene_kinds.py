@@ -31,6 +31,8 @@ class Kind:
 KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
     "slip": Kind(views=("contact",), optional_views=("topography",)),
+    # One camera, one light: skin is followed in the picture in which contact is seen.
+    "single_view": Kind(views=("camera",), roles={"contact": "camera", "topography": "camera"}, without=("slip",)),
 }
 
 
