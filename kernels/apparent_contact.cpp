@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <exception>
 #include <limits>
 #include <vector>
 
@@ -167,10 +166,7 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads) try {
+void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads) {
     using namespace fingerflow;
     parallel_for(given->batch, threads, [&](std::int64_t frame) { Finder(*given, frame).find(); });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

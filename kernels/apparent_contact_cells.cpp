@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // Sums of few neighbours, row by row, which the compiler makes vectors of.
 #include "apparent_contact_cells.h"
 

@@ -1,7 +1,6 @@
 // Medians over ellipses of the current picture: fits at positions spread over the ellipse, and the middle of their fields.
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <limits>
 #include <vector>
 
@@ -236,9 +235,6 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads) try {
+void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads) {
     fingerflow::parallel_for(given->batch, threads, [&](std::int64_t frame) { fingerflow::Frame(*given, frame).run(); });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

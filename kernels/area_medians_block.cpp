@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 #include "area_medians_block.h"
 
 #include <math.h>

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <exception>
 #include <vector>
 
 #include "interface.h"
@@ -67,17 +66,14 @@ void paint(unsigned char* row, const Run& run, unsigned char value) { std::fill(
 
 // A copy of each mask, changed by `change`.
 template <class Change>
-int changed(const unsigned char* masks, unsigned char* results, std::int64_t batch, std::int64_t height,
-            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads, Change change) try {
+void changed(const unsigned char* masks, unsigned char* results, std::int64_t batch, std::int64_t height,
+             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads, Change change) {
     parallel_for(batch, threads, [&](std::int64_t frame) {
         unsigned char* const result = results + frame * height * width;
         for (std::int64_t y = 0; y < height; ++y)
             std::copy_n(masks + frame * frame_stride + y * row_stride, width, result + y * width);
         change(result, height, width, width);
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
 }  // namespace
@@ -107,12 +103,12 @@ void keep_largest(unsigned char* mask, std::int64_t height, std::int64_t width, 
 
 }  // namespace fingerflow
 
-int fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
-                          std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
+void fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
+                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     return fingerflow::changed(masks, filled, batch, height, width, frame_stride, row_stride, threads, fingerflow::fill_holes);
 }
 
-int fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch, std::int64_t height,
-                                 std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
+void fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch, std::int64_t height,
+                                  std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     return fingerflow::changed(masks, largest, batch, height, width, frame_stride, row_stride, threads, fingerflow::keep_largest);
 }

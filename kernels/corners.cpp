@@ -1,7 +1,6 @@
 // Corners of uint8 frames: candidates by rows, then the strongest that keep their distance.
 #include <algorithm>
 #include <cstring>
-#include <exception>
 #include <limits>
 #include <memory>
 #include <vector>
@@ -81,11 +80,11 @@ void select(std::uint64_t* keys, std::int64_t candidates, float floor, const Cor
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                       std::int64_t frame_stride, std::int64_t row_stride, const unsigned char* mask,
-                       std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors,
-                       float quality, std::int64_t window, std::int64_t border, std::int64_t count,
-                       double min_distance, float* points, float* responses, int threads) try {
+void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                        std::int64_t frame_stride, std::int64_t row_stride, const unsigned char* mask,
+                        std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors,
+                        float quality, std::int64_t window, std::int64_t border, std::int64_t count,
+                        double min_distance, float* points, float* responses, int threads) {
     using namespace fingerflow;
     const std::int64_t pieces = (height + kRows - 1) / kRows, area = height * width;
     const std::unique_ptr<std::uint64_t[]> keys(new std::uint64_t[static_cast<std::size_t>(batch * area)]);
@@ -118,7 +117,4 @@ int fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int
         select(own, candidates, floor, frame_of(number), count, min_distance, points + 2 * number * count,
                responses + number * count);
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

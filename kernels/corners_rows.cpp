@@ -1,3 +1,4 @@
+// build: each instruction set
 #include "corners_rows.h"
 
 #include <math.h>

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <initializer_list>
 #include <vector>
 
@@ -38,17 +37,14 @@ std::vector<Moments> moments_of(const unsigned char* masks, std::int64_t batch, 
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
-                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) try {
+void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
+                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     for (const fingerflow::Moments& m : fingerflow::moments_of(masks, batch, height, width, frame_stride, row_stride, threads))
         for (const std::int64_t sum : {m.number, m.x, m.y, m.xx, m.xy, m.yy}) *moments++ = sum;
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
-int fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
-                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) try {
+void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
+                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     for (const fingerflow::Moments& m : fingerflow::moments_of(masks, batch, height, width, frame_stride, row_stride, threads)) {
         // As fingerflow/ops/ellipse.py: about the pixel next to the centre, in whole numbers.
         const auto area = static_cast<double>(m.number);
@@ -65,7 +61,4 @@ int fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::in
         for (const double number : {center_x, center_y, 2 * std::sqrt(middle + spread), 2 * std::sqrt(minor < 0 ? 0 : minor), angle, area})
             *ellipses++ = number;
     }
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set
 // Each line gives its number of pixels and their sum of x; the counts of the columns give the sums of x and x x.
 #include "ellipse_rows.h"
 

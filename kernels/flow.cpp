@@ -1,6 +1,5 @@
 // Dense flow: V-cycles of its multigrid, level by level, and images warped by it.
 #include <algorithm>
-#include <exception>
 #include <memory>
 
 #include "flow_rows.h"
@@ -70,7 +69,7 @@ struct Cycle {
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads) try {
+void fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads) {
     using namespace fingerflow;
     const FlowLevel finest{given->levels[0].tensor,  given->levels[0].right,  given->levels[0].down, given->levels[0].inverse,
                            given->levels[0].inside, given->levels[0].height, given->levels[0].width};
@@ -112,13 +111,10 @@ int fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads) 
             });
         }
     }
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
-int fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch, std::int64_t height,
-                         std::int64_t width, int threads) try {
+void fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch, std::int64_t height,
+                          std::int64_t width, int threads) {
     using namespace fingerflow;
     const std::int64_t plane = height * width;
     for (std::int64_t image = 0; image < batch; ++image) {
@@ -128,7 +124,4 @@ int fingerflow_flow_warp(const float* coefficients, const float* flow, float* va
             (coefficients + plane * image, height, width, u + y * width, v + y * width, values + plane * image + y * width, y);
         });
     }
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // One row at a time; the cells at either end of it by themselves, those between as vectors.
 #include "flow_rows.h"
 

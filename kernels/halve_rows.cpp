@@ -1,3 +1,4 @@
+// build: each instruction set
 #include "halve_rows.h"
 
 #include "lanes.h"

@@ -46,11 +46,8 @@ InstructionSet instruction_set() {
 
 }  // namespace fingerflow
 
-int fingerflow_interface() { return 32; }
-
-int fingerflow_limit_instruction_set(int most) {
+void fingerflow_limit_instruction_set(int most, std::int32_t* taken) {
     const int widest = fingerflow::widest();
-    const int set = most < 0 || most > widest ? widest : most;
-    fingerflow::chosen.store(set);
-    return set;
+    *taken = most < 0 || most > widest ? widest : most;
+    fingerflow::chosen.store(*taken);
 }

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <exception>
 #include <functional>
 #include <limits>
 #include <vector>
@@ -56,7 +55,7 @@ float uppermost_mode(const Blocks& blocks) {
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) try {
+void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads) {
     using namespace fingerflow;
     const std::int64_t width = given->width, rows = side / kStep, pixels = given->height * width;
     const std::int64_t lines = (given->height - kStep / 2 + kStep - 1) / kStep, down = lines / rows, across = width / side;
@@ -66,7 +65,7 @@ int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side,
     const auto sum = FINGERFLOW_PICK(sum_blocks);
     if (down * across <= 0) {
         std::fill_n(gains, given->batch, std::numeric_limits<float>::quiet_NaN());
-        return 0;
+        return;
     }
     std::vector<Blocks> blocks(static_cast<std::size_t>(given->batch), Blocks(static_cast<std::size_t>(down * across)));
     // A row of blocks of all frames at a time, so that its light of the empty glass is read once for all of them.
@@ -90,7 +89,4 @@ int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side,
         }
     });
     parallel_for(given->batch, threads, [&](std::int64_t frame) { gains[frame] = uppermost_mode(blocks[static_cast<std::size_t>(frame)]); });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 #include "light_gain_rows.h"
 
 #include <float.h>

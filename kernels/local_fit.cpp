@@ -2,7 +2,6 @@
 // radius are looked at.
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <limits>
 #include <vector>
 
@@ -338,13 +337,10 @@ private:
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
-                               int threads) try {
+void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
+                                int threads) {
     if (wide)
         fingerflow::Fits<double>(*given, radius, least_spread).run(threads);
     else
         fingerflow::Fits<float>(*given, radius, least_spread).run(threads);
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 #include "local_fit_block.h"
 
 #include <math.h>

@@ -1,16 +1,16 @@
 // Frames cut into bands of rows, the bands shared out to threads.
 #include <algorithm>
-#include <exception>
+#include <stdexcept>
 
 #include "interface.h"
 #include "median_band.h"
 #include "parallel.h"
 #include "workspace.h"
 
-int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
-                      std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size, const std::uint16_t* table, int threads) try {
+void fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
+                       std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size, const std::uint16_t* table, int threads) {
     using namespace fingerflow;
-    if (batch * height * width == 0) return 0;
+    if (batch * height * width == 0) return;
 
     // Bands small enough for a second-level cache and for all threads, but not low beside a window, since each reads
     // the lines of half a window above and below it.
@@ -22,7 +22,7 @@ int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std
 
     const MedianKind kind{pixel_bytes, size, table};
     const auto bytes = static_cast<std::size_t>(FINGERFLOW_PICK(median_workspace_bytes)(kind, rows, width));
-    if (bytes == 0) return 2;
+    if (bytes == 0) throw std::invalid_argument("the library holds no median of this size, and was given no table of it");
     const auto filter = FINGERFLOW_PICK(median_band);
     const std::int64_t pieces = (height + rows - 1) / rows;
     parallel_for(batch * pieces, threads, [&](std::int64_t piece) {
@@ -32,7 +32,4 @@ int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std
                static_cast<char*>(medians) + frame * height * width * pixel_bytes, band,
                workspace(bytes));
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set
 // Medians by the generated networks: down strips of a band, one row of tiles after the other.
 #include "median_band.h"
 

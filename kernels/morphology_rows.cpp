@@ -1,3 +1,4 @@
+// build: each instruction set
 // Each line of the mask is widened step by step, and every width is added to the lines that it reaches.
 #include "morphology_rows.h"
 

@@ -1,3 +1,4 @@
+// build: each instruction set
 #include "noise_rows.h"
 
 #include <math.h>

@@ -1,7 +1,6 @@
 // Histograms of frames, and Otsu's threshold from them.
 #include <algorithm>
 #include <cstring>
-#include <exception>
 #include <limits>
 #include <vector>
 
@@ -121,16 +120,16 @@ void count_piece(const Counted& given, std::int64_t frame, std::int64_t top, std
 }  // namespace
 }  // namespace fingerflow
 
-int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
-                         std::int64_t frame_stride, std::int64_t row_stride, int kind, const unsigned char* mask,
-                         std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
-                         const std::uint16_t* bins, std::int64_t count, std::int64_t* counts, int threads) try {
+void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                          std::int64_t frame_stride, std::int64_t row_stride, int kind, const unsigned char* mask,
+                          std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
+                          const std::uint16_t* bins, std::int64_t count, std::int64_t* counts, int threads) {
     using namespace fingerflow;
     const Counted given{{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)},
                         {mask, masks, height, width, mask_stride, mask_row_stride, kUint8},
                         bins, count};
     std::fill(counts, counts + batch * count, 0);
-    if (height * width == 0) return 0;
+    if (height * width == 0) return;
 
     // Pieces so large that adding up their counts takes little beside counting, and that no sum of 32 bits overflows.
     const std::int64_t least = std::max<std::int64_t>(1, 16 * count / width);
@@ -148,12 +147,9 @@ int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t he
         for (std::int64_t side = 0; side < kSides; ++side)
             for (std::int64_t bin = 0; bin < count; ++bin)
                 counts[piece / pieces * count + bin] += sums[static_cast<std::size_t>(piece * size + side * (count + 1) + bin)];
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
-int fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds) {
+void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high, double* thresholds) {
     constexpr int kBins = 256;
     for (std::int64_t frame = 0; frame < batch; ++frame, counts += kBins) {
         double total = 0, all = 0;
@@ -178,5 +174,4 @@ int fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, do
         }
         thresholds[frame] = split ? low + (last + 1) * ((high - low) / kBins) : std::numeric_limits<double>::quiet_NaN();
     }
-    return 0;
 }

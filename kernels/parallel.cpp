@@ -1,10 +1,15 @@
 #include "parallel.h"
 
+#include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <condition_variable>
-#include <memory>
+#include <exception>
 #include <mutex>
+#include <new>
+#include <stdexcept>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -12,34 +17,99 @@
 #include <pthread.h>
 #endif
 
+#include "interface.h"
+
 namespace fingerflow {
 namespace {
 
-// Threads live as long as the process: starting one takes longer than filtering a frame.
+std::atomic<Fault> fault_to_inject{Fault::kNone};
+std::atomic<std::int64_t> faulty_piece{-1};
+std::atomic<Thread> faulty_thread{Thread::kAny};
+
+void fail_if_asked(std::int64_t piece, Thread thread) {
+    const Fault fault = fault_to_inject.load(std::memory_order_relaxed);
+    if (fault == Fault::kNone || fault == Fault::kNoThread) return;
+    const std::int64_t wanted = faulty_piece.load();
+    const Thread where = faulty_thread.load();
+    if ((wanted >= 0 && wanted != piece) || (where != Thread::kAny && where != thread)) return;
+    if (fault == Fault::kNoMemory) throw std::bad_alloc();
+    if (fault == Fault::kError) throw std::runtime_error("a fault injected by a test");
+    throw 1;
+}
+
+// What one call of parallel_for shares out. It lives on the caller's stack: the caller leaves last.
+struct Job {
+    Job(std::int64_t count, int helpers, const std::function<void(std::int64_t)>& what)
+        : work(what), pieces(count), places(helpers) {}
+
+    void take(Thread thread) {
+        for (std::int64_t piece = next.fetch_add(1); piece < pieces; piece = next.fetch_add(1)) {
+            try {
+                fail_if_asked(piece, thread);
+                work(piece);
+            } catch (...) {
+                if (!failed.exchange(true)) failure = std::current_exception();
+                next.store(pieces);
+                return;
+            }
+        }
+    }
+
+    bool has_room() const { return places > 0 && next.load(std::memory_order_relaxed) < pieces; }
+
+    const std::function<void(std::int64_t)>& work;
+    const std::int64_t pieces;
+    std::atomic<std::int64_t> next{0};
+    std::atomic<bool> failed{false};
+    std::exception_ptr failure;  // of the thread that failed first; read when all have left
+    int places;                  // for threads of the pool that may still come in; under the pool's lock
+    std::atomic<int> inside{0};  // threads of the pool at work; changed under the pool's lock
+    Job* following = nullptr;
+};
+
+// Threads live as long as the process: starting one takes longer than filtering a frame. They serve all callers.
 class Pool {
 public:
-    void run(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work) {
+    void run(Job& job) {
+        const int helpers = job.places;
         {
             std::lock_guard<std::mutex> lock(mutex_);
-            while (static_cast<int>(workers_.size()) < threads - 1) workers_.emplace_back([this] { serve(); });
-            work_ = &work;
-            pieces_ = pieces;
-            next_.store(0);
-            wanted_ = threads - 1;
-            ++round_;
+            asked_ += helpers;
+            grow(helpers);
+            Job** last = &jobs_;
+            while (*last != nullptr) last = &(*last)->following;
+            *last = &job;
+            round_.fetch_add(1);
         }
         start_.notify_all();
-        take(pieces, work);
+        job.take(Thread::kCaller);
         {
             std::lock_guard<std::mutex> lock(mutex_);
-            wanted_ = 0;  // whoever has not woken up yet is not waited for
+            asked_ -= helpers;
+            Job** place = &jobs_;
+            while (*place != &job) place = &(*place)->following;
+            *place = job.following;  // whoever has not woken up yet is not waited for
         }
-        spin([this] { return busy_.load() == 0; });
+        spin([&job] { return job.inside.load() == 0; });
         std::unique_lock<std::mutex> lock(mutex_);
-        done_.wait(lock, [this] { return busy_.load() == 0; });
+        done_.wait(lock, [&job] { return job.inside.load() == 0; });
     }
 
 private:
+    // As many threads as all callers ask for together, but more than the machine has only where one caller asks for them.
+    void grow(int helpers) {
+        static const int processors = static_cast<int>(std::thread::hardware_concurrency());
+        const int wanted = std::max(helpers, std::min(asked_, processors - 1));
+        try {
+            while (static_cast<int>(workers_.size()) < wanted) {
+                if (fault_to_inject.load() == Fault::kNoThread) throw std::system_error(EAGAIN, std::generic_category());
+                workers_.emplace_back([this] { serve(); });
+            }
+        } catch (const std::system_error&) {  // those there are do it, the caller if nobody else
+        } catch (const std::bad_alloc&) {
+        }
+    }
+
     // Waits for a while without sleeping: waking up takes longer than many a piece of work.
     template <class Done>
     static void spin(const Done& done) {
@@ -48,24 +118,24 @@ private:
         }
     }
 
-    void take(std::int64_t pieces, const std::function<void(std::int64_t)>& work) {
-        for (std::int64_t piece = next_.fetch_add(1); piece < pieces; piece = next_.fetch_add(1)) work(piece);
+    Job* job_with_room() const {
+        Job* job = jobs_;
+        while (job != nullptr && !job->has_room()) job = job->following;
+        return job;
     }
 
     void serve() {
-        std::uint64_t seen = 0;
         std::unique_lock<std::mutex> lock(mutex_);
         for (;;) {
-            start_.wait(lock, [&] { return round_.load() != seen && wanted_ > 0; });
-            seen = round_.load();
-            --wanted_;
-            ++busy_;
-            const std::int64_t pieces = pieces_;
-            const auto& work = *work_;
+            Job* job = nullptr;
+            start_.wait(lock, [&] { return (job = job_with_room()) != nullptr; });
+            --job->places;
+            ++job->inside;
+            const std::uint64_t seen = round_.load();
             lock.unlock();
-            take(pieces, work);
+            job->take(Thread::kPool);
             lock.lock();
-            if (--busy_ == 0) done_.notify_one();
+            if (--job->inside == 0) done_.notify_all();
             lock.unlock();
             spin([&] { return round_.load() != seen; });
             lock.lock();
@@ -75,38 +145,40 @@ private:
     std::mutex mutex_;
     std::condition_variable start_, done_;
     std::vector<std::thread> workers_;
-    const std::function<void(std::int64_t)>* work_ = nullptr;
-    std::int64_t pieces_ = 0;
-    std::atomic<std::int64_t> next_{0};
-    int wanted_ = 0;
-    std::atomic<int> busy_{0};
-    std::atomic<std::uint64_t> round_{0};
+    Job* jobs_ = nullptr;                  // in the order of their callers
+    int asked_ = 0;                        // threads that the callers of all jobs want beside their own
+    std::atomic<std::uint64_t> round_{0};  // changes with every job
 };
 
-std::mutex one_at_a_time;
-Pool* pool = nullptr;  // never destroyed: its threads may outlive static objects
+// Never destroyed: its threads may outlive static objects.
+alignas(Pool) unsigned char storage[sizeof(Pool)];
+Pool* const pool = new (&storage) Pool;
 
 #ifndef _WIN32
-// A forked child has none of its parent's threads: it starts its own.
-void start_afresh() {
-    new (&one_at_a_time) std::mutex;
-    pool = nullptr;
-}
-const int registered = pthread_atfork(nullptr, nullptr, start_afresh);
+// A forked child has none of its parent's threads, and perhaps a lock that one of them held: it begins anew.
+const int registered = pthread_atfork(nullptr, nullptr, [] { new (&storage) Pool; });
 #endif
 
 }  // namespace
 
+void inject_fault(Fault fault, std::int64_t piece, Thread thread) {
+    faulty_piece.store(piece);
+    faulty_thread.store(thread);
+    fault_to_inject.store(fault);
+}
+
 void parallel_for(std::int64_t pieces, int threads, const std::function<void(std::int64_t)>& work) {
     if (threads > pieces) threads = static_cast<int>(pieces);
-    // One thread may be a piece of other work, which holds the lock.
-    std::unique_lock<std::mutex> turn(one_at_a_time, std::defer_lock);
-    if (threads <= 1 || !turn.try_lock()) {  // the threads serve another caller, whose own thread works beside this one
-        for (std::int64_t piece = 0; piece < pieces; ++piece) work(piece);
-        return;
-    }
-    if (pool == nullptr) pool = new Pool;
-    pool->run(pieces, threads, work);
+    Job job(pieces, threads > 1 ? threads - 1 : 0, work);
+    if (threads <= 1)
+        job.take(Thread::kCaller);
+    else
+        pool->run(job);
+    if (job.failure) std::rethrow_exception(job.failure);
 }
 
 }  // namespace fingerflow
+
+void fingerflow_inject_fault(int fault, std::int64_t piece, int thread) {
+    fingerflow::inject_fault(static_cast<fingerflow::Fault>(fault), piece, static_cast<fingerflow::Thread>(thread));
+}

@@ -2,17 +2,16 @@
 #include "interface.h"
 
 #include <algorithm>
-#include <exception>
 
 #include "parallel.h"
 #include "real_contact_mask_rows.h"
 #include "workspace.h"
 
-int fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size, unsigned char* real_contact_mask,
-                        int threads) try {
+void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size, unsigned char* real_contact_mask,
+                         int threads) {
     using namespace fingerflow;
     const std::int64_t batch = given->batch, height = given->height, width = given->width;
-    if (batch * height * width == 0) return 0;
+    if (batch * height * width == 0) return;
     const fingerflow_image& image = given->frames;
     const Frames frames{image.data, batch, height, width, image.image_stride, image.row_stride, static_cast<PixelKind>(image.kind)};
     const Lit lit{given->light, given->black, given->lights, given->blacks};
@@ -24,7 +23,4 @@ int fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float
         auto* const memory = static_cast<unsigned char*>(workspace(real_contact_mask_memory(frames, size)));
         find(frames, lit, top, bottom, size, limits, memory, real_contact_mask);
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set
 // Columns of a window counted by adding the line below it and taking off the one above; a byte holds 15 x 15.
 #include "real_contact_mask_rows.h"
 

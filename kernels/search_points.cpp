@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // The place of highest normalised cross-correlation, one point after the other; see fingerflow/ops/search.py.
 #include "search_points.h"
 

@@ -1,12 +1,11 @@
 // Skin chains pressed, group by group.
-#include <exception>
 
 #include "interface.h"
 #include "parallel.h"
 #include "skin_chain_press.h"
 #include "workspace.h"
 
-int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads) try {
+void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads) {
     using namespace fingerflow;
     const SkinGroup group = FINGERFLOW_PICK(skin_group)(given->count, given->batch);
     const std::int64_t groups = (given->batch + group.chains - 1) / group.chains;
@@ -14,19 +13,13 @@ int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads) try {
         void* const memory = workspace(static_cast<std::size_t>(group.bytes));
         FINGERFLOW_PICK(press_skin)(*given, number * group.chains, group.chains, memory);
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
-int fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads) try {
+void fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads) {
     using namespace fingerflow;
     const SkinGroup group = FINGERFLOW_PICK(skin_group)(given->count, 1);
     parallel_for(given->batch, threads, [&](std::int64_t chain) {
         void* const memory = workspace(static_cast<std::size_t>(group.bytes));
         FINGERFLOW_PICK(press_skin_back)(*given, chain, memory);
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // TR-BDF2 of skin chains, as fingerflow/models/skin_implicit.py has it: what is written once here for a double or for a
 // vector of doubles is a chain, or as many chains side by side, each with a step and a time of its own. The linear system
 // is swept from both ends at once: two chains of operations that do not wait for each other, and mirrored results for a

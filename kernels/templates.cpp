@@ -1,6 +1,5 @@
 // Points shared out to threads, a few at a time.
 #include <algorithm>
-#include <exception>
 
 #include "interface.h"
 #include "parallel.h"
@@ -26,29 +25,23 @@ void share_out(Function* function, const Work& work, std::int64_t count, int win
 
 }  // namespace
 
-int fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width, std::int64_t points,
-                                 float* start, const float* inverse_warp, const float* variance, int window, int gain_offset,
-                                 float rounding, float* samples, float* table, float* numbers, int threads) try {
+void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width, std::int64_t points,
+                                  float* start, const float* inverse_warp, const float* variance, int window, int gain_offset,
+                                  float rounding, float* samples, float* table, float* numbers, int threads) {
     using namespace fingerflow;
     const TemplatesToPrepare work{frames_of(*image, height, width), points, window, gain_offset, rounding, start, inverse_warp,
                                   variance, samples, table, numbers};
     share_out(FINGERFLOW_PICK(prepare_templates), work, image->count * points, window, threads);
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }
 
-int fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width, std::int64_t batch,
-                              std::int64_t points, std::int64_t steps, int window, int rounds, const float* start, const float* samples,
-                              const float* table, const float* numbers, const float* variance, float* place, float* speed,
-                              float rounding, float forward_backward_limit, float mismatch_limit, float* found, float* error,
-                              float* covariance, unsigned char* status, float* estimate, int threads) try {
+void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width, std::int64_t batch,
+                               std::int64_t points, std::int64_t steps, int window, int rounds, const float* start, const float* samples,
+                               const float* table, const float* numbers, const float* variance, float* place, float* speed,
+                               float rounding, float forward_backward_limit, float mismatch_limit, float* found, float* error,
+                               float* covariance, unsigned char* status, float* estimate, int threads) {
     using namespace fingerflow;
     const TemplatesToFind work{frames_of(*frames, height, width), batch, points, steps, window, rounds, start, samples, table,
                                numbers, variance, place, speed, rounding, forward_backward_limit, mismatch_limit, found, error,
                                covariance, status, estimate};
     share_out(FINGERFLOW_PICK(find_templates), work, batch * points, window, threads);
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // Templates prepared and found by two looks of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
 // the equations. Sums run in another order than there, so results differ by rounding.
 #include "templates_points.h"

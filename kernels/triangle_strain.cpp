@@ -1,12 +1,11 @@
 // Strain of triangles, frame by frame.
-#include <exception>
 
 #include "interface.h"
 #include "parallel.h"
 #include "triangle_strain_frame.h"
 #include "workspace.h"
 
-int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads) try {
+void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads) {
     using namespace fingerflow;
     const std::int64_t points = given->point_count, count = given->triangle_count;
     const Triangles triangles{count,
@@ -35,7 +34,4 @@ int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int 
         const std::size_t bytes = static_cast<std::size_t>(triangle_memory(triangles)) * sizeof(float);
         FINGERFLOW_PICK(strain_of_frame)(triangles, frame, static_cast<float*>(workspace(bytes)));
     });
-    return 0;
-} catch (const std::exception&) {
-    return 1;
 }

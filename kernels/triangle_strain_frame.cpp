@@ -1,3 +1,4 @@
+// build: each instruction set, fused
 // Triangle by triangle as vectors, then what their corners add to the points one after the other.
 #include "triangle_strain_frame.h"
 

@@ -28,7 +28,7 @@ _FIELDS = 5
 
 def _lattice() -> Tensor:
     """(POSITIONS, 2) in the unit disc, neighbours near each other in the list."""
-    number = torch.arange(POSITIONS, dtype=torch.float64) + 0.5
+    number = torch.arange(POSITIONS, dtype=torch.float64, device="cpu") + 0.5
     radius, turn = (number / POSITIONS).sqrt(), number * (math.pi * (3 - 5**0.5))
     place = torch.stack((radius * turn.cos(), radius * turn.sin()), dim=1)
     # In bands by y, in a band by x: the compiled form takes sixteen at a time.

@@ -39,7 +39,8 @@ def fit_ellipse(mask: Tensor) -> Ellipse:
     """
     _check(mask)
     if _compiled(mask):
-        return Ellipse(*kernels.fit_ellipse(mask))
+        numbers = kernels.fit_ellipse(mask)
+        return Ellipse(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5])
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area

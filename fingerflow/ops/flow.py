@@ -172,7 +172,7 @@ def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = 
     # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
     spread = template.covariance * ((1 + 1 / (gain * gain)) / 2)[:, :, None]
     residual = (_integrated(left * left, template.box) / _integrated(seen, template.box).clamp_min(_TINY)).sqrt()
-    lost = torch.where(_arrives(flow, template.inside) > 0, 0.0, torch.nan)
+    lost = torch.where(_arrives(flow, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
     return Flow(flow + lost, spread + lost[:, :, None], residual + lost)
 
 
@@ -355,7 +355,7 @@ def _covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, box: int) -> Te
     slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
     base = of_smaller - slope * (mean - apart)
     textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
-    known = torch.where(textured, 0.0, torch.nan)
+    known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
     rows = torch.cat((slope * xx + base, slope * xy, slope * xy, slope * yy + base), dim=1) + known
     return rows.unflatten(1, (2, 2))
 

@@ -58,7 +58,9 @@ def pyramid(tensor: Tensor, mask: Tensor, alpha: Tensor) -> list[Level]:
 def solve(levels: list[Level], right_side: Tensor, cycles: int) -> Tensor:
     """The solution (B, 2, H, W) after so many V-cycles from 0."""
     if right_side.dtype == torch.float32 and kernels.serve(right_side, *levels[0]):
-        return kernels.flow_cycles(levels, right_side, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING)
+        return kernels.flow_cycles(
+            [plane for level in levels for plane in level], right_side, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING
+        )
     solution = _v_cycle(levels, right_side)
     for _ in range(cycles - 1):
         solution = solution + _v_cycle(levels, right_side - applied(levels[0], solution))

@@ -195,7 +195,7 @@ def _range(frames: Tensor, value_range: tuple[float, float] | None) -> tuple[flo
 @functools.lru_cache(8)
 def _bin_of_level(dtype: torch.dtype, bins: int, low: float, high: float) -> Tensor:
     """The bin of each level of an unsigned dtype, uint16."""
-    levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32)
+    levels = torch.arange(1 << 8 * dtype.itemsize, dtype=torch.int32, device="cpu")
     return _bin_index(levels[None], bins, low, high)[0].to(torch.uint16)
 
 

@@ -49,8 +49,8 @@ def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Ten
 
 def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy by the displacement gradient."""
-    plain = torch.tensor([[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]], dtype=gradient.dtype)
-    plain = plain.to(gradient.device).expand(*gradient.shape[:-2], 2, 2, 2)
+    rows = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]]
+    plain = torch.tensor(rows, dtype=gradient.dtype, device=gradient.device).expand(*gradient.shape[:-2], 2, 2, 2)
     return torch.cat((plain, strain_sensitivity(gradient, measure)), dim=-3)
 
 

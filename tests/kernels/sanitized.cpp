@@ -3,9 +3,13 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
+#include <exception>
 #include <vector>
 
+#include "entry.h"
 #include "interface.h"
+#include "parallel.h"
 
 namespace {
 
@@ -37,17 +41,17 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     std::vector<std::uint8_t> bytes(eight.size()), other(eight.size());
     for (int size : {3, 5, 7, 9, 11}) {
         std::vector<std::uint16_t> wide(sixteen.size());
-        expect(fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads) == 0, "median");
-        expect(fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads) == 0, "median");
+        fingerflow_median(eight.data(), bytes.data(), batch, height, width, frame, width, 1, size, nullptr, threads);
+        fingerflow_median(sixteen.data(), wide.data(), batch, height, width, frame, width, 2, size, nullptr, threads);
     }
     for (std::int64_t radius : {0, 1, 8}) {
         std::vector<std::int32_t> rows;
         for (std::int64_t y = -radius; y <= radius; ++y) rows.push_back(static_cast<std::int32_t>(radius - std::llabs(y)));
         for (int inverted : {0, 1})
-            expect(fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads) == 0, "dilate");
+            fingerflow_dilate(mask.data(), bytes.data(), batch, height, width, frame, width, rows.data(), radius, inverted, threads);
     }
-    expect(fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads) == 0, "holes");
-    expect(fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads) == 0, "largest");
+    fingerflow_fill_holes(mask.data(), bytes.data(), batch, height, width, frame, width, threads);
+    fingerflow_largest_component(mask.data(), other.data(), batch, height, width, frame, width, threads);
     std::vector<float> numbers(static_cast<std::size_t>(7 * batch));
     for (std::int64_t side : {1, 2, 4, 8})
         for (std::int64_t radius : {4, 8, 60}) {
@@ -55,17 +59,17 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             for (std::size_t k = 0; k < mask.size(); ++k) holds[k] = mask[k] > 90;
             std::vector<float> density_margin(static_cast<std::size_t>(batch * ((height + side - 1) / side) * ((width + side - 1) / side)));
             const fingerflow_apparent_contacts regions{holds.data(), density_margin.data(), numbers.data(), batch, height, width, radius, side};
-            expect(fingerflow_apparent_contact(&regions, threads) == 0, "dense region");
+            fingerflow_apparent_contact(&regions, threads);
         }
     std::vector<std::int64_t> moments(static_cast<std::size_t>(6 * batch));
     std::vector<double> ellipses(moments.size());
-    expect(fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads) == 0, "moments");
-    expect(fingerflow_fit_ellipse(mask.data(), ellipses.data(), batch, height, width, frame, width, threads) == 0, "ellipse");
+    fingerflow_mask_moments(mask.data(), moments.data(), batch, height, width, frame, width, threads);
+    fingerflow_fit_ellipse(mask.data(), ellipses.data(), batch, height, width, frame, width, threads);
     expect(ellipses[5] == static_cast<double>(moments[0]), "area of the ellipse");
 
     std::vector<std::int64_t> counts(static_cast<std::size_t>(batch * 256));
-    expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads) == 0, "histogram");
-    expect(fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads) == 0, "histogram");
+    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, mask.data(), batch, frame, width, nullptr, 256, counts.data(), threads);
+    fingerflow_histogram(eight.data(), batch, height, width, frame, width, 0, nullptr, 0, 0, 0, nullptr, 256, counts.data(), threads);
     std::int64_t total = 0;
     for (std::int64_t bin : counts) total += bin;
     expect(total == count, "histogram counts every pixel");
@@ -73,8 +77,8 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     const std::vector<float> floors(static_cast<std::size_t>(batch), 1.0f);
     for (int window : {1, 7, 15}) {
         std::vector<float> points(static_cast<std::size_t>(40 * batch)), responses(static_cast<std::size_t>(20 * batch));
-        expect(fingerflow_corners(eight.data(), batch, height, width, frame, width, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads) == 0, "corners");
-        expect(fingerflow_corners(eight.data(), batch, height, width, frame, width, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads) == 0, "corners");
+        fingerflow_corners(eight.data(), batch, height, width, frame, width, mask.data(), batch, frame, width, floors.data(), 0.01f, window, window / 2, 20, 5.0, points.data(), responses.data(), threads);
+        fingerflow_corners(eight.data(), batch, height, width, frame, width, nullptr, 0, 0, 0, floors.data(), 0.0f, window, 0, 20, 0.0, points.data(), responses.data(), threads);
     }
 
     const std::vector<float> limits(static_cast<std::size_t>(batch), 0.6f);
@@ -82,8 +86,8 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     std::vector<float> gains(limits.size());
     for (const fingerflow_image& image : {fingerflow_image{eight.data(), batch, frame, width, 0}, fingerflow_image{real.data(), batch, frame, width, 3}}) {
         const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1, batch, height, width};
-        for (int size : {1, 3, 15}) expect(fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads) == 0, "real_contact_mask");
-        for (std::int64_t side : {8, 16, 40}) expect(fingerflow_light_gain(&lit, side, gains.data(), threads) == 0, "gain");
+        for (int size : {1, 3, 15}) fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads);
+        for (std::int64_t side : {8, 16, 40}) fingerflow_light_gain(&lit, side, gains.data(), threads);
     }
     if (height >= 4 && width >= 4) {
         const fingerflow_image first{eight.data(), batch, frame, width, 0}, second{real.data(), batch, frame, width, 3};
@@ -106,15 +110,15 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                 std::vector<float> places = start, ends(start.begin(), start.begin() + 2 * all), speed(2 * all, 0.5f);
                 std::vector<float> samples(3 * all * window * window), table(75 * all), numbers(34 * all), estimate(2 * all);
                 places.resize(2 * all);
-                expect(fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), table.data(), numbers.data(), threads) == 0, "templates");
-                expect(fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), table.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads) == 0, "found");
+                fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), table.data(), numbers.data(), threads);
+                fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), table.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
             }
         for (int reach : {0, 5})
-            expect(fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads) == 0, "search");
+            fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads);
     }
     if (height >= 3 && width >= 3) {
         std::vector<double> means(static_cast<std::size_t>(batch));
-        expect(fingerflow_mean_response(sixteen.data(), means.data(), batch, height, width, frame, width, 1, threads) == 0, "noise");
+        fingerflow_mean_response(sixteen.data(), means.data(), batch, height, width, frame, width, 1, threads);
     }
 }
 
@@ -131,7 +135,7 @@ void try_medians(std::int64_t points, std::int64_t positions, int threads) {
         const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
                                             medians.data(), own ? deviations.data() : nullptr, batch, 1, points, positions,
                                             0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4};
-        expect(fingerflow_medians_over_area(&given, threads) == 0, "medians over an area");
+        fingerflow_medians_over_area(&given, threads);
     }
 }
 
@@ -150,7 +154,7 @@ void try_triangles(std::int64_t points, std::int64_t count, int threads) {
         const fingerflow_triangle_strain given{displacement.data(), covariance.data(), in_contact.data(), corners.data(), slopes.data(),
                                                products.data(), areas.data(), flat.data(), strain.data(), deviation.data(), density.data(),
                                                energy.data(), forces.data(), own.data(), batch, points, count, measure, 1, 1, 1};
-        expect(fingerflow_strain_of_triangles(&given, threads) == 0, "strain of triangles");
+        fingerflow_strain_of_triangles(&given, threads);
     }
 }
 
@@ -175,7 +179,7 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
     const fingerflow_skin_chain given{reference.data(), numbers.data(), mu.data(), load.data(), rest.data(), place.data(), bone.data(),
                                       rubbed.data(), step.data(), time.data(), counts.data(), record.data(), batch, count, 0, 0,
                                       100000, steps, 1e-6, 5e-4};
-    expect(fingerflow_press_skin(&given, threads) == 0, "skin chain");
+    fingerflow_press_skin(&given, threads);
     expect(time[0] == 5e-4, "skin chain, to its end");
     const auto numbers_each = static_cast<std::size_t>(3 * count + 2);
     std::vector<double> wanted(size * numbers_each, 1), result(wanted.size()), stiffness(6 * size), of_friction(mu.size());
@@ -184,7 +188,7 @@ void try_skin(std::int64_t batch, std::int64_t count, int threads) {
     const fingerflow_skin_back back{reference.data(), numbers.data(), mu.data(), reference.data(), still.data(), none.data(),
                                     record.data(), wanted.data(), kept.data(), stiffness.data(), of_friction.data(), result.data(),
                                     batch, count, 0, 0, steps};
-    expect(fingerflow_press_skin_back(&back, threads) == 0, "skin chain, back");
+    fingerflow_press_skin_back(&back, threads);
 }
 
 template <class Real>
@@ -201,15 +205,81 @@ void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components
                                          geometries, batch, geometries, batch, batch, points, queries, components, noises, 5,
                                          value.data(), gradient.data(), noises ? covariance.data() : nullptr,
                                          offset.data(), counts.data()};
-        expect(fingerflow_local_gradients(&given, 50.0, 5.0, sizeof(Real) == 8, threads) == 0, "local fit");
+        fingerflow_local_gradients(&given, 50.0, 5.0, sizeof(Real) == 8, threads);
+    }
+}
+
+// Every kernel, with each piece of its work failing in turn: an exception, and no memory that is lost or used again.
+void try_faults() {
+    using namespace fingerflow;
+    for (std::int64_t piece = -1; piece < 4; ++piece) {
+        inject_fault(Fault::kNoMemory, piece, Thread::kAny);
+        int thrown = 0;
+        const auto tried = [&](auto work) {
+            try {
+                work();
+            } catch (const std::bad_alloc&) {
+                ++thrown;
+            }
+        };
+        for (int threads : {1, 3}) {
+            tried([&] { try_all(2, 37, 43, threads); });
+            tried([&] { try_medians(300, 100, threads); });
+            tried([&] { try_triangles(50, 97, threads); });
+            tried([&] { try_skin(5, 4, threads); });
+            tried([&] { try_fits<float>(300, 50, 2, 1, threads); });
+        }
+        inject_fault(Fault::kNone, 0, Thread::kAny);
+        expect(piece > 0 || thrown == 10, "a fault in the first piece comes out of every kernel");
+    }
+}
+
+// What Python calls: one block of memory in, a number out, whatever is thrown.
+extern "C" int enter_otsu_threshold(const void* packed);
+extern "C" int enter_dilate(const void* packed);
+
+void try_entries() {
+    using namespace fingerflow;
+    const std::vector<std::int64_t> counts(256, 3);
+    double threshold = 0;
+    struct {
+        const std::int64_t* counts;
+        std::int64_t batch;
+        double low, high;
+        double* thresholds;
+    } const given{counts.data(), 1, -1, 255, &threshold};
+    expect(enter_otsu_threshold(&given) == kDone && threshold == 127, "an entry");
+
+    const std::vector<unsigned char> mask(9, 1);
+    std::vector<unsigned char> dilated(9);
+    const std::int32_t half_width = 0;
+    struct {
+        const void* masks;
+        unsigned char* dilated;
+        std::int64_t batch, height, width, frame_stride, row_stride;
+        const std::int32_t* half_widths;
+        std::int64_t radius;
+        alignas(8) int of_background;
+        alignas(8) int threads;
+    } const element{mask.data(), dilated.data(), 1, 3, 3, 9, 3, &half_width, 0, 0, 2};
+    expect(enter_dilate(&element) == kDone && dilated == mask, "an entry with a pool");
+    for (const Fault fault : {Fault::kNoMemory, Fault::kError, Fault::kUnknown}) {
+        inject_fault(fault, -1, Thread::kAny);
+        const int outcome = enter_dilate(&element);
+        inject_fault(Fault::kNone, 0, Thread::kAny);
+        expect(outcome == (fault == Fault::kNoMemory ? kNoMemory : kFailed), "the outcome tells what was thrown");
+        expect(fault != Fault::kError || std::strcmp(last_message(), "a fault injected by a test") == 0, "and the message");
     }
 }
 
 }  // namespace
 
 int main() {
-    for (int set = fingerflow_limit_instruction_set(-1); set >= 0; --set) {
-        fingerflow_limit_instruction_set(set);
+    try_entries();
+    try_faults();
+    std::int32_t set = -1, taken = -1;
+    for (fingerflow_limit_instruction_set(-1, &set); set >= 0; --set) {
+        fingerflow_limit_instruction_set(set, &taken);
         for (int threads : {1, 3}) {
             try_all(1, 1, 1, threads);
             try_all(2, 1, 131, threads);

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from fingerflow import kernels
+from fingerflow.kernels import library
 
 FRAME = torch.zeros(1, 1, 8, 8, dtype=torch.uint8)
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -62,9 +63,9 @@ def test_environment_turns_them_off() -> None:
 
 
 def test_says_once_that_they_are_absent(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(kernels.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(library.importlib.util, "find_spec", lambda name: None)
     monkeypatch.delenv("FINGERFLOW_KERNELS", raising=False)
-    kernels._library.cache_clear()
+    library._library.cache_clear()
     try:
         with caplog.at_level(logging.INFO, "fingerflow.kernels"):
             assert not kernels.serve(FRAME)
@@ -73,4 +74,4 @@ def test_says_once_that_they_are_absent(monkeypatch: pytest.MonkeyPatch, caplog:
         with pytest.raises(RuntimeError, match="pip install"):
             kernels.limit_instruction_set(-1)
     finally:
-        kernels._library.cache_clear()
+        library._library.cache_clear()

@@ -118,6 +118,24 @@ _ALONE = "by the errors of the points alone: those of the ellipse and of the pla
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", "divergence of the displacement", "f4"),
     Variable("curl", FRAME_POINT, "rad", "curl of the displacement", "f4"),
+    Variable(
+        "shear",
+        ("frame", "point", "shear_component"),
+        "1",
+        "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
+        "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6",
+        "f4",
+        unasked=False,
+    ),
+    Variable(
+        "rigid_residual",
+        ("frame", "point", "xy"),
+        "mm",
+        "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip",
+        "f4",
+        unasked=False,
+    ),
+    Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual"),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
@@ -134,6 +152,17 @@ STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
     Variable("strain", (*TRIANGLE, "strain_component"), "1", "strain of a triangle", "f4"),
     Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
+    Variable(
+        "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4", unasked=False
+    ),
+    Variable(
+        "principal_angle",
+        TRIANGLE,
+        "rad",
+        "direction of the major principal strain, from x towards y",
+        "f4",
+        unasked=False,
+    ),
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
     Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact, without that of noise"),
     Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy"),

@@ -1,15 +1,10 @@
-// What fingerflow/kernels.py calls. Plain C, so that one library serves every Python, without its headers and without
-// its lock. Shapes, strides and dtypes are checked there. Strides are in pixels. A function returns 0, or 1 when the
-// system had no memory or no thread to give.
+// What fingerflow/kernels calls, declared once: Python reads this file too (fingerflow/kernels/declarations.py), and the
+// entries that it calls are written from it (kernels/generate_entries.py). Arguments go by name, those of a structure among
+// the others, so a name stands once in a function. Shapes, strides and dtypes are checked in Python. Strides are in pixels.
+// What a function throws becomes an exception of Python's.
 #pragma once
 
 #include <cstdint>
-
-#ifdef _WIN32
-#define FINGERFLOW_EXPORT extern "C" __declspec(dllexport)
-#else
-#define FINGERFLOW_EXPORT extern "C" __attribute__((visibility("default")))
-#endif
 
 // Images of one shape and a kind of pixels.h.
 struct fingerflow_image {
@@ -17,52 +12,50 @@ struct fingerflow_image {
     std::int64_t count, image_stride, row_stride, kind;
 };
 
-// Changes with every signature below.
-FINGERFLOW_EXPORT int fingerflow_interface();
-
 // The widest instruction set in use from now on: 0 for the baseline of the processor's kind, 1 for AVX2, 2 for AVX-512,
-// -1 for all that the processor has. Returns the one taken. For tests; every set gives the same answers.
-FINGERFLOW_EXPORT int fingerflow_limit_instruction_set(int most);
+// -1 for all that the processor has; `taken` is the one in use then. For tests; every set gives the same answers.
+void fingerflow_limit_instruction_set(int most, std::int32_t* taken);
+
+// For tests: faults and threads of parallel.h, by their numbers.
+void fingerflow_inject_fault(int fault, std::int64_t piece, int thread);
 
 // Medians of size x size windows of `batch` frames, uint8 or uint16 as `pixel_bytes` says; `medians` is contiguous.
 // `table` is null for a compiled size, else what fingerflow/ops/median_rows.py writes for it.
-FINGERFLOW_EXPORT int fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height,
-                                        std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                                        int pixel_bytes, int size, const std::uint16_t* table, int threads);
+void fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
+                       std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size,
+                       const std::uint16_t* table, int threads);
 
 // Templates of points of images prepared, and found in frames, as fingerflow/ops/templates.py describes; all float32 and
 // contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
 // samples (P, 3, window, window), table (P, 75), numbers (P, 34); variance one an image or frame. Frames are (steps, batch):
 // points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
 // those after the last frame; results are (steps, batch x points, ...).
-FINGERFLOW_EXPORT int fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,
-                                                   std::int64_t points, float* start, const float* inverse_warp, const float* variance,
-                                                   int window, int gain_offset, float rounding, float* samples, float* table,
-                                                   float* numbers, int threads);
-FINGERFLOW_EXPORT int fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width,
-                                                std::int64_t batch, std::int64_t points, std::int64_t steps, int window, int rounds,
-                                                const float* start, const float* samples, const float* table, const float* numbers,
-                                                const float* variance, float* place, float* speed, float rounding,
-                                                float forward_backward_limit, float mismatch_limit, float* found, float* error,
-                                                float* covariance, unsigned char* status, float* estimate, int threads);
+void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,
+                                  std::int64_t points, float* start, const float* inverse_warp, const float* variance,
+                                  int window, int gain_offset, float rounding, float* samples, float* table,
+                                  float* numbers, int threads);
+void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width,
+                               std::int64_t batch, std::int64_t points, std::int64_t steps, int window, int rounds,
+                               const float* start, const float* samples, const float* table, const float* numbers,
+                               const float* variance, float* place, float* speed, float rounding,
+                               float forward_backward_limit, float mismatch_limit, float* found, float* error,
+                               float* covariance, unsigned char* status, float* estimate, int threads);
 
 // Means of 2 x 2 pixels of frames of a kind of pixels.h: (batch, height / 2, width / 2), contiguous, as the search takes them.
-FINGERFLOW_EXPORT int fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height,
-                                       std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
-                                       int threads);
+void fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height, std::int64_t width,
+                      std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads);
 
 // Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/search.py describes: images
 // (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
-FINGERFLOW_EXPORT int fingerflow_search_windows(const float* templates, const float* images, std::int64_t height,
-                                                std::int64_t width, const std::int64_t* image_index,
-                                                const float* points, const float* guess, std::int64_t count, int size,
-                                                int reach, float* found, int threads);
+void fingerflow_search_windows(const float* templates, const float* images, std::int64_t height, std::int64_t width,
+                               const std::int64_t* image_index, const float* points, const float* guess,
+                               std::int64_t count, int size, int reach, float* found, int threads);
 
 // Mean absolute response (batch) of the noise mask, of `batch` frames of a kind of pixels.h, at least 3 x 3; NaN where no
 // response is finite.
-FINGERFLOW_EXPORT int fingerflow_mean_response(const void* frames, double* means, std::int64_t batch,
-                                               std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                               std::int64_t row_stride, int kind, int threads);
+void fingerflow_mean_response(const void* frames, double* means, std::int64_t batch, std::int64_t height,
+                              std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
+                              int threads);
 
 // Frames and the light of the empty glass behind them (height, width), with the counts without light: one image, or as
 // many as frames.
@@ -74,40 +67,36 @@ struct fingerflow_lit_frames {
 
 // Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
 // (fingerflow/ops/real_contact_mask.py); limits (batch), `real_contact_mask` is contiguous.
-FINGERFLOW_EXPORT int fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
-                                          unsigned char* real_contact_mask, int threads);
+void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
+                                  unsigned char* real_contact_mask, int threads);
 
 // Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
-FINGERFLOW_EXPORT int fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
+void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
-FINGERFLOW_EXPORT int fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height,
-                                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                                           int kind, const unsigned char* mask, std::int64_t masks,
-                                           std::int64_t mask_stride, std::int64_t mask_row_stride,
-                                           const std::uint16_t* bins, std::int64_t count, std::int64_t* counts,
-                                           int threads);
+void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                          std::int64_t frame_stride, std::int64_t row_stride, int kind, const unsigned char* mask,
+                          std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride,
+                          const std::uint16_t* bins, std::int64_t count, std::int64_t* counts, int threads);
 
 // Otsu's threshold of `batch` histograms of 256 bins from `low` to `high`.
-FINGERFLOW_EXPORT int fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
-                                                double* thresholds);
+void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, double low, double high,
+                               double* thresholds);
 
 // Masks of bytes dilated, or eroded where `of_background` is 1, by an element given by the half widths of its 2 radius +
 // 1 rows, which grow towards the middle; `dilated` is contiguous.
-FINGERFLOW_EXPORT int fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t batch,
-                                        std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                        std::int64_t row_stride, const std::int32_t* half_widths, std::int64_t radius,
-                                        int of_background, int threads);
+void fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t batch, std::int64_t height,
+                       std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
+                       const std::int32_t* half_widths, std::int64_t radius, int of_background, int threads);
 
 // Masks of bytes with their holes filled (fingerflow/ops/components.py), or but their largest part; results are
 // contiguous.
-FINGERFLOW_EXPORT int fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch,
-                                            std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                            std::int64_t row_stride, int threads);
-FINGERFLOW_EXPORT int fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch,
-                                                   std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                                   std::int64_t row_stride, int threads);
+void fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
+                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
+void fingerflow_largest_component(const unsigned char* masks, unsigned char* largest, std::int64_t batch,
+                                  std::int64_t height, std::int64_t width, std::int64_t frame_stride,
+                                  std::int64_t row_stride, int threads);
 
 // The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/apparent_contact.py has
 // them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
@@ -117,17 +106,15 @@ struct fingerflow_apparent_contacts {
     float *density_margin, *numbers;
     std::int64_t batch, height, width, radius, side;
 };
-FINGERFLOW_EXPORT int fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
+void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
 // Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
-FINGERFLOW_EXPORT int fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch,
-                                              std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                              std::int64_t row_stride, int threads);
+void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
+                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
 
 // Ellipses (batch, 6) of the same moments: centre x and y, semi axes, major first, angle and area.
-FINGERFLOW_EXPORT int fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch,
-                                             std::int64_t height, std::int64_t width, std::int64_t frame_stride,
-                                             std::int64_t row_stride, int threads);
+void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
+                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
 
 // Weighted linear fits around queries, as fingerflow/ops/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
@@ -138,18 +125,17 @@ struct fingerflow_local_fit {
     void *value, *gradient, *covariance, *offset;  // covariance null without noise
     std::int64_t* counts;
 };
-FINGERFLOW_EXPORT int fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread,
-                                                 int wide, int threads);
+void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
+                                int threads);
 
 // Corners of uint8 frames, as fingerflow/ops/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
 // a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame, or null)
 // tells where they may lie, `floors` (batch) what their response must exceed.
-FINGERFLOW_EXPORT int fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height,
-                                         std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
-                                         const unsigned char* mask, std::int64_t masks, std::int64_t mask_stride,
-                                         std::int64_t mask_row_stride, const float* floors, float quality,
-                                         std::int64_t window, std::int64_t border, std::int64_t count,
-                                         double min_distance, float* points, float* responses, int threads);
+void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                        std::int64_t frame_stride, std::int64_t row_stride, const unsigned char* mask,
+                        std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors,
+                        float quality, std::int64_t window, std::int64_t border, std::int64_t count,
+                        double min_distance, float* points, float* responses, int threads);
 
 // Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
 // their standard deviations where there are covariances: reference (1 or batch, point_count, 2), displacement (batch,
@@ -161,7 +147,7 @@ struct fingerflow_area_medians {
     std::int64_t batch, reference_batch, point_count, positions, measure, minimum_points;
     double radius, least_spread, farthest, least_ratio, least_share, reach, even;
 };
-FINGERFLOW_EXPORT int fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
+void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
 
 // Strain of triangles and its energy, as fingerflow/ops/triangle_strain.py has them: displacement (batch, point_count, 2),
 // covariance (batch, point_count, 2, 2), in_contact (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
@@ -181,7 +167,7 @@ struct fingerflow_triangle_strain {
     std::int64_t batch, point_count, triangle_count, measure;
     double direct, between, shear;
 };
-FINGERFLOW_EXPORT int fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
+void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
 // V-cycles of the multigrid of fingerflow/ops/flow_multigrid.py from 0: levels from the finest on, their planes those of
 // all images of the batch; right_side and solution (batch, 2, height, width) of the finest.
@@ -197,12 +183,12 @@ struct fingerflow_flow_cycles_of {
     std::int32_t cycles, sweeps, coarsest;
     float damping;
 };
-FINGERFLOW_EXPORT int fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads);
+void fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads);
 
 // The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
 // repeated, as fingerflow/ops/flow.py has it.
-FINGERFLOW_EXPORT int fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
-                                           std::int64_t height, std::int64_t width, int threads);
+void fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
+                          std::int64_t height, std::int64_t width, int threads);
 
 // Skin chains pressed for a time, or until forces balance, as fingerflow/models/skin_implicit.py has it: reference (batch,
 // count, 2), numbers (batch, 10), friction (batch, count), load (batch, 2, 2) first and last by x
@@ -218,7 +204,7 @@ struct fingerflow_skin_chain {
     std::int64_t batch, count, held_x, held_z, most_steps, record_steps;
     double tolerance, duration;
 };
-FINGERFLOW_EXPORT int fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);
+void fingerflow_press_skin(const fingerflow_skin_chain* given, int threads);
 
 // Derivatives back along a record of the above, as fingerflow/models/skin_adjoint.py has them: begun at place, bone and
 // rubbed, steps (batch) of the record; wanted and result (batch, 3 count + 2) of places, bone and friction at its end and at
@@ -229,4 +215,4 @@ struct fingerflow_skin_back {
     double *stiffness, *of_friction, *result;
     std::int64_t batch, count, held_x, held_z, record_steps;
 };
-FINGERFLOW_EXPORT int fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads);
+void fingerflow_press_skin_back(const fingerflow_skin_back* given, int threads);

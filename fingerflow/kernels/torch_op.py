@@ -1,0 +1,80 @@
+"""Functions of kernels as ops of torch's own, which its compiler keeps whole."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, get_args, get_type_hints
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels.library import CPU, shapes_only
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+_OPS = torch.library.Library("fingerflow", "DEF")
+
+
+def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Makes a function known to torch as `torch.ops.fingerflow.<name>`; where nobody compiles it is called as it is.
+
+    The shapes that a compiler asks for come from the function itself: it runs on tensors without values, and what it
+    calls of the library computes nothing (`shapes_only`). Its annotations are the signature: tensors and numbers in, a
+    tensor or a tuple of them out, of which those with two axes and more may be None. No result shares memory with
+    another or with an argument.
+
+    Args:
+        changes: names of the tensors that it writes to.
+    """
+
+    def known(function: Callable[_P, _R]) -> Callable[_P, _R]:
+        name = getattr(function, "__name__", "")
+        kind = get_type_hints(function)["return"]
+        parts = (kind,) if kind is Tensor else _parts(kind)
+        may_be_none = [type(None) in get_args(part) for part in parts]
+
+        def whole(*args: Any, **kwargs: Any) -> Any:
+            """None is no result of an op: an empty tensor stands for it."""
+            result: Any = function(*args, **kwargs)
+            if kind is Tensor:
+                return result
+            return tuple(torch.empty(0, device=CPU) if part is None else part for part in result)
+
+        def shapes(*args: Any, **kwargs: Any) -> Any:
+            with shapes_only():
+                return whole(*args, **kwargs)
+
+        _OPS.define(name + _schema(function, len(parts), changes), tags=(torch.Tag.pt2_compliant_tag,))
+        _OPS.impl(name, whole, "CPU")
+        torch.library.register_fake(f"fingerflow::{name}", shapes, lib=_OPS)
+        op = getattr(torch.ops.fingerflow, name).default
+
+        @functools.wraps(function)
+        def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+            if not torch.compiler.is_compiling():
+                return function(*args, **kwargs)
+            result = op(*args, **kwargs)
+            if kind is Tensor:
+                return result
+            given = [None if none and part.ndim == 1 else part for none, part in zip(may_be_none, result, strict=True)]
+            return kind(*given) if hasattr(kind, "_fields") else tuple(given)  # type: ignore[return-value]
+
+        return called
+
+    return known
+
+
+def _parts(kind: Any) -> tuple[Any, ...]:
+    """What a tuple holds, named or not."""
+    return tuple(get_type_hints(kind).values()) if hasattr(kind, "_fields") else get_args(kind)
+
+
+def _schema(function: Callable[..., Any], parts: int, changes: tuple[str, ...]) -> str:
+    def described(*args: Any, **kwargs: Any) -> Any:
+        raise NotImplementedError
+
+    signature = inspect.signature(function)
+    tensors: Any = Tensor if parts == 1 else tuple[(Tensor,) * parts]  # type: ignore[misc]
+    described.__signature__ = signature.replace(return_annotation=tensors)  # type: ignore[attr-defined]
+    return torch.library.infer_schema(described, mutates_args=changes)

@@ -1,0 +1,162 @@
+"""Every public op and every module of the graphs with inputs of a small scene: what a pipeline that embeds them calls.
+
+A new op, or a new module, has to be given inputs here: `without_a_case` names it.
+"""
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+import fingerflow.graphs
+from fingerflow import ops
+from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
+from fingerflow.graphs.detect import DetectGraph
+from fingerflow.graphs.frame import FollowGraph, FrameGraph, HeldGraph, RenewGraph, SinceOnsetGraph
+from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.ops.outliers import find_neighbours
+
+HEIGHT, WIDTH, POINTS = 64, 80, 24
+
+
+class Case(NamedTuple):
+    """A function or module, and its inputs."""
+
+    call: Callable[..., Any]
+    inputs: tuple[Any, ...]
+
+
+def scene(batch: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Ridges as uint8 (B, 1, H, W), the same half a pixel further on, points (B, N, 2), and displacements of them."""
+    y, x = torch.meshgrid(
+        torch.arange(HEIGHT, dtype=torch.float64), torch.arange(WIDTH, dtype=torch.float64), indexing="ij"
+    )
+    frames = []
+    for shift in (0.0, 0.5):
+        waves = sum(torch.sin(0.7 * (a * (x - shift) + b * y)) for a, b in ((1.0, 0.2), (0.3, -1.0), (0.6, 0.8)))
+        frames.append((110 + 30 * torch.as_tensor(waves)).round().to(torch.uint8).expand(batch, 1, HEIGHT, WIDTH))
+    generator = torch.Generator().manual_seed(0)
+    inside = torch.tensor([WIDTH - 32.0, HEIGHT - 32.0], dtype=torch.float32)
+    points = 16 + inside * torch.rand(batch, POINTS, 2, generator=generator, dtype=torch.float32)
+    moved = torch.rand(batch, POINTS, 2, generator=generator, dtype=torch.float32) / 10 + points / 50
+    return frames[0].contiguous(), frames[1].contiguous(), points, moved
+
+
+def cases() -> dict[str, Case]:
+    """By name: of the ops their public one, and what is asked of them behind a dash."""
+    first, second, points, moved = scene()
+    gray = first.to(torch.float32)
+    glass, black = torch.full_like(gray, 200.0), torch.zeros_like(gray)
+    one = torch.ones(len(first), dtype=torch.float32)
+    triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
+    gradient = ops.local_gradients(points, moved, gauge_length=60.0).gradient
+    covariance = torch.eye(2, dtype=torch.float32).expand(len(first), POINTS, 2, 2).contiguous() / 100
+    axis_x, axis_y = (torch.arange(16, end, 8, dtype=torch.float32) for end in (WIDTH - 16, HEIGHT - 16))
+    key = KeyGraph(11)
+    templates = key(first, points)
+    track = TrackGraph()
+    found = track(templates, second, points)
+    neighbours = find_neighbours(points[:1], 1.0)
+    ellipse = GrossEllipse(
+        torch.tensor([[40.0, 32.0]], dtype=torch.float32).repeat(len(first), 1),
+        torch.tensor([[20.0, 16.0]], dtype=torch.float32).repeat(len(first), 1),
+        torch.zeros(len(first), dtype=torch.float32),
+    )
+    of_key = templates.numbers[:1]
+    contact = ContactGraph(median_px=9)
+    follow = FollowGraph(11)
+    hold = HeldGraph(key, DeformationGraph(11))
+    held, view = hold(first, points)
+    straight = torch.eye(2, dtype=torch.float32).expand_as(covariance)
+    warp = straight + gradient / 10
+    turn = torch.tensor([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]], dtype=torch.float32)
+    of_ellipse = (ellipse.center, ellipse.semi_axes, ellipse.angle)
+    nowhere = torch.full_like(points, torch.nan)
+    unreached, reached = (
+        torch.zeros(points.shape[:2], dtype=torch.uint8),
+        torch.ones(points.shape[:2], dtype=torch.uint8),
+    )
+    scale = torch.tensor([0.05], dtype=torch.float32)
+    return {
+        "curl": Case(ops.curl, (gradient,)),
+        "dense_flow": Case(ops.dense_flow, (first, second)),
+        "detect_corners": Case(ops.detect_corners, (first, 20)),
+        "detect_corners - floating": Case(ops.detect_corners, (gray, 20)),
+        "divergence": Case(ops.divergence, (gradient,)),
+        "green_lagrange": Case(ops.green_lagrange, (gradient,)),
+        "local_gradients": Case(
+            lambda points, values: ops.local_gradients(points, values, gauge_length=60.0), (points, moved)
+        ),
+        "local_gradients - variance": Case(
+            lambda points, values, variance: ops.local_gradients(points, values, gauge_length=60.0, variance=variance),
+            (points, moved, covariance),
+        ),
+        "median_filter": Case(ops.median_filter, (first, 5)),
+        "median_filter - large": Case(ops.median_filter, (first, 13)),
+        "median_filter - floating": Case(ops.median_filter, (gray, 5)),
+        "normalize_illumination": Case(ops.normalize_illumination, (first, glass)),
+        "otsu_threshold": Case(ops.otsu_threshold, (first,)),
+        "otsu_threshold - floating": Case(
+            lambda frames: ops.otsu_threshold(frames, value_range=(-1.0, 255.0)), (gray,)
+        ),
+        "scattered_to_grid": Case(ops.scattered_to_grid, (points, moved, axis_x, axis_y, 60.0)),
+        "strain_energy_density": Case(
+            lambda gradient: ops.strain_energy_density(ops.green_lagrange(gradient)), (gradient,)
+        ),
+        "track_points": Case(lambda *images: ops.track_points(*images, window=11), (first, second, points)),
+        "track_points - search": Case(
+            lambda *images: ops.track_points(*images, window=11, search=12), (first, second.roll(6, 3), points)
+        ),
+        "triangle_gradients": Case(ops.triangle_gradients, (points, triangles, moved)),
+        "LightGraph": Case(LightGraph(), (gray, black, one)),
+        "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
+        "KeyGraph": Case(key, (first, points)),
+        "TrackGraph": Case(track, (templates, second, points)),
+        "AgreementGraph": Case(AgreementGraph(), (neighbours, points[:1], found)),
+        "DeformationGraph": Case(DeformationGraph(11), (points[:1], found, of_key, straight[:1])),
+        "FieldsGraph": Case(FieldsGraph(60.0), (points, moved, covariance)),
+        "FieldsGraph - medians": Case(FieldsGraph(60.0), (points, moved, covariance, ellipse)),
+        "DetectGraph": Case(DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))),
+        "HeldGraph": Case(hold, (first, points)),
+        "RenewGraph": Case(RenewGraph(11), (*view, points, warp)),
+        "FollowGraph": Case(follow, (second, points, held)),
+        "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
+        "SinceOnsetGraph": Case(SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, turn, scale, *of_ellipse)),
+    }
+
+
+def without_a_case() -> set[str]:
+    """Public ops and modules that `cases` does not hold."""
+    files = [
+        importlib.import_module(f"fingerflow.graphs.{found.name}")
+        for found in pkgutil.iter_modules(fingerflow.graphs.__path__)
+    ]
+    modules = {
+        name
+        for file in files
+        for name, kind in inspect.getmembers(file, inspect.isclass)
+        if issubclass(kind, nn.Module) and kind.__module__ == file.__name__ and not name.startswith("_")
+    }
+    return (set(ops.__all__) | modules) - {name.partition(" ")[0] for name in CASES}
+
+
+def tensors_of(result: Any) -> list[Tensor]:
+    """All tensors of a result, in order."""
+    if isinstance(result, Tensor):
+        return [result]
+    return [tensor for part in result or () for tensor in tensors_of(part)] if isinstance(result, tuple) else []
+
+
+@cache
+def expected(name: str) -> list[Tensor]:
+    """What the case gives as it is."""
+    with torch.no_grad():
+        return tensors_of(CASES[name].call(*CASES[name].inputs))
+
+
+CASES = cases()

@@ -1,0 +1,85 @@
+"""What a process around the package sets for torch as a whole changes no answer of it."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from fingerflow.ops import apparent_contact, otsu
+from tests.embedded import CASES, expected, tensors_of, without_a_case
+
+DTYPES = (torch.float64, torch.bfloat16, torch.float16)
+
+
+@pytest.fixture
+def restored() -> Iterator[None]:
+    expected.cache_clear()  # of the other form
+    yield
+    torch.set_default_dtype(torch.float32)
+    torch.set_default_device(None)
+
+
+def without_what_was_kept() -> None:
+    """Tensors that ops keep from call to call must not come from before the defaults changed."""
+    otsu._bin_of_level.cache_clear()
+    apparent_contact._kept_boxes.cache_clear()
+
+
+def same(name: str) -> None:
+    wanted = expected(name)
+    case = CASES[name]
+    with torch.no_grad():
+        for result, other in zip(tensors_of(case.call(*case.inputs)), wanted, strict=True):
+            assert result.dtype == other.dtype
+            assert result.device == other.device
+            assert torch.equal(result.nan_to_num(-7.0), other.nan_to_num(-7.0))
+
+
+def test_every_op_and_module_has_a_case() -> None:
+    assert not without_a_case(), "give these inputs in tests/embedded.py"
+
+
+@pytest.mark.usefixtures("each_form", "restored")
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("name", CASES)
+def test_default_dtype(name: str, dtype: torch.dtype) -> None:
+    expected(name)
+    without_what_was_kept()
+    torch.set_default_dtype(dtype)
+    same(name)
+
+
+@pytest.mark.usefixtures("each_form", "restored")
+@pytest.mark.parametrize("name", CASES)
+def test_default_device(name: str) -> None:
+    expected(name)
+    without_what_was_kept()
+    torch.set_default_device("meta")
+    same(name)
+
+
+@pytest.mark.parametrize("setting", ["dtype(torch.float64)", "dtype(torch.bfloat16)", 'device("meta")'])
+def test_imported_and_first_called_under_them(setting: str) -> None:
+    """What is made once, at import or in the first call, has its own dtype and device too."""
+    code = f"""
+import torch
+torch.set_default_{setting}
+import fingerflow.ops
+import fingerflow.graphs
+from fingerflow.graphs import FieldsGraph, GrossEllipse
+
+cpu = dict(dtype=torch.float32, device="cpu")
+frame = torch.arange(64, dtype=torch.uint8, device="cpu").repeat(64, 1)[None, None]
+places = torch.meshgrid(torch.arange(8, **cpu), torch.arange(8, **cpu), indexing="ij")
+points = torch.stack(places, -1).reshape(1, 64, 2)
+ellipse = GrossEllipse(torch.full((1, 2), 4.0, **cpu), torch.full((1, 2), 3.0, **cpu), torch.zeros(1, **cpu))
+fields = FieldsGraph(6.0)(points, points / 10, None, ellipse)
+assert fields.median.dtype == torch.float32 and abs(fields.median[0, 0].item() - 0.2) < 0.02, fields.median
+assert fingerflow.ops.otsu_threshold(frame).item() == 31
+assert fingerflow.ops.median_filter(frame, 3).sum().item() == 64 * 32 * 63
+print("the same")
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ran.stdout == "the same\n", ran.stderr
