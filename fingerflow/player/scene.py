@@ -74,6 +74,12 @@ def load_scene(path: Path) -> Scene:
         raise PlayerError(str(error)) from None
     found = checked.values
     views, recording, stream = found["views"], found["recording"], found["stream"]
+    for name in ("contact", "topography"):
+        if name not in views:
+            raise PlayerError(
+                f"{path}: its kind is {checked.kind!r}, which has no {name} view; a stream plays scenes of a contact "
+                "and a topography view: use `fingerflow process`"
+            )
     background = found["background"] or {"frames": None, "dark": None}
     return Scene(
         contact=View(**views["contact"]),
