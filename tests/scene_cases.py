@@ -139,8 +139,13 @@ WRONG = (
     WrongScene(f"[calibration]\n{_CALIBRATION}", "", "[recording]", "calibration is missing; add it"),
     WrongScene(", columns = [100, 540]}", "}", "region", "stream.region.columns is missing; add it"),
     # Kinds.
-    WrongScene("[recording]", 'kind = "poke"\n[recording]', "kind", "kind is 'poke': it should be 'press' or 'slip'"),
-    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press' or 'slip'"),
+    WrongScene(
+        "[recording]",
+        'kind = "poke"\n[recording]',
+        "kind",
+        "kind is 'poke': it should be 'press', 'slip' or",
+    ),
+    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press', 'slip' or"),
     # Types.
     WrongScene("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
     WrongScene(

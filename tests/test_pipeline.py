@@ -366,3 +366,18 @@ def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -
     assert found.sizes["point"] > 100
     for name in expected.data_vars:
         np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=str(name))
+
+
+def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scene, press: Path) -> None:
+    """Other points, followed as well: sharpening raises noise, and points are followed in what was recorded."""
+    tracking = replace(scene.tracking, points_from="enhanced")
+    plain, enhanced = (process(one, ["position_px"]) for one in (scene, replace(scene, tracking=tracking)))
+    truth = rebuild_scene(press).truth
+    errors = []
+    for result in (plain, enhanced):
+        pixels = result["position_px"].values
+        material = truth.material(truth.topography_positions(pixels[0]), 0)
+        last = truth.topography_pixels(truth.positions(material, len(pixels) - 1))
+        errors.append(np.nanmedian(np.linalg.norm(pixels[-1] - last, axis=-1)))
+    assert not np.array_equal(plain["position_px"].values[0], enhanced["position_px"].values[0])
+    assert errors[1] < 1.2 * errors[0]
