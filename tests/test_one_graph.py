@@ -125,7 +125,7 @@ def test_points_are_equal(said: Said) -> None:
         assert np.mean(off > 1e-3) < share
         assert np.max(off) < 0.01
     # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
-    deviations = [live["deviation"][1:, :count] for live in said.played]
+    deviations = [live["position_std_px"][1:, :count] for live in said.played]
     for deviation in (said.onnx["position_std_px"].values[1:], *deviations):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
         assert np.mean(off > 0.01) < 0.05
