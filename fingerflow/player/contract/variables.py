@@ -4,8 +4,10 @@ The data set, its files and tables, the records of a stream and the report take 
 but the standard library: an exported bundle carries this file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import truediv
+from typing import Any
 
 #: Names along the dimensions that have them.
 LABELS = {
@@ -30,6 +32,7 @@ class Variable:
         needs: keys of the scene without which there is none.
         flags: meanings of the values 0, 1, 2 ...
         unasked: whether it is computed when nobody asks for it by name.
+        formula, of: what it is of other results of the same stage, where that is all it takes.
     """
 
     name: str
@@ -40,6 +43,8 @@ class Variable:
     needs: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
     unasked: bool = True
+    formula: Callable[..., Any] | None = None
+    of: tuple[str, ...] = ()
 
     def attributes(self) -> dict[str, object]:
         """The attributes of CF conventions."""
@@ -64,6 +69,14 @@ CONTACT = (
     Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact"),
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions"),
     Variable("gross_contact_area", FRAME, "mm2", "area of the region that the contact spans (apparent contact area)"),
+    Variable(
+        "contact_area_ratio",
+        FRAME,
+        "1",
+        "real over gross contact area",
+        formula=truediv,
+        of=("real_contact_area", "gross_contact_area"),
+    ),
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass"),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact"),
     Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y"),
