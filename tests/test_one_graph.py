@@ -153,7 +153,7 @@ def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
 def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:
     """Variables, dimensions, units, definitions and flags; and the numbers, by the tolerances above."""
     both = {
-        *("contact_threshold", "real_contact_area", "gross_contact_area"),
+        *("contact_threshold", "real_contact_area", "gross_contact_area", "contact_area_ratio"),
         *("ellipse_center", "ellipse_semi_axes", "ellipse_angle"),
         *("position", "position_px", "position_std_px", "forward_backward_error", "status"),
         *("tracked_share", "forward_backward_median", "divergence", "curl", "median_divergence"),
