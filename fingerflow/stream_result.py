@@ -79,6 +79,10 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
             found["tracked_share"] = tracked.sum(1) / of_restart
         if "forward_backward_error" in found:
             found["forward_backward_median"] = _medians(np.where(tracked, found["forward_backward_error"], np.nan))
+    for name, one in _VARIABLES.items():
+        if one.formula is not None and name not in found and found.keys() >= set(one.of):
+            with np.errstate(divide="ignore", invalid="ignore"):  # a quotient by nothing is NaN or infinite
+                found[name] = one.formula(*(found[other] for other in one.of))
     return found
 
 

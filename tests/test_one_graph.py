@@ -125,7 +125,7 @@ def test_points_are_equal(said: Said) -> None:
         assert np.mean(off > 1e-3) < share
         assert np.max(off) < 0.01
     # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
-    deviations = [live["deviation"][1:, :count] for live in said.played]
+    deviations = [live["position_std_px"][1:, :count] for live in said.played]
     for deviation in (said.onnx["position_std_px"].values[1:], *deviations):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
         assert np.mean(off > 0.01) < 0.05
@@ -153,7 +153,7 @@ def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
 def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:
     """Variables, dimensions, units, definitions and flags; and the numbers, by the tolerances above."""
     both = {
-        *("contact_threshold", "real_contact_area", "gross_contact_area"),
+        *("contact_threshold", "real_contact_area", "gross_contact_area", "contact_area_ratio"),
         *("ellipse_center", "ellipse_semi_axes", "ellipse_angle"),
         *("position", "position_px", "position_std_px", "forward_backward_error", "status"),
         *("tracked_share", "forward_backward_median", "divergence", "curl", "median_divergence"),
