@@ -1,4 +1,5 @@
-"""Peak memory of `fingerflow.process`, in a process of its own: `python -m bench.peak_memory SCENE...` prints JSON."""
+"""Peak memory of `fingerflow.process`, in a process of its own: `python -m bench.peak_memory memory SCENE...` prints
+JSON; with `file` results go to one."""
 
 import json
 import sys
@@ -44,15 +45,16 @@ class Watch:
                 return
 
 
-def main(scenes: list[str]) -> None:
+def main(to: str, scenes: list[str]) -> None:
     """Every scene with all its outputs, after the first has been through once to load and cache what is kept."""
     loaded = [load_scene(Path(path)) for path in scenes]
-    process(loaded[0], device="cpu")
+    file = Path(scenes[0]).parent / "result.h5" if to == "file" else None
+    process(loaded[0], device="cpu", to=file).close()
     found = []
     for scene in loaded:
         start = time.perf_counter()
         with Watch() as watch:
-            result = process(scene, device="cpu")
+            result = process(scene, device="cpu", to=file)
         found.append(
             {
                 "seconds": time.perf_counter() - start,
@@ -62,9 +64,10 @@ def main(scenes: list[str]) -> None:
                 "points": result.sizes["point"],
             }
         )
+        result.close()
         del result
     print(json.dumps(found))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1], sys.argv[2:])

@@ -10,14 +10,16 @@ if TYPE_CHECKING:
     from fingerflow.recordings import open_forces as open_forces
     from fingerflow.recordings import open_recording as open_recording
     from fingerflow.scene import load_scene as load_scene
+    from fingerflow.stream_result import open_stream as open_stream
 
-__all__ = ["__version__", "load_scene", "open_forces", "open_recording", "process"]
+__all__ = ["__version__", "load_scene", "open_forces", "open_recording", "open_stream", "process"]
 
 _HOMES = {
     "process": "fingerflow.pipeline",
     "open_forces": "fingerflow.recordings",
     "open_recording": "fingerflow.recordings",
     "load_scene": "fingerflow.scene",
+    "open_stream": "fingerflow.stream_result",
 }
 
 

@@ -218,13 +218,23 @@ def process(
 
 @app.command()
 def report(
-    scene: Path, result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None
+    scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
+    result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
 ) -> None:
-    """Write report.html and overlay.mp4 of a processed scene."""
+    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
     from fingerflow.result import load_result
     from fingerflow.scene import load_scene
 
+    if scene.is_dir():
+        from fingerflow.stream_result import open_stream
+
+        if result is not None:
+            raise FingerflowError(
+                f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
+            )
+        typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
+        return
     stored = load_result(result or scene.parent / "result.h5")
     typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
 
@@ -287,21 +297,23 @@ def stream(context: typer.Context) -> None:
 @app.command("export-table")
 def export_table(
     result: Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")],
-    table: Annotated[Path, typer.Argument(help="A .csv or .mat file; .csv for a stream.")],
+    table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")],
 ) -> None:
     """Write a result as CSV (one row a frame) or .mat (everything)."""
-    if result.is_dir():
+    if result.is_dir() and table.suffix == ".csv":
         _export_stream(result, table)
         return
     from fingerflow import result as results
+    from fingerflow.stream_result import open_stream
 
     if table.exists() and not _is_table(table):
         raise FingerflowError(f"{table} exists and was not written by export-table; give another name or remove it")
-    results.export_table(results.load_result(result), table)
+    results.export_table(open_stream(result) if result.is_dir() else results.load_result(result), table)
     typer.echo(f"{table} was written")
 
 
 def _export_stream(folder: Path, table: Path) -> None:
+    """The player's own table has the same columns, and needs no torch."""
     from fingerflow.player import PlayerError, write_table
 
     try:

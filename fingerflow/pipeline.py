@@ -122,6 +122,7 @@ def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], prog
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.finish()
+            stage.derive()
 
 
 def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:

@@ -53,7 +53,11 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     """
     if outputs is None:
         kind = KINDS[scene.kind]
-        wanted = [stage for stage in all_stages() if kind.computes(stage.name) and not _lacking(stage, scene)]
+        wanted = [
+            stage
+            for stage in all_stages()
+            if kind.computes(stage.name) and any(one.unasked for one in stage.gives) and not _lacking(stage, scene)
+        ]
         return _with_needs(wanted, frozenset())
     names = list(outputs)
     for name in names:

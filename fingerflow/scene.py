@@ -107,6 +107,7 @@ class TrackingSettings:
     points: int
     window_px: int
     min_distance_px: float
+    points_from: Literal["recorded", "enhanced"]
     direction: Literal["forward", "backward"]
     template: Literal["keyframe", "previous"]
     forward_backward_limit_px: float
@@ -252,7 +253,7 @@ def scene_text(
     loaded = "" if slip else "# "
     where = region or View((100, 400), (100, 540))
     return f"""# A scene of fingerflow: what was recorded and what is asked of it. Paths are relative to this file.
-# kind = "press"              # or "slip", which is what a scene with a table [slip] is
+# kind = "press"              # or "slip", which is what a scene with a table [slip] is; or "single_view"
 
 [recording]
 frames = {toml_string(frames)}          # .cine, .mraw/.cih, TIFF, AVI/MP4, HDF5, .npy or a folder of images
@@ -292,6 +293,7 @@ gross_radius_px = 8           # half the distance between ridges, or a little mo
 points = 700
 window_px = 25
 min_distance_px = 6.0
+points_from = "recorded"      # picture in which they are chosen; "enhanced": background off, stretched, sharpened
 direction = "forward"         # or "backward", from the last frame
 template = "keyframe"         # or "previous": from frame to frame, errors add up
 forward_backward_limit_px = 1.0

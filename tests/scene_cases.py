@@ -73,7 +73,7 @@ rekey_share = 0.8
 rekey_frames = 300
 """
 _CALIBRATION = RIGHT[RIGHT.index("mm_per_px") : RIGHT.index("\n\n[contact]")]
-_MATRIX = "[[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]"
+MATRIX = "[[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]"
 _VIEWS = {"topography": View((0, 500), (0, 640)), "contact": View((0, 512), (640, 1280))}
 
 
@@ -139,8 +139,13 @@ WRONG = (
     WrongScene(f"[calibration]\n{_CALIBRATION}", "", "[recording]", "calibration is missing; add it"),
     WrongScene(", columns = [100, 540]}", "}", "region", "stream.region.columns is missing; add it"),
     # Kinds.
-    WrongScene("[recording]", 'kind = "poke"\n[recording]', "kind", "kind is 'poke': it should be 'press' or 'slip'"),
-    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press' or 'slip'"),
+    WrongScene(
+        "[recording]",
+        'kind = "poke"\n[recording]',
+        "kind",
+        "kind is 'poke': it should be 'press', 'slip' or",
+    ),
+    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press', 'slip' or"),
     # Types.
     WrongScene("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
     WrongScene(
@@ -206,9 +211,9 @@ WRONG = (
     _number("columns", "[640, 1280]", "with 0 <= first < end are needed", "[-1, 1280]"),
     _number("columns", "[0, 640]", "views.topography.columns is [3, 3]: two whole numbers [first, end)", "[3, 3]"),
     # Transforms.
-    _number("topography_to_contact", _MATRIX, "it should be a list of 2 lists of 3 numbers", "[[1, 0], [0, 1]]"),
-    _number("topography_to_contact", _MATRIX, "of its items it should be a valid number", "[[1, 0, 'x'], [0, 1, 0]]"),
-    _number("topography_to_contact", _MATRIX, "it maps the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
+    _number("topography_to_contact", MATRIX, "it should be a list of 2 lists of 3 numbers", "[[1, 0], [0, 1]]"),
+    _number("topography_to_contact", MATRIX, "of its items it should be a valid number", "[[1, 0, 'x'], [0, 1, 0]]"),
+    _number("topography_to_contact", MATRIX, "it maps the whole view onto a line", "[[1, 2, 3], [2, 4, 0]]"),
     # Keys that do not go together.
     _number("last_frame", "20", "recording.last_frame is 1: that is before first_frame, 2; both are included", "1"),
     WrongScene(
@@ -221,7 +226,7 @@ WRONG = (
     WrongScene(
         "columns = [100, 540]}", "columns = [1, 641]}", "region", "stream.region is a table: it ends beyond the"
     ),
-    WrongScene(f"topography_to_contact = {_MATRIX}", "", "mm_per_px", "calibration.mm_per_px is 0.0325: the scene has"),
+    WrongScene(f"topography_to_contact = {MATRIX}", "", "mm_per_px", "calibration.mm_per_px is 0.0325: the scene has"),
     WrongScene(
         "[calibration]", '[calibration]\nfile = "rig.toml"', 'file = "rig', "a file and mm_per_px, topography_to_cont"
     ),

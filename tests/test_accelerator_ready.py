@@ -20,7 +20,7 @@ from torch import Tensor, nn
 import fingerflow.graphs
 from bench.launches import HostWait, Launches, count_launches
 from fingerflow.export.build import build
-from fingerflow.export.recipe import Recipe, load_recipe
+from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.ops.outliers import Neighbours, find_neighbours
@@ -106,7 +106,8 @@ def steps() -> dict[str, Step]:
 def small(recipe: Recipe) -> Recipe:
     views = recipe.views.model_copy(update={"height": HEIGHT, "width": WIDTH})
     tracking = recipe.tracking.model_copy(update={"points": POINTS, "window_px": 11})
-    return recipe.model_copy(update={"views": views, "tracking": tracking})
+    every = recipe.export.model_copy(update={"graphs": GRAPHS})
+    return recipe.model_copy(update={"views": views, "tracking": tracking, "export": every})
 
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:

@@ -39,7 +39,8 @@ ARROWS: dict[str, set[str]] = {
         "export",
     },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
-    "__init__": {"pipeline", "recordings", "scene"},  # only when one of them is asked for, see below
+    "stream_result": {"contract", "errors", "player"},
+    "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)
 ARROWS["__main__"] = {"cli"}

@@ -5,6 +5,7 @@ Each chooses its points itself, in the region that the scene states; the thresho
 otherwise measure while frames come. Tolerances are those of `export/README.md`.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.export import export_bundle
 from fingerflow.player.providers import PROVIDERS
+from fingerflow.report import write_report
 from fingerflow.synthetic import Press, write_recording
 
 HEIGHT, WIDTH, POINTS = 192, 240, 150
@@ -48,6 +50,7 @@ class Said(NamedTuple):
     onnx: xr.Dataset
     live: np.ndarray[Any, Any]
     compiled: np.ndarray[Any, Any]
+    streams: tuple[xr.Dataset, ...]
 
     @property
     def played(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
@@ -75,7 +78,8 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
         played.append(player.read_results(folder / provider))
         assert not played[-1].header["warnings"]
         assert played[-1].header["provider"] == PROVIDERS[provider]
-    return Said(*recorded, *(each.records for each in played))
+    streams = tuple(fingerflow.open_stream(folder / provider) for provider in ("cpu", "compiled"))
+    return Said(*recorded, *(each.records for each in played), streams)
 
 
 def test_the_press_shows_something(said: Said) -> None:
@@ -121,7 +125,7 @@ def test_points_are_equal(said: Said) -> None:
         assert np.mean(off > 1e-3) < share
         assert np.max(off) < 0.01
     # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
-    deviations = [live["deviation"][1:, :count] for live in said.played]
+    deviations = [live["position_std_px"][1:, :count] for live in said.played]
     for deviation in (said.onnx["position_std_px"].values[1:], *deviations):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
         assert np.mean(off > 0.01) < 0.05
@@ -144,3 +148,29 @@ def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
     assert np.mean(np.abs(said.compiled["position_px"] - said.live["position_px"]) > 1e-3) < 0.005
     np.testing.assert_array_equal(said.compiled["in_contact"], said.live["in_contact"])
     np.testing.assert_allclose(said.compiled["median_divergence"], said.live["median_divergence"], rtol=0, atol=1e-4)
+
+
+def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:
+    """Variables, dimensions, units, definitions and flags; and the numbers, by the tolerances above."""
+    both = {
+        *("contact_threshold", "real_contact_area", "gross_contact_area", "contact_area_ratio"),
+        *("ellipse_center", "ellipse_semi_axes", "ellipse_angle"),
+        *("position", "position_px", "position_std_px", "forward_backward_error", "status"),
+        *("tracked_share", "forward_backward_median", "divergence", "curl", "median_divergence"),
+    }
+    for stream in said.streams:
+        assert both <= set(stream.data_vars) & set(said.torch.data_vars)
+        for name in set(stream.variables) & set(said.torch.variables):
+            ours, theirs = said.torch[name], stream[name]
+            assert theirs.dims == ours.dims, name
+            for one in ("units", "long_name", "flag_meanings", "gauge_length_mm"):
+                assert theirs.attrs.get(one) == ours.attrs.get(one), (name, one)
+            assert np.array_equal(theirs.attrs.get("flag_values", []), ours.attrs.get("flag_values", [])), name
+        for name in ("xy", "axis", "frame"):
+            np.testing.assert_array_equal(stream[name], said.torch[name])
+        np.testing.assert_allclose(stream["ellipse_center"], said.torch["ellipse_center"], rtol=2e-3, atol=1e-3)
+        np.testing.assert_allclose(stream["contact_threshold"], said.torch["contact_threshold"], rtol=1e-6)
+        np.testing.assert_allclose(stream["tracked_share"], said.torch["tracked_share"], atol=1e-6)
+        np.testing.assert_allclose(stream["position"], said.torch["position"], rtol=0, atol=0.01 * 0.05)
+    page = write_report(said.streams[0], None, tmp_path).read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 3  # contact, medians, quality

@@ -344,7 +344,40 @@ def test_a_black_frame_is_no_reference(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_swapped_views_are_named(scene: Scene) -> None:
-
     swapped = Views({"contact": scene.views["topography"], "topography": scene.views.contact})
     with pytest.raises(FingerflowError, match=r"\[views.contact\]"):
         process(replace(scene, views=swapped), ["real_contact_area"])
+
+
+def test_a_scene_with_a_single_view(press: Path, scene: Scene, tmp_path: Path) -> None:
+    """Contact and motion from one picture: what two equal views with the identity between them give."""
+    text = (press / "scene.toml").read_text(encoding="utf-8")
+    for name in ("frames.npy", "empty.npy", "dark.npy", "forces.csv"):
+        text = text.replace(f'"{name}"', f'"{(press / name).as_posix()}"')
+    text = re.sub(r"\[stream\](.*\n)*", "", text)
+    text = re.sub(r"topography_to_contact = .*\n", "", text)
+    single = re.sub(r"\[views.topography\].*\n.*\n.*\n", "", text.replace("[views.contact]", "[views.camera]"))
+    (tmp_path / "single.toml").write_text('kind = "single_view"\n' + single, encoding="utf-8")
+    both = scene.views.contact
+    two = replace(
+        load_scene(tmp_path / "single.toml"), kind="press", views=Views({"contact": both, "topography": both})
+    )
+    found, expected = process(tmp_path / "single.toml"), process(two)
+    assert found.sizes["point"] > 100
+    for name in expected.data_vars:
+        np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=str(name))
+
+
+def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scene, press: Path) -> None:
+    """Other points, followed as well: sharpening raises noise, and points are followed in what was recorded."""
+    tracking = replace(scene.tracking, points_from="enhanced")
+    plain, enhanced = (process(one, ["position_px"]) for one in (scene, replace(scene, tracking=tracking)))
+    truth = rebuild_scene(press).truth
+    errors = []
+    for result in (plain, enhanced):
+        pixels = result["position_px"].values
+        material = truth.material(truth.topography_positions(pixels[0]), 0)
+        last = truth.topography_pixels(truth.positions(material, len(pixels) - 1))
+        errors.append(np.nanmedian(np.linalg.norm(pixels[-1] - last, axis=-1)))
+    assert not np.array_equal(plain["position_px"].values[0], enhanced["position_px"].values[0])
+    assert errors[1] < 1.2 * errors[0]

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_cases import RIGHT, WRONG, WrongScene, write_folder
+from scene_cases import MATRIX, RIGHT, WRONG, WrongScene, write_folder
 
 from fingerflow import scene as package
 from fingerflow.errors import FingerflowError
 from fingerflow.player import PlayerError
 from fingerflow.player import scene as player
 from fingerflow.player.contract.scene_keys import SCENE, Key, Table
-from fingerflow.player.contract.scene_kinds import KINDS
+from fingerflow.player.contract.scene_kinds import KINDS, Kind
 
 
 def said_by_both(path: Path) -> tuple[str, str]:
@@ -133,6 +133,25 @@ def test_defaults_are_values_that_may_be_given() -> None:
             if isinstance(key, Key) and key.default is not None:
                 given = [list(row) for row in key.default] if isinstance(key.default, tuple) else key.default
                 assert value_of(key.type, given) == key.default, name
+
+
+def test_a_new_kind_is_an_entry_in_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sensor whose one view shows markers: its scene is read, and a stream, which cannot play it, says so."""
+    monkeypatch.setitem(KINDS, "markers", Kind(views=("markers",), stages=("loading",)))
+    path = write_folder(tmp_path)
+    views = RIGHT[RIGHT.index("[views.contact]") : RIGHT.index("[background]")]
+    rest = RIGHT.replace(views, "").replace(f"topography_to_contact = {MATRIX}\n", "")
+    path.write_text(
+        f'kind = "markers"\n{rest[: rest.index("[stream]")]}[views.markers]\nrows = [0, 9]\ncolumns = [0, 8]\n'
+    )
+    scene = package.load_scene(path)
+    assert (scene.kind, scene.views.names(), scene.views["markers"].shape) == ("markers", ("markers",), (9, 8))
+    assert scene.has("views.markers")
+    assert not scene.has("views.contact")
+    with pytest.raises(PlayerError, match="its kind is 'markers', which has no contact view; a stream plays scenes of"):
+        player.load_scene(path)
+    path.write_text(path.read_text().replace("[views.markers]", "[views.contact]"))
+    assert "views.contact is not a key; known here: markers" in said_by_both(path)[0]
 
 
 def test_kinds_say_what_is_computed() -> None:

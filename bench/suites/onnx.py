@@ -37,7 +37,7 @@ from bench.trackers import track_opencv
 from fingerflow.export.build import build
 from fingerflow.export.bundle import write_graph
 from fingerflow.export.portable import Portable
-from fingerflow.export.recipe import GraphName, Recipe
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.ops.corners import detect_corners
 from fingerflow.synthetic import Press
 
@@ -99,7 +99,7 @@ def _row(graph: str, settings: dict[str, Any], nodes: int, cells: dict[str, floa
 
 
 def _recipe(**tables: dict[str, Any]) -> Recipe:
-    return Recipe.model_validate({"views": {"height": 512, "width": 640}, **tables})
+    return Recipe.model_validate({"views": {"height": 512, "width": 640}, "export": {"graphs": GRAPHS}, **tables})
 
 
 def _inputs(scene: Press) -> dict[str, Tensor]:

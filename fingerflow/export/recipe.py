@@ -11,6 +11,8 @@ from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 
 GraphName = Literal["background", "contact", "detect", "key", "renew", "track", "frame", "fields"]
 GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "renew", "track", "frame", "fields")
+# What a player opens. `track` is a part of `frame`: alone it is for those who embed it.
+PLAYED = tuple(name for name in GRAPHS if name != "track")
 _LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
 
 
@@ -56,7 +58,7 @@ class FieldsRecipe(_Table):
 class ExportRecipe(_Table):
     """[export]: which graphs, and the precision of everything but the median."""
 
-    graphs: tuple[GraphName, ...] = GRAPHS
+    graphs: tuple[GraphName, ...] = PLAYED
     precision: Literal["float32", "float64"] = "float32"
 
 

@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from fingerflow.ops.area_medians import area_medians
 from fingerflow.ops.point_gradients import point_gradients
-from fingerflow.ops.strain import curl, divergence, green_lagrange
+from fingerflow.ops.strain import curl, divergence, green_lagrange, shear
 from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
 
 
@@ -24,6 +24,7 @@ class Fields(NamedTuple):
     Attributes:
         divergence, curl: (B, N), curl in rad; NaN where the point itself is not known.
         strain: (B, N, 3) as (exx, eyy, exy).
+        shear: (B, N, 2) along the axes and along the diagonals.
         divergence_std, curl_std: (B, N); None without covariances.
         median: (B, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without one.
         median_std: (B, 5); None without covariances.
@@ -32,6 +33,7 @@ class Fields(NamedTuple):
     divergence: Tensor
     curl: Tensor
     strain: Tensor
+    shear: Tensor
     divergence_std: Tensor | None
     curl_std: Tensor | None
     median: Tensor | None
@@ -76,6 +78,7 @@ class FieldsGraph(nn.Module):
             divergence(gradient),
             curl(gradient),
             green_lagrange(gradient, self.measure),
+            shear(gradient),
             None if spread is None else divergence_std(spread),
             None if spread is None else curl_std(spread),
             median,

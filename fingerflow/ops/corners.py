@@ -81,8 +81,11 @@ def detect_corners(
     _check_frame(frame, window)
     exact = frame.dtype == torch.uint8 and window <= kernels.LARGEST_CORNER_WINDOW
     if exact and frame.numel() and kernels.serve(frame, mask):
-        spread = torch.full((len(frame),), noise or 0.0, dtype=torch.float32, device=frame.device)
-        spread = _noise_deviation(frame) if noise is None else spread
+        spread = (
+            _noise_deviation(frame)
+            if noise is None
+            else torch.full((len(frame),), noise, dtype=torch.float32, device=frame.device)
+        )
         points, strength = kernels.corners(
             frame,
             mask,

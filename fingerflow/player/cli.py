@@ -23,6 +23,7 @@ from .providers import PROVIDERS, Engine
 from .records import RecordLayout
 from .results import RESULTS_FORMAT, Sink
 from .scene import contradictions
+from .sources import kinds
 from .stepper import Stepper
 from .stream import Player, Settings
 
@@ -144,7 +145,7 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
         default=here,
         help="folder of the exported bundle; default: the player's own",
     )
-    add("--source", help="a .npy, raw or video file, or `synthetic`; default: recording.frames of the scene")
+    add("--source", help=f"{kinds()}, or `synthetic`; default: recording.frames of the scene")
     add(
         "--camera",
         metavar="MODULE:FACTORY",

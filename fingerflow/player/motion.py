@@ -47,7 +47,8 @@ class Motion(NamedTuple):
 
     def expect(self, number: int) -> Array:
         """(1, N, 2) px in a frame that may not have come yet."""
-        return self.place + self.speed * min(number - self.number, _TRUSTED)
+        place: Array = self.place + self.speed * min(number - self.number, _TRUSTED)
+        return place
 
 
 _NEWEST = 0.5  # weight of the speed seen last

@@ -74,6 +74,12 @@ def load_scene(path: Path) -> Scene:
         raise PlayerError(str(error)) from None
     found = checked.values
     views, recording, stream = found["views"], found["recording"], found["stream"]
+    for name in ("contact", "topography"):
+        if name not in views:
+            raise PlayerError(
+                f"{path}: its kind is {checked.kind!r}, which has no {name} view; a stream plays scenes of a contact "
+                "and a topography view: use `fingerflow process`"
+            )
     background = found["background"] or {"frames": None, "dark": None}
     return Scene(
         contact=View(**views["contact"]),
@@ -120,6 +126,7 @@ def check_scene(scene: Scene, bundle: Bundle) -> None:
 
 _PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
     "tracking.direction": "forward",
+    "tracking.points_from": "recorded",
     "tracking.search_px": 0,
     "tracking.template": "keyframe",
     "fields.strain": "green_lagrange",

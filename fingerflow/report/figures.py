@@ -29,10 +29,16 @@ def areas(result: xr.Dataset) -> bytes:
 
 
 def medians(result: xr.Dataset) -> bytes:
-    """Medians of the fields over the gross contact, and the strain energy."""
+    """Medians of the fields over the gross contact, and the strain energy; of a stream the divergence alone."""
+    x, name = abscissa(result)
+    if "global_displacement" not in result:
+        figure = Figure(figsize=(10, 3.4), layout="constrained")
+        alone = figure.subplots()
+        alone.plot(x, 1000 * result["median_divergence"].values, color=INK, label="divergence")
+        alone.set(xlabel=name, ylabel="median (µm/mm)")
+        return _png(figure, alone)
     figure = Figure(figsize=(10, 6.4), layout="constrained")
     (upper_left, upper_right), (lower_left, lower_right) = figure.subplots(2, 2)
-    x, name = abscissa(result)
     value, spread = 1000 * result["median_divergence"].values, 1000 * result["median_divergence_std"].values
     upper_left.fill_between(
         x, value - 2 * spread, value + 2 * spread, color=INK, alpha=0.2, linewidth=0, label="± 2 std"

@@ -20,24 +20,28 @@ from fingerflow.report.views import ViewPainter
 from fingerflow.scene import Scene
 
 
-def write_report(result: xr.Dataset, scene: Scene, folder: Path, comparison: Sequence[Any] = ()) -> Path:
+def write_report(result: xr.Dataset, scene: Scene | None, folder: Path, comparison: Sequence[Any] = ()) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
+
+    Without a scene, as of a stream, whose frames are gone, there is neither picture nor video.
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
     """
-    write_overlay(result, scene, folder / "overlay.mp4")
     frame = _most_contact(result)
-    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
-        picture = ViewPainter(result, scene, recording).paint(frame)
-    encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-    sections = [(f"Frame {frame}: contact and points", encoded)]
+    sections: list[tuple[str, bytes]] = []
+    if scene is not None:
+        write_overlay(result, scene, folder / "overlay.mp4")
+        with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
+            picture = ViewPainter(result, scene, recording).paint(frame)
+        encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
+        sections.append((f"Frame {frame}: contact and points", encoded))
     if "ellipse_semi_axes" in result:
         sections.append(("Contact", figures.areas(result)))
-    if "median_divergence" in result and "global_displacement" in result:
+    if "median_divergence" in result:
         sections.append(("Deformation, medians over the gross contact", figures.medians(result)))
     if "strain" in result and "divergence" in result and result.sizes["triangle"]:
         sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
-    if "tracked_share" in result:
+    if "tracked_share" in result and "position_std_px" in result:
         sections.append(("Quality", figures.quality(result)))
     seconds = json.loads(result.attrs["stage_seconds"])
     count = result.sizes["frame"]

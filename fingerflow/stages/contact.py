@@ -46,7 +46,7 @@ class ContactStage(Stage):
         self.series = {
             variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
             for variable in CONTACT
-            if variable.name != "gross_contact_region"
+            if variable.name != "gross_contact_region" and variable.formula is None
         }
         self._gain = np.full(frames, np.nan)  # of the lamp
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact and without glass

@@ -1,13 +1,14 @@
-"""Divergence, curl and strain by local fits, and their medians over the gross contact."""
+"""Divergence, curl, shear and strain by local fits, their medians over the gross contact, and what is not rigid."""
 
 import numpy as np
 import torch
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
+from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.player.contract.variables import FIELDS
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
-from fingerflow.stages.series import rate
+from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
@@ -31,12 +32,16 @@ class FieldsStage(Stage):
         self._settings = self.inputs.scene.fields
         self._graph = self.inputs.engine(FieldsGraph(self._settings.gauge_length_mm, self._settings.strain))
         self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
+        self._residual = np.full(len(trial), np.nan)
         self._gauge = {"gauge_length_mm": self._settings.gauge_length_mm}
 
     def begin(self) -> None:
         self._reference = self.inputs.tensor(self.trial.stage(DisplacementStage).reference)[None]
-        for name in ("divergence", "curl", "divergence_std", "curl_std"):
+        self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
+        for name in self._given:
             self.results.create(name, self._gauge)
+        if "rigid_residual" in self.trial.asked:
+            self.results.create("rigid_residual")
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
@@ -53,12 +58,17 @@ class FieldsStage(Stage):
             self.inputs.tensor(displacement.covariance(moved)),
             ellipse,
         )
-        for name in ("divergence", "curl", "divergence_std", "curl_std"):
+        for name in self._given:
             self.results[name][batch.indices] = getattr(found, name).cpu().numpy()
+        residual = rigid_residual(self._reference, self.inputs.tensor(moved.displacement)).cpu().numpy()
+        if "rigid_residual" in self.results:
+            self.results["rigid_residual"][batch.indices] = residual
+        self._residual[batch.indices] = nanmedian(np.linalg.norm(residual, axis=-1))
         self._median[batch.indices] = torch.Tensor.cpu(found.median)
         self._median_std[batch.indices] = torch.Tensor.cpu(found.median_std)
 
     def finish(self) -> None:
+        self.results.put("rigid_residual_median", self._residual)
         times, window = self.inputs.times, self._settings.rate_window_s
         for name, columns, has_rate in _MEDIANS:
             measure = {"measure": self._settings.strain} if name == "strain" else {}

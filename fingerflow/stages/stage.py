@@ -102,3 +102,12 @@ class Stage:
 
     def finish(self) -> None:
         """Results that need all frames, and warnings."""
+
+    def derive(self) -> None:
+        """Results that are formulas of others, after `finish`."""
+        for variable in self.gives:
+            wanted = variable.unasked or variable.name in self.trial.asked
+            if variable.formula is not None and wanted and all(name in self.results for name in variable.of):
+                with np.errstate(divide="ignore", invalid="ignore"):  # a quotient by nothing is NaN or infinite
+                    values = variable.formula(*(self.results[name][:] for name in variable.of))
+                self.results.put(variable.name, values)

@@ -5,6 +5,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.player.contract.variables import STRAIN
 from fingerflow.stages.contact import ContactStage
@@ -37,6 +38,9 @@ class StrainStage(Stage):
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
         for name, attributes in {"strain": measure, "strain_std": measure, "strain_energy_density": {}}.items():
             self.results.create(name, attributes)
+        self._principal = {"principal_strains", "principal_angle"} & self.trial.asked
+        for name in sorted(self._principal):
+            self.results.create(name, measure)
         self._reference = self.inputs.tensor(moved.reference)[None]
         onset = torch.from_numpy(np.where(moved.onset < 0, len(self.trial), moved.onset)).to(device)
         self._corners = torch.from_numpy(triangles.astype(np.int64)).to(device)
@@ -66,6 +70,11 @@ class StrainStage(Stage):
             ("strain_energy_density", found.density),
         ):
             self.results[name][batch.indices] = values.cpu().numpy()
+        if self._principal:
+            principal = principal_strains(found.strain)
+            both = {"principal_strains": principal.strains, "principal_angle": principal.angle}
+            for name in self._principal:
+                self.results[name][batch.indices] = both[name].cpu().numpy()
         self._energy[batch.indices] = found.energy.cpu()
         self._energy_std[batch.indices] = found.energy_std.cpu()
 

@@ -21,6 +21,7 @@ from fingerflow.graphs.track import (
 )
 from fingerflow.ops.apparent_contact import cell_of
 from fingerflow.ops.cells import covered
+from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import Neighbours, find_neighbours
@@ -33,6 +34,7 @@ from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 _FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
+_SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
 MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
 _FASTEST_PX = 0.2  # that the edges of windows may change by until then
 
@@ -232,7 +234,8 @@ class TrackingStage(Stage):
 
     def _choose(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
-        found, _ = self._detect(image, self._where(image))
+        view = image if self._settings.points_from == "recorded" else self._enhanced(image)
+        found, _ = self._detect(view, self._where(image))
         points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
@@ -248,6 +251,12 @@ class TrackingStage(Stage):
         self._prepare(image, points)
         exact = torch.zeros_like(points[..., 0])
         return Found(points, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8), points)
+
+    def _enhanced(self, image: Tensor) -> Tensor:
+        """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
+        press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust."""
+        skin = subtract_background(image, self.inputs.reference(self._view))
+        return unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
 
     def _where(self, image: Tensor) -> Tensor:
         """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both

@@ -103,6 +103,10 @@ def test_what_is_served(served: Served) -> None:
     status, page = served.ask("GET", "/")
     assert (status, page[:15]) == (200, b"<!doctype html>")
     assert b"http" not in page  # self-contained: nothing is loaded from elsewhere
+    for path, begins in (("/page.css", b":root {"), ("/page.js", b'"use strict";')):
+        status, file = served.ask("GET", path)
+        assert (status, file[: len(begins)]) == (200, begins)
+        assert b"http" not in file
 
 
 def test_a_restart_is_for_the_page_only(served: Served) -> None:

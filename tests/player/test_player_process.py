@@ -96,6 +96,26 @@ def test_an_interrupt_ends_it_cleanly(python: Path, stream: Stream) -> None:
     assert len(records)
 
 
+def test_a_bundle_is_imported_as_it_is_played(python: Path, stream: Stream) -> None:
+    """As its README has it: results by name, from the folder of the bundle, without the package."""
+    command, environment = _command(python, stream, "--source", "synthetic", "--frames", "20")
+    subprocess.run(command, env=environment, cwd=stream.bundle, check=True, capture_output=True)
+    results, table = stream.folder / "results", stream.folder / "table.csv"
+    code = f"""
+import sys, player
+records, header, events = player.read_results({str(results)!r})
+assert records["position_px"].shape == (20, {POINTS}, 2)
+player.write_table({str(results)!r}, {str(table)!r})
+try:
+    player.read_results(".")
+except player.PlayerError as error:
+    assert "is no results folder" in str(error)
+assert not [name for name in sys.modules if name.startswith("fingerflow")]
+"""
+    subprocess.run([str(python), "-c", code], env=environment, cwd=stream.bundle, check=True)
+    assert len(table.read_text().splitlines()) == 21
+
+
 def test_the_command_line_of_the_package_is_the_same_player(stream: Stream) -> None:
     """`fingerflow stream`, which imports no torch either, and `fingerflow export-table` of its results."""
     code = "import sys; from fingerflow.cli import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"

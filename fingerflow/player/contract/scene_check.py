@@ -92,6 +92,8 @@ class _Check:
         tables = {"recording": SCENE["recording"], "views": views_of(KINDS[self.kind]), **SCENE}
         rest = {name: value for name, value in self._written.items() if name != "kind"}
         self.values = self._table((), Table(tables), rest, ("kind",))
+        for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
+            self.values["views"][role] = self._at(f"views.{view}")
         for rule in RULES:
             self._rule(rule)
 
@@ -231,9 +233,11 @@ class _Check:
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Only where there is a view to be mapped: the scale holds whatever part of the frame the view is."""
+        """Only where there is another view to be mapped: the scale holds whatever part of the frame the view is."""
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
+            return
+        if from_view == into_view and rule.transform not in self.given:
             return
         name, into = (key.rpartition(".")[2] for key in (rule.view, rule.into))
         if rule.transform not in self.given:

@@ -148,6 +148,7 @@ SCENE: dict[str, Key | Table] = {
             "points": Key(Whole(least=3), default=700),
             "window_px": Key(Whole(least=5, most=255, odd=True), default=25),
             "min_distance_px": Key(POSITIVE, default=6.0),
+            "points_from": Key(Choice(("recorded", "enhanced")), default="recorded"),
             "direction": Key(Choice(("forward", "backward")), default="forward"),
             "template": Key(Choice(("keyframe", "previous")), default="keyframe"),
             "forward_backward_limit_px": Key(POSITIVE, default=1.0),

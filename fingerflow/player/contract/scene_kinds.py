@@ -1,7 +1,7 @@
 """Kinds of scenes: which views each has, and what is computed where nothing is asked for by name."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 
@@ -12,12 +12,14 @@ class Kind:
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.
         optional_views: those that it may have; the graphs of a stream take them too, so a stream needs them.
+        roles: views of other names that are one of these, for stages that ask by that name.
         stages: computed by default, as far as the scene allows them; None for every stage there is.
         without: stages that are computed only where one of their outputs is asked for.
     """
 
     views: tuple[str, ...]
     optional_views: tuple[str, ...] = ()
+    roles: Mapping[str, str] = field(default_factory=dict)
     stages: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
 
@@ -29,6 +31,8 @@ class Kind:
 KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
     "slip": Kind(views=("contact",), optional_views=("topography",)),
+    # One camera, one light: skin is followed in the picture in which contact is seen.
+    "single_view": Kind(views=("camera",), roles={"contact": "camera", "topography": "camera"}, without=("slip",)),
 }
 
 

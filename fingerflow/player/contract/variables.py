@@ -4,8 +4,10 @@ The data set, its files and tables, the records of a stream and the report take 
 but the standard library: an exported bundle carries this file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import truediv
+from typing import Any
 
 #: Names along the dimensions that have them.
 LABELS = {
@@ -30,6 +32,7 @@ class Variable:
         needs: keys of the scene without which there is none.
         flags: meanings of the values 0, 1, 2 ...
         unasked: whether it is computed when nobody asks for it by name.
+        formula, of: what it is of other results of the same stage, where that is all it takes.
     """
 
     name: str
@@ -40,6 +43,8 @@ class Variable:
     needs: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
     unasked: bool = True
+    formula: Callable[..., Any] | None = None
+    of: tuple[str, ...] = ()
 
     def attributes(self) -> dict[str, object]:
         """The attributes of CF conventions."""
@@ -64,6 +69,14 @@ CONTACT = (
     Variable("contact_threshold", FRAME, "1", "relative intensity loss 1 - I/I0 that counts as contact"),
     Variable("real_contact_area", FRAME, "mm2", "area of the micro-junctions"),
     Variable("gross_contact_area", FRAME, "mm2", "area of the region that the contact spans (apparent contact area)"),
+    Variable(
+        "contact_area_ratio",
+        FRAME,
+        "1",
+        "real over gross contact area",
+        formula=truediv,
+        of=("real_contact_area", "gross_contact_area"),
+    ),
     Variable("ellipse_center", ("frame", "xy"), "mm", "centre of the gross contact on the glass"),
     Variable("ellipse_semi_axes", ("frame", "axis"), "mm", "semi-axes of the gross contact"),
     Variable("ellipse_angle", FRAME, "rad", "major axis of the gross contact, from x towards y"),
@@ -118,6 +131,24 @@ _ALONE = "by the errors of the points alone: those of the ellipse and of the pla
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", "divergence of the displacement", "f4"),
     Variable("curl", FRAME_POINT, "rad", "curl of the displacement", "f4"),
+    Variable(
+        "shear",
+        ("frame", "point", "shear_component"),
+        "1",
+        "shear of the displacement: du/dx - dv/dy along the axes, du/dy + dv/dx along the diagonals; with the global "
+        "displacement, divergence and curl the decomposition of Willemet et al. 2021, figure S6",
+        "f4",
+        unasked=False,
+    ),
+    Variable(
+        "rigid_residual",
+        ("frame", "point", "xy"),
+        "mm",
+        "displacement that the best rigid motion of all points leaves: the usual sign of incipient slip",
+        "f4",
+        unasked=False,
+    ),
+    Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual"),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
@@ -134,6 +165,17 @@ STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
     Variable("strain", (*TRIANGLE, "strain_component"), "1", "strain of a triangle", "f4"),
     Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
+    Variable(
+        "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4", unasked=False
+    ),
+    Variable(
+        "principal_angle",
+        TRIANGLE,
+        "rad",
+        "direction of the major principal strain, from x towards y",
+        "f4",
+        unasked=False,
+    ),
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
     Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact, without that of noise"),
     Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy"),

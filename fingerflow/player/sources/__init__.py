@@ -30,6 +30,11 @@ def readers() -> list[Reader]:
     return [cast(Reader, module) for module in modules if hasattr(module, "reads")]
 
 
+def kinds() -> str:
+    """What can be played, in words."""
+    return f"{', '.join(one.READS for one in readers())} or a video file"
+
+
 def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
     """The frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are those of a raw file.
 
@@ -38,8 +43,7 @@ def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first:
     asked, known = Asked(path, first, shape, dtype), readers()
     reader = next((one for one in known if one.reads(asked)), None)
     if reader is None and not path.is_file():
-        kinds = ", ".join(one.READS for one in known)
-        raise PlayerError(f"{path}: is no file; give {kinds} or a video file, or `synthetic`")
+        raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")
     try:
         return video.Video(path, first) if reader is None else reader.open_frames(asked)
     except (ValueError, TypeError) as error:

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import PlayerError
 from .source import Asked, Recording, Source
 
-READS = ".npy"
+READS = "a .npy file"
 
 
 def reads(asked: Asked) -> bool:

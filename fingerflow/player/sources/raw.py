@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import PlayerError
 from .source import Asked, Recording, Source
 
-READS = "raw"
+READS = "a raw file"
 
 
 def reads(asked: Asked) -> bool:

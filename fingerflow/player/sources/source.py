@@ -48,8 +48,9 @@ class Recording:
     def read(self) -> Array | None:
         if self._next >= len(self._frames):
             return None
+        frame: Array = self._frames[self._next]
         self._next += 1
-        return self._frames[self._next - 1]
+        return frame
 
     def close(self) -> None:
         """A map of a file goes with its last reader."""

@@ -54,7 +54,8 @@ class Synthetic:
     def read(self) -> Array:
         place = self._next % (2 * self.half_period - 2)
         self._next += 1
-        return self._ring[min(place, 2 * self.half_period - 2 - place)]
+        frame: Array = self._ring[min(place, 2 * self.half_period - 2 - place)]
+        return frame
 
     def close(self) -> None:
         """Nothing is open."""

@@ -1,0 +1,62 @@
+"""Folders of pictures, one a frame, as cameras' own programs save them; by OpenCV where it is installed."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+from ..arrays import Array
+from ..errors import PlayerError
+from .source import Asked, Source
+
+READS = "a folder of pictures"
+_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+
+
+def reads(asked: Asked) -> bool:
+    """Any folder."""
+    return asked.path.is_dir()
+
+
+def open_frames(asked: Asked) -> Source:
+    """The pictures in the order of the numbers in their names; raises PlayerError where there is none."""
+    try:
+        importlib.import_module("cv2")
+    except ImportError:
+        raise PlayerError(
+            f"{asked.path}: pictures need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
+        ) from None
+    found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES]
+    if not found:
+        raise PlayerError(f"{asked.path}: has no picture; of its files those that end in {', '.join(_SUFFIXES)} count")
+    return Pictures(sorted(found, key=_by_numbers), asked.first)
+
+
+class Pictures:
+    """Pictures one after another, of 8 or 16 bits; colours are made grey."""
+
+    live = False
+
+    def __init__(self, paths: list[Path], first: int) -> None:
+        self._cv2 = importlib.import_module("cv2")
+        self._paths, self._next = paths, first
+
+    def read(self) -> Array | None:
+        if self._next >= len(self._paths):
+            return None
+        path = self._paths[self._next]
+        picture: Array | None = self._cv2.imread(str(path), self._cv2.IMREAD_UNCHANGED)
+        if picture is None:
+            raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
+        self._next += 1
+        grey: Array = self._cv2.cvtColor(picture, self._cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+        return grey
+
+    def close(self) -> None:
+        """Each file is closed when it has been read."""
+
+
+def _by_numbers(path: Path) -> list[tuple[int, str]]:
+    """frame2 comes before frame10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -1,0 +1,55 @@
+"""A folder of pictures as the source of a stream, and of the empty glass."""
+
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import HEIGHT, WIDTH, frame, write_bundle
+
+cv2 = pytest.importorskip("cv2")
+
+
+def test_pictures_are_played_in_the_order_of_their_numbers(stream: Stream) -> None:
+    folder = stream.folder / "press"
+    folder.mkdir()
+    for number in range(12):
+        picture = frame(contact_px=number)
+        cv2.imwrite(str(folder / f"frame{number}.png"), picture if number % 2 else np.stack([picture] * 3, -1))
+    (folder / "notes.txt").write_text("not a picture")
+    ended = stream.run("--source", str(folder))
+    np.testing.assert_array_equal(ended.results.records["real_contact_area"], np.arange(12) / 4)
+    np.testing.assert_array_equal(ended.results.records["frame"], np.arange(12))
+
+
+def test_a_range_of_the_scene_and_a_background_may_be_pictures(stream: Stream) -> None:
+    for name, count in (("press", 9), ("empty", 3)):
+        (stream.bundle / name).mkdir()
+        for number in range(count):
+            picture = frame(contact_px=number if name == "press" else 0)
+            cv2.imwrite(str(stream.bundle / name / f"{number:03}.tif"), picture)
+    text = stream.scene.read_text().replace("empty.npy", "empty")
+    stream.scene.write_text(f'[recording]\nframes = "press"\nfirst_frame = 2\nlast_frame = 5\n{text}')
+    records = stream.run().results.records
+    np.testing.assert_array_equal(records["frame"], np.arange(2, 6))
+    np.testing.assert_array_equal(records["real_contact_area"], np.arange(2, 6) / 4)
+
+
+def test_sixteen_bits_stay(stream: Stream) -> None:
+    stream.bundle = write_bundle(stream.folder / "deep", bit_depth=12)
+    stream.scene.rename(stream.bundle / "scene.toml")
+    for name, level in (("press", 100), ("empty", 2000)):
+        (stream.bundle / name).mkdir()
+        cv2.imwrite(str(stream.bundle / name / "0.png"), np.full((HEIGHT, 2 * WIDTH), level, np.uint16))
+    path = stream.bundle / "scene.toml"
+    path.write_text(path.read_text().replace("empty.npy", "empty"))
+    ended = stream.run("--source", str(stream.bundle / "press"))
+    assert ended.results.records["real_contact_area"][0] == HEIGHT * WIDTH / 4
+
+
+def test_wrong_folders_are_named(stream: Stream) -> None:
+    folder = stream.folder / "press"
+    folder.mkdir()
+    assert "press: has no picture; of its files those that end in .bmp" in stream.run("--source", str(folder)).said
+    (folder / "0.png").write_bytes(b"no picture")
+    ended = stream.run("--source", str(folder))
+    assert ended.code == 2
+    assert "0.png: OpenCV cannot read this picture" in ended.said

@@ -1,0 +1,107 @@
+"""The three files of the live page, as files: what an HTML parser, a JavaScript parser and plain reading find."""
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from fingerflow.player import page
+
+FOLDER = Path(page.__file__).with_name("page")
+HTML, CSS, JS = ((FOLDER / name).read_text(encoding="utf-8") for name in ("index.html", "page.css", "page.js"))
+_VOID = {"meta", "link", "br", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Elements that are open, and what was found on the way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+        self.ids: list[str] = []
+        self.classes: set[str] = set()
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.add(tag)
+        if tag not in _VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            elif name == "class":
+                self.classes |= set((value or "").split())
+            elif name in ("src", "href"):
+                self.loaded.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag, f"</{tag}> at {self.getpos()} closes another element"
+
+
+@pytest.fixture(scope="module")
+def parsed() -> Page:
+    found = Page()
+    found.feed(HTML)
+    found.close()
+    return found
+
+
+def test_every_element_is_closed_and_every_id_is_one(parsed: Page) -> None:
+    assert HTML.startswith("<!doctype html>")
+    assert parsed.open == []
+    assert len(parsed.ids) == len(set(parsed.ids))
+
+
+def test_ids_of_the_script_are_in_the_page(parsed: Page) -> None:
+    """Those that it asks for by `$("id")`, the only way that it finds elements."""
+    asked = set(re.findall(r'\$\("([^"]+)"\)', JS))
+    assert {"contact", "topography", "areas", "divergence", "numbers", "state", "restart"} <= asked
+    assert asked <= set(parsed.ids)
+    assert JS.count("getElementById") == 1
+    assert "querySelector" not in JS
+
+
+def test_what_the_styles_name_is_in_the_page(parsed: Page) -> None:
+    selectors = re.sub(r"\{[^{}]*\}", " ", re.sub(r"@media[^{]*", "", CSS))
+    given = set(re.findall(r'class="(\w+)"', JS)) | set(re.findall(r'className = "(\w+)"', JS))
+    assert set(re.findall(r"\.([a-z]\w*)", selectors)) <= parsed.classes | given
+    assert set(re.findall(r"#([a-z]\w*)", selectors)) <= set(parsed.ids)
+    assert CSS.count("{") == CSS.count("}")
+    used, set_here = set(re.findall(r"var\((--\w+)\)", HTML + CSS)), set(re.findall(r"(--\w+):", CSS))
+    assert used <= set_here
+
+
+def test_nothing_comes_from_elsewhere(parsed: Page) -> None:
+    """The page is whole without a network: its files are the server's own."""
+    assert not re.search(r"https?:|//[a-z]|@import|url\(", HTML + CSS + re.sub(r"//.*", "", JS))
+    own = {path.removeprefix("/") for path in page._FILES}
+    assert {one for one in parsed.loaded if not one.startswith("data:")} == own - {""}
+    assert set(re.findall(r'fetch\("(\w+)"', JS)) == {"live", "restart"}
+    assert {name for name, _ in page._FILES.values()} == {file.name for file in FOLDER.iterdir()}
+
+
+def test_the_script_reads_what_the_stream_sends() -> None:
+    """Names of arrays and scalars are those of the records, which the table of results gives."""
+    from fingerflow.player.contract.variables import CONTACT, FIELDS, TRACKING, by_name
+
+    known = {*by_name(CONTACT, FIELDS, TRACKING), "topography_view", "contact_view", "real_contact_mask", "traces"}
+    taken = {name for names in re.findall(r"const \{ ([^}]+) \} = live\.data", JS) for name in names.split(", ")}
+    assert taken
+    assert taken <= known
+    scalars = set(re.findall(r"\b(?:s|live\.scalars)\.(\w+)", JS))
+    assert scalars == {"real_contact_area", "gross_contact_area", "median_divergence", "ellipse_angle"}
+    assert scalars <= known
+
+
+def test_the_script_is_javascript() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node here, whose parser would read the script; the test in a browser runs it")
+    ended = subprocess.run([node, "--check", str(FOLDER / "page.js")], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert JS.startswith('"use strict";')

@@ -1,0 +1,87 @@
+"""A uniform field in its parts: divergence, curl and shears, principal strains, and what no rigid motion explains."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import torch
+from stages_alone import run, trial_of, values_of
+
+from fingerflow.stages.displacement import DisplacementStage
+from fingerflow.stages.fields import FieldsStage
+from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.strain import StrainStage
+
+GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
+FRAMES, SCALE = 4, 0.03
+
+
+def inputs() -> Inputs:
+    fields = SimpleNamespace(
+        gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4, depth_mm=2.0,
+        rate_window_s=0.05,
+    )  # fmt: skip
+    scene = SimpleNamespace(
+        fields=fields,
+        forces=None,
+        recording=SimpleNamespace(first_frame=0),
+        tracking=SimpleNamespace(template="keyframe", window_px=25),
+        calibration=SimpleNamespace(mm_per_px=SCALE, topography_to_contact=np.eye(2, 3)),
+    )
+    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])
+
+
+def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:
+    """In the last frame."""
+    axis = np.arange(0.0, 4.0, 0.4)
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    position = points + np.arange(FRAMES)[:, None, None] * (points @ gradient.T + [0.1, -0.2])
+    names = ("divergence", "curl", "shear", "strain", "principal_strains", "principal_angle")
+    names += ("rigid_residual", "rigid_residual_median")
+    given = {
+        "position": position,
+        "position_px": position / SCALE,
+        "position_std_px": np.full(position.shape[:2], 1e-3, np.float32),
+        "in_contact": np.ones(position.shape[:2], bool),
+    }
+    contact = {
+        "gross_contact_area": np.full(FRAMES, 10.0),
+        "ellipse_center": np.full((FRAMES, 2), 1.8),
+        "ellipse_semi_axes": np.full((FRAMES, 2), 1.5),
+        "ellipse_angle": np.zeros(FRAMES),
+    }
+    trial = trial_of(inputs(), contact, FRAMES, **given)
+    trial.asked = frozenset(names)
+    run(trial, DisplacementStage(trial), FieldsStage(trial), StrainStage(trial))
+    return {name: values_of(trial, name)[-1] for name in names}
+
+
+def test_parts_add_up_to_the_gradient() -> None:
+    found, (ux, uy, vx, vy) = measured(GRADIENT), 3 * GRADIENT.ravel()
+    for name, expected in (("divergence", ux + vy), ("curl", vx - uy), ("shear", [ux - vy, uy + vx])):
+        known = np.isfinite(found[name]).reshape(100, -1).all(1)
+        assert known.mean() > 0.9  # at the corners too few points lie within the gauge
+        values = found[name][known]
+        np.testing.assert_allclose(values, np.broadcast_to(expected, values.shape), atol=1e-5)
+
+
+def test_principal_strains_are_eigenvalues() -> None:
+    found, symmetric = measured(GRADIENT), 1.5 * (GRADIENT + GRADIENT.T)
+    values, vectors = np.linalg.eigh(symmetric)
+    shape = found["principal_strains"].shape
+    np.testing.assert_allclose(found["principal_strains"], np.broadcast_to(values[::-1], shape), atol=1e-5)
+    turned = found["principal_angle"] - np.arctan2(vectors[1, 1], vectors[0, 1])
+    np.testing.assert_allclose(np.sin(turned), 0, atol=1e-3)
+
+
+def test_a_rigid_motion_leaves_nothing_and_a_stretch_does() -> None:
+    turn = 0.01 * np.array([[0.0, -1.0], [1.0, 0.0]])
+    assert np.abs(measured(turn)["rigid_residual"]).max() < 2e-3  # 0.03 rad: the square of the angle
+    found = measured(GRADIENT)
+    symmetric = 1.5 * (GRADIENT + GRADIENT.T)
+    # What is symmetric in the gradient stays, to the square of the rotation.
+    axis = np.arange(0.0, 4.0, 0.4) - 1.8
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(found["rigid_residual"], points @ symmetric.T, atol=3e-3)
+    lengths = np.linalg.norm(found["rigid_residual"], axis=-1)
+    np.testing.assert_allclose(found["rigid_residual_median"], np.median(lengths), rtol=1e-5)
