@@ -1,4 +1,4 @@
-// The number types of frames, as fingerflow/kernels.py codes them.
+// The number types of frames, as fingerflow/kernels codes them.
 #pragma once
 
 #include <cstdint>

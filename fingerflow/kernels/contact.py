@@ -22,6 +22,26 @@ from fingerflow.kernels.library import entry, values_are_known
 from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops.median_rows import COMPILED_SIZES, median_table
 
+__all__ = [
+    "CELLS",
+    "COUNTED_DTYPES",
+    "LARGEST_MAJORITY",
+    "LARGEST_MEDIAN",
+    "MEDIAN_DTYPES",
+    "WIDEST_MOMENTS",
+    "apparent_contact",
+    "dilate",
+    "fill_holes",
+    "fit_ellipse",
+    "histogram",
+    "largest_component",
+    "light_gain",
+    "mask_moments",
+    "median",
+    "otsu_threshold",
+    "real_contact_mask",
+]
+
 MEDIAN_DTYPES = (torch.uint8, torch.uint16)
 LARGEST_MEDIAN = 31
 LARGEST_MAJORITY = 15

@@ -10,6 +10,13 @@ from fingerflow.kernels.checks import check_indices, check_like, empty
 from fingerflow.kernels.library import entry
 from fingerflow.kernels.torch_op import torch_op
 
+__all__ = [
+    "FittedPlanes",
+    "area_medians",
+    "local_gradients",
+    "triangle_strain",
+]
+
 
 class FittedPlanes(NamedTuple):
     """As `ops.local_fit.LocalFit` has them."""

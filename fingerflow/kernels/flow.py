@@ -10,6 +10,11 @@ from fingerflow.kernels.checks import check_frames, check_like, empty
 from fingerflow.kernels.library import entry, values_are_known
 from fingerflow.kernels.torch_op import torch_op
 
+__all__ = [
+    "flow_cycles",
+    "flow_warp",
+]
+
 # Of tensor, right, down, inverse and inside: channels, and rows and columns beside those of the level.
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 

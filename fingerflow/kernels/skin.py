@@ -9,6 +9,11 @@ from fingerflow.kernels.checks import check_like, empty
 from fingerflow.kernels.library import entry, values_are_known
 from fingerflow.kernels.torch_op import torch_op
 
+__all__ = [
+    "press_skin",
+    "press_skin_back",
+]
+
 
 @torch_op(changes=("place", "bone", "rubbed", "step"))
 def press_skin(

@@ -23,6 +23,18 @@ from fingerflow.kernels.library import entry
 from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops.tracking_limits import NUMBERS, TABLE
 
+__all__ = [
+    "LARGEST_CORNER_WINDOW",
+    "CornerPlaces",
+    "FollowedPoints",
+    "corners",
+    "find_templates",
+    "halve",
+    "mean_response",
+    "prepare_templates",
+    "search_windows",
+]
+
 LARGEST_CORNER_WINDOW = 15
 WIDEST_SEARCH = 1 << 15  # px, so that places in it are counted by 32 bits
 
