@@ -38,6 +38,7 @@ __all__ = [
     "light_gain",
     "mask_moments",
     "median",
+    "normalize",
     "otsu_threshold",
     "real_contact_mask",
 ]
@@ -131,6 +132,20 @@ def _on_lit(name: str, frames: Tensor, light: Tensor, black: Tensor, **arguments
         **arguments,
         threads=torch.get_num_threads(),
     )
+
+
+@torch_op()
+def normalize(frames: Tensor, light: Tensor, black: Tensor, least: Tensor) -> tuple[Tensor, Tensor]:
+    """Quotients float32 and where they are known, bool, both (B, 1, H, W), as `ops.illumination` has them: of frames of
+    FRAME_KINDS, light and black as for `real_contact_mask`, lit where light exceeds least, (1 or B,) float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not fit.
+    """
+    check_like("least", least, torch.float32, (light.shape[0],))
+    quotients, known = empty(torch.float32, *frames.shape), empty(torch.bool, *frames.shape)
+    _on_lit("normalize", frames, light, black, least=least.contiguous(), quotients=quotients, known=known)
+    return quotients, known
 
 
 @torch_op()

@@ -73,6 +73,11 @@ void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const floa
 // Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
+// Light over that of the empty glass, (frame - black) / light, and where it is known (fingerflow/ops/illumination.py):
+// where the light exceeds `least`, one number an image of it, and all is finite; elsewhere 1. Contiguous.
+void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients,
+                          unsigned char* known, int threads);
+
 // Counts (batch, count) of uint8 or uint16 frames. `bins` holds the bin of every level, or is null where a level is its
 // own bin; `mask` (bytes, one image or one a frame, or null) tells which pixels count.
 void fingerflow_histogram(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,

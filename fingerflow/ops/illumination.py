@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.quantile import frame_quantile
 
 # The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
@@ -50,12 +51,16 @@ def normalize_illumination(
     images = [image for image in (frames, reference, dark) if image is not None]
     check_images(images, minimum_illumination)
     precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
-    counts, empty, *black = (image.to(precision) for image in images)
+    empty, *black = (image.to(precision) for image in images[1:])
     light = empty - black[0] if black else empty
+    least = minimum_illumination * _full_light(light)
+    if precision == torch.float32 and frames.dtype in kernels.FRAME_KINDS and kernels.serve(frames, light):
+        none = black[0] if black else torch.zeros_like(light[:1])
+        return NormalizedFrames(*kernels.normalize(frames, light, none, least))
+    counts = frames.to(precision)
     passed = counts - black[0] if black else counts
 
-    lit = _lit(light, minimum_illumination)
-    known = lit & torch.isfinite(passed)
+    known = _exceeds(light, least) & torch.isfinite(passed)
     # Both branches of a where are differentiated: the masked one must be finite too.
     quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
     valid = known & torch.isfinite(quotient)
@@ -88,9 +93,17 @@ def glass_light(
 
 def _lit(light: Tensor, minimum: float) -> Tensor:
     """Where light (B, 1, H, W) exceeds a share of the full light of its frame."""
+    return _exceeds(light, minimum * _full_light(light))
+
+
+def _full_light(light: Tensor) -> Tensor:
+    """(B,) of light (B, 1, H, W)."""
     step = max(1, min(light.shape[-2:]) // 128)  # some 10,000 pixels tell the quantile of smooth light
-    full = frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(light.dtype).reshape(-1, 1, 1, 1)
-    return torch.isfinite(light) & (light > 0) & (light > minimum * full)
+    return frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(light.dtype)
+
+
+def _exceeds(light: Tensor, least: Tensor) -> Tensor:
+    return torch.isfinite(light) & (light > 0) & (light > least.reshape(-1, 1, 1, 1))
 
 
 def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:

@@ -87,6 +87,8 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
     for (const fingerflow_image& image : {fingerflow_image{eight.data(), batch, frame, width, 0}, fingerflow_image{real.data(), batch, frame, width, 3}}) {
         const fingerflow_lit_frames lit{image, real.data(), black.data(), batch, 1, batch, height, width};
         for (int size : {1, 3, 15}) fingerflow_real_contact_mask(&lit, limits.data(), size, bytes.data(), threads);
+        std::vector<float> quotients(bytes.size());
+        fingerflow_normalize(&lit, limits.data(), quotients.data(), bytes.data(), threads);
         for (std::int64_t side : {8, 16, 40}) fingerflow_light_gain(&lit, side, gains.data(), threads);
     }
     if (height >= 4 && width >= 4) {
