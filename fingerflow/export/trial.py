@@ -144,7 +144,8 @@ def _warp(points: Tensor) -> Tensor:
     """Deformation gradients (B, N, 2, 2) of some per cent, other ones from point to point."""
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
-    return torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
+    result: Tensor = torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
+    return result
 
 
 def _ellipse(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:

@@ -138,4 +138,5 @@ def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Template
 def multiplied(a: Tensor, b: Tensor) -> Tensor:
     """Products (K, 4, N) of matrices (K or 1, 4, N), by xx, xy, yx, yy."""
     rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))
-    return (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
+    result: Tensor = (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
+    return result

@@ -112,7 +112,7 @@ def moved(
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape)
     wanted = chains.numbers.requires_grad or coefficient.requires_grad or start.place.requires_grad
     if torch.is_grad_enabled() and wanted:
-        place, bone, rubbed, step, time, steps = _Moved.apply(
+        place, bone, rubbed, step, time, steps = _Moved.apply(  # type: ignore[no-untyped-call]
             coefficient, chains.numbers, start.place, start.bone, start.rubbed, chains, start, loads, held, duration,
             tolerance, rests,
         )  # fmt: skip

@@ -61,7 +61,8 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
     values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
     across, along = (x - left)[:, None], (y - top)[:, None]
     rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
-    return rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+    result: Tensor = rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+    return result
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:

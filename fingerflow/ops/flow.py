@@ -357,7 +357,8 @@ def _covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, box: int) -> Te
     textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
     known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
     rows = torch.cat((slope * xx + base, slope * xy, slope * xy, slope * yy + base), dim=1) + known
-    return rows.unflatten(1, (2, 2))
+    result: Tensor = rows.unflatten(1, (2, 2))
+    return result
 
 
 def _passed(z: Tensor) -> Tensor:

@@ -70,7 +70,8 @@ class Templates(NamedTuple):
     @property
     def window(self) -> int:
         """px."""
-        return round(self.samples.shape[-1] ** 0.5)
+        result: int = round(self.samples.shape[-1] ** 0.5)
+        return result
 
     def of(self, chosen: Tensor) -> "Templates":
         """Those of chosen points (B, L), int64."""
@@ -348,7 +349,8 @@ def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
 def inverse_2x2(matrix: Tensor) -> Tensor:
     """Inverses (..., 2, 2); not finite where singular."""
     a, b, c, d = matrix.flatten(-2).unbind(-1)
-    return torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+    result: Tensor = torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+    return result
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
@@ -431,7 +433,8 @@ def _covariance_of_noise(numbers: Tensor, pixels: Tensor) -> Tensor:
 
 def _whole(triangle: Tensor) -> Tensor:
     """Symmetric (P, 2, 2) from xx, xy, yy (P, 3)."""
-    return triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
+    result: Tensor = triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
+    return result
 
 
 def _correlations(value: Tensor, samples: Tensor) -> Tensor:

@@ -280,7 +280,8 @@ class TrackingStage(Stage):
         self._templates = self._templates_of(self._key, points, None)
 
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
-        return self._keys(key, points, self._noise, warp)
+        result: Templates = self._keys(key, points, self._noise, warp)
+        return result
 
     def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
         """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
