@@ -133,7 +133,8 @@ def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
     """Where points were at the onset of contact, if it came to those outside last: spread and turned by some per cent
-    since then. NaN where it has not come yet."""
+    since then. NaN where it has not come yet.
+    """
     radius = _radius(points, size)[..., None]
     arm = points - torch.tensor([size[1] / 2, size[0] / 2])
     moved = (_BORDER - radius) * (0.2 * arm + 0.05 * torch.stack((-arm[..., 1], arm[..., 0]), dim=-1))

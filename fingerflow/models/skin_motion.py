@@ -95,6 +95,7 @@ def _state(place: Tensor, bone: Tensor, rubbed: Tensor, step: float = _FIRST_STE
 
 
 def stiffness_of(numbers: Tensor, name: str) -> Tensor:
+    """One of `NUMBERS` (...) of parameter sets (..., 10)."""
     return numbers[..., NUMBERS.index(name)]
 
 

@@ -99,7 +99,8 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
     """For each of a line of pixels the cells (pixels,) that it lies between, as in `at_places`, and how far from the
-    first."""
+    first.
+    """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))
     index = first.to(torch.int64)

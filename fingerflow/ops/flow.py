@@ -283,7 +283,8 @@ def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]
 
 def _course(flow: Tensor, seen: Tensor) -> Tensor:
     """(B, 2, H, W): the plane that fits the flow best where it is seen, and beside that, for the rest, planes that fit
-    it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other."""
+    it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other.
+    """
     height, width = flow.shape[-2:]
     share, total = halved(halved(seen)), halved(halved(seen * flow))
     x, y = (

@@ -32,7 +32,8 @@ class Support(NamedTuple):
 
 class PlaneFit(NamedTuple):
     """Planes at Q queries of B frames, of C components; lengths in radii of the support. Any number where it is not
-    `known`."""
+    `known`.
+    """
 
     known: Tensor  # (B, 1, Q) bool
     value: Tensor  # (B, C, Q), the unit of the values

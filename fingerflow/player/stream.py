@@ -68,7 +68,8 @@ _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may
 
 class _Change(NamedTuple):
     """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
-    Decided after frame number `after` of those that were computed."""
+    Decided after frame number `after` of those that were computed.
+    """
 
     after: int
     key: Slot
@@ -78,7 +79,8 @@ class _Change(NamedTuple):
 
 class _Renewing(NamedTuple):
     """Templates that are renewed from frame number `due` of those that are computed on, unless the key frame is another
-    than number `key` then."""
+    than number `key` then.
+    """
 
     due: int
     key: int

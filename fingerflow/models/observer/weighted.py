@@ -29,6 +29,7 @@ def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Value
 
 
 def mean(values: Values, weights: Values) -> Values:
+    """Means (R,) of values (N,) by weights (R, N)."""
     result: Values = weights @ values / weights.sum(1)
     return result
 

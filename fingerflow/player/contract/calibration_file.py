@@ -42,7 +42,8 @@ class CalibrationFile(NamedTuple):
 
 def read_calibration(path: Path) -> CalibrationFile:
     """Raises CalibrationError where the file cannot be read, lacks an entry, or holds a scale or a transform that
-    cannot be."""
+    cannot be.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -11,6 +11,7 @@ READS = "a .npy file"
 
 
 def reads(asked: Asked) -> bool:
+    """Whether it is such a file."""
     return asked.path.is_file() and asked.path.suffix == ".npy"
 
 
