@@ -32,14 +32,17 @@ class Case(NamedTuple):
 
 
 def scene(batch: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Ridges as uint8 (B, 1, H, W), the same half a pixel further on, points (B, N, 2), and displacements of them."""
+    """Waves as uint8 (B, 1, H, W), the same half a pixel further on, points (B, N, 2), and displacements of them."""
     y, x = torch.meshgrid(
         torch.arange(HEIGHT, dtype=torch.float64), torch.arange(WIDTH, dtype=torch.float64), indexing="ij"
     )
     frames = []
+    # Forty waves of periods from 6 px on: nothing repeats within a search.
+    waves = torch.rand(3, 40, 1, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 2 - 1
     for shift in (0.0, 0.5):
-        waves = sum(torch.sin(0.7 * (a * (x - shift) + b * y)) for a, b in ((1.0, 0.2), (0.3, -1.0), (0.6, 0.8)))
-        frames.append((110 + 30 * torch.as_tensor(waves)).round().to(torch.uint8).expand(batch, 1, HEIGHT, WIDTH))
+        ridges = torch.sin(waves[0] * (x - shift) + waves[1] * y + 9 * waves[2]).sum(0)
+        frame = (110 + 14 * ridges).round().clamp(0, 255).to(torch.uint8)
+        frames.append(frame.expand(batch, 1, HEIGHT, WIDTH))
     generator = torch.Generator().manual_seed(0)
     inside = torch.tensor([WIDTH - 32.0, HEIGHT - 32.0], dtype=torch.float32)
     points = 16 + inside * torch.rand(batch, POINTS, 2, generator=generator, dtype=torch.float32)

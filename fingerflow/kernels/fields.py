@@ -42,10 +42,10 @@ def local_gradients(
     """
     given = {"points": points, "values": values, "queries": queries, "noise": noise}
     (count, components), total, dtype = values.shape[1:], queries.shape[1], points.dtype
-    batches = {tensor.shape[0] for tensor in given.values() if tensor is not None} - {1}
-    if len(batches) > 1:
-        raise ValueError(f"batches of {sorted(batches)}: they are equal, or 1")
-    batch = batches.pop() if batches else 1
+    batches = [tensor.shape[0] for tensor in given.values() if tensor is not None]
+    batch = next((one for one in batches if one != 1), 1)
+    if any(one not in (1, batch) for one in batches):
+        raise ValueError(f"batches of {batches}: they are equal, or 1")
     columns = {"points": (2,), "values": (components,), "queries": (2,), "noise": (1, components**2)}
     for name, tensor in given.items():
         if tensor is None:

@@ -16,16 +16,21 @@ _R = TypeVar("_R")
 _OPS = torch.library.Library("fingerflow", "DEF")
 
 
-def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
-    """Makes a function known to torch as `torch.ops.fingerflow.<name>`; where nobody compiles it is called as it is.
+def torch_op(
+    *, changes: tuple[str, ...] = (), shapes: Callable[..., Any] | None = None
+) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Makes a function known to torch as `torch.ops.fingerflow.<name>`, which a compiler calls as a whole.
 
-    The shapes that a compiler asks for come from the function itself: it runs on tensors without values, and what it
-    calls of the library computes nothing (`shapes_only`). Its annotations are the signature: tensors and numbers in, a
-    tensor or a tuple of them out, of which those with two axes and more may be None. No result shares memory with
-    another or with an argument.
+    Where nobody compiles it is called as it is; so it is where torch exports, to standard operators, and where a
+    derivative is wanted. The shapes that a compiler asks for come from the function itself, if it is one of kernels: it
+    runs on tensors without values, and what it calls of the library computes nothing (`shapes_only`). Its annotations
+    are the signature: tensors and numbers in, a tensor or a tuple of them out, of which those with two axes and more
+    may be None. No result shares memory with another or with an argument.
 
     Args:
         changes: names of the tensors that it writes to.
+        shapes: of a function of portable ops, on any device, whose course depends on data: what gives tensors like its
+            results from the same arguments.
     """
 
     def known(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -34,25 +39,29 @@ def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], C
         parts = (kind,) if kind is Tensor else _parts(kind)
         may_be_none = [type(None) in get_args(part) for part in parts]
 
-        def whole(*args: Any, **kwargs: Any) -> Any:
+        def whole(result: Any) -> Any:
             """None is no result of an op: an empty tensor stands for it."""
-            result: Any = function(*args, **kwargs)
             if kind is Tensor:
                 return cast(_R, result)
             return tuple(torch.empty(0, device=CPU) if part is None else part for part in result)
 
-        def shapes(*args: Any, **kwargs: Any) -> Any:
+        def computed(*args: Any, **kwargs: Any) -> Any:
+            return whole(function(*args, **kwargs))
+
+        def shaped(*args: Any, **kwargs: Any) -> Any:
+            if shapes is not None:
+                return whole(shapes(*args, **kwargs))
             with shapes_only():
-                return whole(*args, **kwargs)
+                return whole(function(*args, **kwargs))
 
         _OPS.define(name + _schema(function, len(parts), changes), tags=(torch.Tag.pt2_compliant_tag,))
-        _OPS.impl(name, whole, "CPU")
-        torch.library.register_fake(f"fingerflow::{name}", shapes, lib=_OPS)
+        _OPS.impl(name, computed, "CPU" if shapes is None else "CompositeExplicitAutograd")
+        torch.library.register_fake(f"fingerflow::{name}", shaped, lib=_OPS)
         op = getattr(torch.ops.fingerflow, name).default
 
         @functools.wraps(function)
         def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-            if not torch.compiler.is_compiling():
+            if not torch.compiler.is_compiling() or torch.compiler.is_exporting() or _derived(args):
                 return function(*args, **kwargs)
             result = op(*args, **kwargs)
             if kind is Tensor:
@@ -63,6 +72,12 @@ def torch_op(*, changes: tuple[str, ...] = ()) -> Callable[[Callable[_P, _R]], C
         return called
 
     return known
+
+
+def _derived(arguments: tuple[Any, ...]) -> bool:
+    """Whether somebody wants a derivative by one of them, which an op that is kept whole does not give."""
+    tensors = (one for one in arguments if isinstance(one, Tensor))
+    return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:

@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow import kernels
+from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
 from fingerflow.ops.noise import estimate_noise
@@ -200,24 +201,40 @@ def _inside(frame: Tensor, border: int) -> Tensor:
 
 
 def _strongest_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Corners:
+    place = choose_apart(response.detach(), candidate, count, min_distance)
+    found, index = place >= 0, place.clamp_min(0)
+    width = response.shape[3]
+    points = torch.stack((index % width, index // width), dim=2).to(response.dtype)
+    strengths = response.flatten(1).gather(1, index)
+    points = torch.where(found[..., None], points, torch.nan)
+    strengths = torch.where(found, strengths, torch.nan)
+    return Corners(points, strengths, strengths.isfinite())
+
+
+def _as_many(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
+    return candidate.new_empty((candidate.shape[0], count), dtype=torch.int64)
+
+
+@torch_op(shapes=_as_many)
+def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
+    """Pixels (B, count) int64 of frames, row after row, strongest first, none nearer to a stronger one than
+    `min_distance`; -1 behind the last."""
     batch, _, height, width = response.shape
     frame, y, x = candidate[:, 0].nonzero().unbind(1)
     strength = response[:, 0][candidate[:, 0]]
     # Frame by frame, strongest first; both sorts keep reading order among equals.
     order = strength.sort(descending=True, stable=True).indices
     order = order[frame[order].sort(stable=True).indices]
-    frame, y, x, strength = frame[order], y[order], x[order], strength[order]
+    frame, y, x = frame[order], y[order], x[order]
     kept = _keep_apart(frame, y, x, (batch, height, width), min_distance)
-    frame, y, x, strength = frame[kept], y[kept], x[kept], strength[kept]
+    frame, y, x = frame[kept], y[kept], x[kept]
 
     found = torch.bincount(frame, minlength=batch)
     place = torch.arange(len(frame), device=frame.device) - (found.cumsum(0) - found)[frame]
     some = place < count
-    points = response.new_full((batch, count, 2), torch.nan)
-    strengths = response.new_full((batch, count), torch.nan)
-    points[frame[some], place[some]] = torch.stack([x[some], y[some]], 1).to(response.dtype)
-    strengths[frame[some], place[some]] = strength[some]
-    return Corners(points, strengths, strengths.isfinite())
+    chosen = frame.new_full((batch, count), -1)
+    chosen[frame[some], place[some]] = (y * width + x)[some]
+    return chosen
 
 
 def _keep_apart(frame: Tensor, y: Tensor, x: Tensor, shape: tuple[int, int, int], distance: float) -> Tensor:

@@ -23,13 +23,14 @@ are seen through one low-pass. Departures from the paper:
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from fingerflow import kernels
+from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops import tracking_limits as limits
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.flow_multigrid import Level, halved, laplacian, magnified, pyramid, solve
@@ -108,6 +109,28 @@ def dense_flow(
     Raises:
         ValueError: shapes that do not fit, or a setting out of range.
     """
+    return whole_flow(first, current, initial, mask, noise, box, roughness, warps)
+
+
+def _like_flow(first: Tensor, *others: Any) -> "Flow":
+    batch, _, height, width = first.shape
+    kind = torch.float64 if first.dtype == torch.float64 else torch.float32
+    sizes = ((2,), (2, 2), (1,))
+    return Flow(*(first.new_empty((batch, *size, height, width), dtype=kind) for size in sizes))
+
+
+@torch_op(shapes=_like_flow)
+def whole_flow(
+    first: Tensor,
+    current: Tensor,
+    initial: Tensor | None,
+    mask: Tensor | None,
+    noise: Tensor | None,
+    box: int,
+    roughness: float,
+    warps: int,
+) -> Flow:
+    """`dense_flow`, whose arguments these are: how often the images are halved depends on them."""
     return find_flow(prepare_flow(first, mask, box=box, roughness=roughness, noise=noise), current, initial, warps)
 
 

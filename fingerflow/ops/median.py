@@ -2,16 +2,20 @@
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from fingerflow import kernels
+from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops.median_network import MedianProgram, Operand, Step, median_program, tile_program
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS_A_PASS = 1 << 19
+
+LARGEST_TRACED = 11  # px, of a window whose network a compiler takes apart
 
 _DTYPES = (
     torch.uint8,
@@ -55,11 +59,34 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
         raise TypeError(f"median_filter has no order for {frames.dtype}: convert to uint8, int32 or float32 first")
     if torch.compiler.is_exporting():
         return _of_rows(frames, size)
-    program = median_program(size)
+    if torch.compiler.is_compiling() and size > LARGEST_TRACED:
+        return large_median(frames, size)
+    return _by_network(frames, size)
+
+
+def _by_network(frames: Tensor, size: int) -> Tensor:
+    program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
     if frames.device.type != "cpu":
         return _run(program, frames)
     at_once = max(1, _PIXELS_A_PASS // frames[0].numel())
     return torch.cat([_run(program, some) for some in frames.split(at_once)])
+
+
+@torch.compiler.assume_constant_result
+def _planned(size: int) -> tuple[int, tuple[int, int], tuple[Any, ...], tuple[Any, ...]]:
+    """`median_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
+    program = median_program(size)
+    return size, program.tile, tuple(map(tuple, program.steps)), tuple(map(tuple, program.outputs))
+
+
+def _alike(frames: Tensor, size: int) -> Tensor:
+    return torch.empty_like(frames, memory_format=torch.contiguous_format)
+
+
+@torch_op(shapes=_alike)
+def large_median(frames: Tensor, size: int) -> Tensor:
+    """`median_filter` kept whole by a compiler: thousands of minima and maxima take it minutes."""
+    return _by_network(frames, size).contiguous()
 
 
 def _check(frames: Tensor, size: int) -> None:

@@ -84,7 +84,8 @@ def _search_coarse(
     template = template - template.mean((-1, -2), keepdim=True)
     patch = patch - patch.mean((-1, -2), keepdim=True)
     shape = patch.shape[-2:]
-    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj()
+    # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
+    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
     product = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
     deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
     # A window without contrast correlates with nothing; the bound keeps rounding from making one win.

@@ -1,5 +1,7 @@
 """Medians at one pixel in many: what a threshold is measured from, without the medians between."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -63,4 +65,13 @@ def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]
 
 
 def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_count: int, size: int) -> list[Tensor]:
-    return run_network(*join_program(size, first_count, second_count), [*first, *second])
+    compiling = torch.compiler.is_compiling() and not torch.compiler.is_exporting()
+    steps, outputs = (_planned if compiling else join_program)(size, first_count, second_count)
+    return run_network(steps, outputs, [*first, *second])
+
+
+@torch.compiler.assume_constant_result
+def _planned(size: int, first: int, second: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """`join_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
+    steps, outputs = join_program(size, first, second)
+    return tuple(map(tuple, steps)), tuple(map(tuple, outputs))

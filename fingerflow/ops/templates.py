@@ -467,7 +467,8 @@ def _look(
     numbers = templates.numbers.transpose(1, 2)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
     inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
-    free, energy, level = of[Number.GAIN], of[Number.ENERGY], of[Number.LEVEL]
+    # By value: a compiler goes on for ever in search of the index that a member of an enumeration is.
+    free, energy, level = of[Number.GAIN.value], of[Number.ENERGY.value], of[Number.LEVEL.value]
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.flatten()[:, None, None]
 
@@ -500,19 +501,19 @@ def _look(
     scale = pixel / (gain * gain)
     error = _length(_symmetric(inverse, edges)) / (gain * gain)
 
-    noise = of[Number.NOISE] if variance is None else variance[:, None, None]
+    noise = of[Number.NOISE.value] if variance is None else variance[:, None, None]
     noise_energy = noise * (samples * limits.VALUE_NOISE)
     common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
     explained = (bb - unlike) * energy * (tm > 0)
     place = torch.where(finite(found), found, guess)
-    within = (of[Number.INSIDE] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
+    within = (of[Number.INSIDE.value] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
     status = torch.zeros_like(given, dtype=torch.uint8)
     # From the last reason to the first, so that the first that applies remains.
     for reason, fine in (
         (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
         (TrackStatus.MISMATCH, common * (1 - mismatch_limit) <= explained),
         (TrackStatus.NOT_CONVERGED, converged),
-        (TrackStatus.NO_TEXTURE, of[Number.TEXTURED] > 0),
+        (TrackStatus.NO_TEXTURE, of[Number.TEXTURED.value] > 0),
         (TrackStatus.LEFT_FRAME, within),
         (TrackStatus.NOT_FINITE, given & finite(m1 + level)),
     ):

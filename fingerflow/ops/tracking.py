@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops import tracking_limits as limits
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
@@ -100,26 +101,81 @@ def track_points(
     if noise is None:
         noise = torch.maximum(*(estimate_noise(image) for image in plain))
 
+    limits_of = (forward_backward_limit, mismatch_limit)
+    passed = in_passes(*plain, start, guess, warp, noise, window, passes, gain_offset, search, *limits_of)
+    warp, where = passed.warp, passed.points
+    if torch.is_grad_enabled() and any(one.requires_grad for one in (*images, points)):
+        where = _with_derivative(images, points, where, warp, window, gain_offset)
+    return Tracks(where, passed.error, passed.covariance, passed.status)
+
+
+class Passed(NamedTuple):
+    """As `Found`, without what the next frame needs; and the deformation (B, N, 2, 2) of the templates."""
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+    warp: Tensor | None
+
+
+def _like_passed(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    warp: Tensor | None,
+    noise: Tensor,
+    window: int,
+    passes: int,
+    *settings: float,
+) -> Passed:
+    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    place, matrix = points.new_empty(points.shape, dtype=kind), points.new_empty((*points.shape, 2), dtype=kind)
+    status = points.new_empty(points.shape[:2], dtype=torch.uint8)
+    if warp is not None:
+        deformation: Tensor | None = torch.empty_like(warp)
+    else:
+        deformation = torch.empty_like(matrix) if passes == 2 else None
+    return Passed(place, place.new_empty(points.shape[:2]), matrix, status, deformation)
+
+
+@torch_op(shapes=_like_passed)
+def in_passes(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    warp: Tensor | None,
+    noise: Tensor,
+    window: int,
+    passes: int,
+    gain_offset: bool,
+    search: int,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> Passed:
+    """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
+    them. Without derivatives."""
     find = partial(
         find_templates, forward_backward_limit=forward_backward_limit, mismatch_limit=mismatch_limit, noise=noise
     )
 
     def one_pass(deformation: Tensor | None, near: Tensor) -> Found:
-        templates = prepare_templates(plain[0], start, window, deformation, gain_offset=gain_offset, noise=noise)
-        found = find(templates, plain[1], near, rounds=ROUNDS)
+        templates = prepare_templates(previous, points, window, deformation, gain_offset=gain_offset, noise=noise)
+        found = find(templates, current, near, rounds=ROUNDS)
         if search == 0:
             return found
-        return search_lost(find, plain[0], plain[1], templates, found, near, search, forward_backward_limit)
+        return search_lost(find, previous, current, templates, found, near, search, forward_backward_limit)
 
     with torch.no_grad():
         found = one_pass(warp, guess)
-        if warp is None and passes == 2:
-            warp = _deformation(start.to(found.points.dtype), found.points, _GAUGE * window)
+        if warp is not None:
+            warp = warp.clone()  # a result shares no memory with an argument
+        elif passes == 2:
+            warp = _deformation(points.to(found.points.dtype), found.points, _GAUGE * window)
             found = one_pass(warp, found.estimate)
-    where = found.points
-    if torch.is_grad_enabled() and any(one.requires_grad for one in (*images, points)):
-        where = _with_derivative(images, points, where, warp, window, gain_offset)
-    return Tracks(where, found.error, found.covariance, found.status)
+    return Passed(found.points, found.error, found.covariance, found.status, warp)
 
 
 def search_lost(

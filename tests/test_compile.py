@@ -1,0 +1,119 @@
+"""`torch.compile(fullgraph=True)` of every public op and every module, with kernels and without: the same numbers.
+
+A new one has to be given inputs in tests/embedded.py.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow import kernels, ops
+from tests.embedded import CASES, POINTS, expected, scene, tensors_of, without_a_case
+
+needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+
+@pytest.fixture(autouse=True)
+def afresh() -> Iterator[None]:
+    torch.compiler.reset()
+    expected.cache_clear()
+    yield
+    torch.compiler.reset()
+    expected.cache_clear()
+
+
+def compiled_as_it_is(name: str, backend: str, *, tolerance: float = 0.0, dynamic: bool = False) -> None:
+    case = CASES[name]
+    with torch.no_grad():
+        compiled = torch.compile(case.call, fullgraph=True, dynamic=dynamic, backend=backend)
+        results = tensors_of(compiled(*case.inputs))
+    for result, wanted in zip(results, expected(name), strict=True):
+        assert result.dtype == wanted.dtype
+        torch.testing.assert_close(result, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+def test_every_op_and_module_has_a_case() -> None:
+    assert not without_a_case(), "give these inputs in tests/embedded.py"
+
+
+@pytest.mark.usefixtures("each_form")
+@pytest.mark.parametrize("name", CASES)
+def test_whole_and_the_same(name: str) -> None:
+    """Bit for bit: the same operators run, one after the other."""
+    compiled_as_it_is(name, "aot_eager")
+
+
+@pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])
+def test_by_the_compiler_that_comes_with_torch(name: str) -> None:
+    """Which writes loops of its own, so that sums may round otherwise."""
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler here")
+    compiled_as_it_is(name, "inductor", tolerance=1e-4)
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", ["median_filter", "local_gradients - variance", "track_points", "detect_corners"])
+def test_for_batches_of_any_size(name: str) -> None:
+    compiled_as_it_is(name, "aot_eager", dynamic=True)
+
+
+@pytest.mark.usefixtures("each_form")
+def test_derivatives_are_those_of_the_op() -> None:
+    """Where one is wanted the portable form is compiled: tracking gives that of a point by its images."""
+    first, second, points, moved = scene(1)
+    images = [image.float().requires_grad_() for image in (first, second)]
+
+    def tracked(previous: Tensor, current: Tensor) -> Tensor:
+        return ops.track_points(previous, current, points, window=11).points.nan_to_num().sum()
+
+    def fitted(values: Tensor) -> Tensor:
+        return ops.local_gradients(points, values, gauge_length=60.0).gradient.square().sum()
+
+    for function, given in ((tracked, images), (fitted, [moved.requires_grad_()])):
+        wanted = torch.autograd.grad(function(*given), given)
+        compiled: Callable[..., Tensor] = torch.compile(function, fullgraph=True, dynamic=False, backend="aot_eager")
+        for found, derivative in zip(torch.autograd.grad(compiled(*given), given), wanted, strict=True):
+            assert derivative.abs().max() > 0
+            torch.testing.assert_close(found, derivative, rtol=1e-5, atol=1e-6)
+
+
+def of_kernels() -> dict[str, Callable[[], object]]:
+    """Calls of ops of torch's own, by their names."""
+    first, second, points, moved = scene()
+    own = torch.ops.fingerflow
+    mask, light = first > 100, torch.full_like(first[:1], 200, dtype=torch.float32)
+    one = torch.ones(2)
+    covariance = torch.eye(2).expand(2, POINTS, 2, 2).flatten(2)
+    templates = kernels.prepare_templates(first, points, None, one, 11, True, 0.0) if kernels.serve() else ()
+    corners = {"count": 9, "min_distance": 3.0, "quality": 0.1, "window": 5, "border": 0}
+    fits = {"radius": 30.0, "least_spread": 0.1, "minimum_points": 5}
+    return {
+        "median": lambda: check(own.median, first, 5),
+        "real_contact_mask": lambda: check(own.real_contact_mask, first, light, 0 * light, one / 2, 3),
+        "histogram": lambda: check(own.histogram, first, mask, None, 256),
+        "dilate": lambda: check(own.dilate, mask, [0, 1, 0], False),
+        "fit_ellipse": lambda: check(own.fit_ellipse, mask),
+        "apparent_contact": lambda: check(own.apparent_contact, mask, 8, 4),
+        "corners": lambda: check(own.corners, first, None, one, **corners),
+        "prepare_templates": lambda: check(own.prepare_templates, first, points, None, one, 11, True, 0.0),
+        "find_templates": lambda: check(
+            own.find_templates, list(templates), second, points, None, None, 1, 0.0, 1.0, 0.5
+        ),
+        "local_gradients": lambda: check(own.local_gradients, points, moved, points, covariance, **fits),
+        "local_gradients without noise": lambda: check(own.local_gradients, points, moved, points, None, **fits),
+    }
+
+
+def check(op: torch._ops.OpOverloadPacket, *arguments: object, **settings: object) -> None:
+    tests = ("test_schema", "test_faketensor", "test_aot_dispatch_static")
+    torch.library.opcheck(op, arguments, settings, test_utils=tests)
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", of_kernels())
+def test_shapes_and_schema_are_true(name: str) -> None:
+    with torch.no_grad():
+        of_kernels()[name]()
