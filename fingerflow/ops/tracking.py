@@ -156,7 +156,8 @@ def in_passes(
     mismatch_limit: float,
 ) -> Passed:
     """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
-    them. Without derivatives."""
+    them. Without derivatives.
+    """
     find = partial(
         find_templates, forward_backward_limit=forward_backward_limit, mismatch_limit=mismatch_limit, noise=noise
     )
