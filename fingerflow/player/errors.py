@@ -6,5 +6,5 @@ class PlayerError(Exception):
 
 
 def first_line(error: BaseException) -> str:
-    """Of what an error says, or its class where it says nothing."""
+    """What an error says first, or else its type."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -46,7 +46,8 @@ class ThresholdSearch:
         return self._asked is not None and index == self._asked + self._lag
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
-        """The area that touched in a frame, and the threshold found in it: NaN for none, None where that was not asked.
+        """The area of real contact in a frame, and the threshold found in it: NaN for none, None where nobody asked.
+
         True where it is to be used.
         """
         if self._found is not None:

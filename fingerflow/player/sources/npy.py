@@ -11,7 +11,7 @@ READS = "a .npy file"
 
 
 def reads(asked: Asked) -> bool:
-    """Whether it is such a file."""
+    """By the name's end."""
     return asked.path.is_file() and asked.path.suffix == ".npy"
 
 
