@@ -68,7 +68,7 @@ def count_launches(module: nn.Module, inputs: Sequence[Any]) -> Launches:
 
 class _Counter(TorchDispatchMode):
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self.calls = 0
 
     def __torch_dispatch__(

@@ -234,4 +234,5 @@ def _grid_inside(outline: Outline, mm_per_px: float) -> Floats:
     offsets = np.arange(-steps, steps + 1) / steps
     right, down = np.meshgrid(offsets, offsets)
     unit = np.stack((right, down), axis=-1)[right**2 + down**2 <= 1]
-    return (outline.center + (unit * outline.semi_axes) @ outline.directions.T) * mm_per_px
+    result: Floats = (outline.center + (unit * outline.semi_axes) @ outline.directions.T) * mm_per_px
+    return result

@@ -67,4 +67,5 @@ def error_bound(points: Tensor, noise: float, window: int) -> Tensor:
     y = (points[0, :, 1, None, None].double() + offset[:, None]).expand(-1, -1, window).clone().requires_grad_()
     slopes = torch.autograd.grad(grey(x, y).sum(), (x, y))
     flat = torch.stack([slope.flatten(1) for slope in slopes], dim=1)
-    return 2 * (noise**2 + 1 / 12) * torch.linalg.inv(flat @ flat.mT)
+    result: Tensor = 2 * (noise**2 + 1 / 12) * torch.linalg.inv(flat @ flat.mT)
+    return result

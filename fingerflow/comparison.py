@@ -12,7 +12,8 @@ from fingerflow.synthetic import Scene
 
 class Comparison(NamedTuple):
     """One quantity: measured and true value in the last frame, and the error over all frames that ``error_of``
-    names."""
+    names.
+    """
 
     quantity: str
     unit: str

@@ -93,7 +93,7 @@ class CalibrationSettings:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """[contact]"""
+    """[contact]: what counts as contact."""
 
     median_px: int
     threshold: float | Literal["reference_frame", "per_frame"]
@@ -102,7 +102,7 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """[tracking]"""
+    """[tracking]: how points are chosen and followed."""
 
     points: int
     window_px: int
@@ -117,7 +117,7 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """[fields]"""
+    """[fields]: deformation of the skin, and its elasticity."""
 
     gauge_length_mm: float
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"]
@@ -150,8 +150,10 @@ class StreamSettings:
 
 @dataclass(frozen=True)
 class Scene:
-    """A recording and everything needed to process it; ``path`` is the file that says so, ``kind`` one of
-    `player.contract.scene_kinds.KINDS`."""
+    """A recording and everything needed to process it.
+
+    ``path`` is the file that says so, ``kind`` one of `player.contract.scene_kinds.KINDS`.
+    """
 
     path: Path
     kind: str

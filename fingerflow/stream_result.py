@@ -29,8 +29,10 @@ _TRACKED = 0  # of the flags of `status`
 
 
 def open_stream(folder: str | Path) -> xr.Dataset:
-    """Opens the results of a stream: variables of the same names, dimensions, units, definitions and flags as
-    :func:`fingerflow.process` gives, as far as a stream has them.
+    """Opens the results of a stream.
+
+    Variables have the names, dimensions, units, definitions and flags that :func:`fingerflow.process` gives, as far as
+    a stream has them.
 
     Values of points are mapped from the file, and read when they are used. ``point`` counts the places of the largest
     choice of points: behind a `restart` the same place is another point. A stream that is still running, or was killed,

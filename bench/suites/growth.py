@@ -174,6 +174,7 @@ def _contact(shape: tuple[int, int]) -> Ways:
 
     def with_fingerflow() -> Tensor:
         with torch.inference_mode():
-            return graph(images[0], light, empty_black, limit).gross_area_px
+            result: Tensor = graph(images[0], light, empty_black, limit).gross_area_px
+            return result
 
     return {PEER: lambda: finder.find(frame), "fingerflow": with_fingerflow}

@@ -122,7 +122,8 @@ def _contact(frame: Tensor, empty: Tensor) -> Operation:
     limit = 1 - graph.threshold(frame, light, black)
 
     def with_fingerflow() -> Tensor:
-        return graph(frame, light, black, limit).real_contact_mask[0, 0]
+        result: Tensor = graph(frame, light, black, limit).real_contact_mask[0, 0]
+        return result
 
     return Operation("contact path, 8 bit", {"opencv": opencv_contact(frame, empty, 9), OURS: with_fingerflow})
 

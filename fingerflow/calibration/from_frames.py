@@ -53,7 +53,8 @@ def calibrate(
             )
 
     def part(frame: ArrayLike, name: str) -> Array:
-        return views[name].crop(_grey(frame))
+        result: Array = views[name].crop(_grey(frame))
+        return result
 
     def empty(name: str) -> Array | None:
         return None if background is None else part(background, name)

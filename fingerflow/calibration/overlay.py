@@ -143,7 +143,8 @@ def _visible(image: Array) -> NDArray[np.uint8]:
     light = _blurred_over_light(smooth)
     flat = (smooth - light) / (light + 0.05 * float(light.max()) + 1e-9)
     low, high = np.percentile(flat, (0.5, 99.5))
-    return np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
+    result: NDArray[np.uint8] = np.clip((flat - low) / max(float(high - low), 1e-9) * 255, 0, 255).astype(np.uint8)
+    return result
 
 
 def _even(image: Array) -> NDArray[np.uint8]:
@@ -155,7 +156,8 @@ def _even(image: Array) -> NDArray[np.uint8]:
     spread = np.sqrt(_blurred_over_light(level**2))
     # Where there is only noise it is not stretched as far as the target is.
     relative = level / (spread + 0.2 * float(spread.max()) + 1e-9)
-    return np.clip(150 + 60 * relative, 0, 255).astype(np.uint8)
+    result: NDArray[np.uint8] = np.clip(150 + 60 * relative, 0, 255).astype(np.uint8)
+    return result
 
 
 def _blurred_over_light(image: NDArray[Any]) -> NDArray[Any]:

@@ -104,7 +104,8 @@ def _transform(linear: Array, source: Array, target: Array) -> Transform:
 def _centered_complex(points: Array) -> NDArray[np.complex128]:
     """Points (..., N, 2) as x + iy about their mean (..., N)."""
     centered = points - points.mean(axis=-2, keepdims=True)
-    return centered[..., 0] + 1j * centered[..., 1]
+    result: NDArray[np.complex128] = centered[..., 0] + 1j * centered[..., 1]
+    return result
 
 
 def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]:
@@ -120,7 +121,8 @@ def _triangles(discs: list[Disc], triples: list[list[int]]) -> NDArray[np.int64]
             f"the discs at {_places(discs)} px are collinear: no triangle of them is higher than {LEAST_HEIGHT} of its "
             f"longest side. Use a target with three discs that are not on a line"
         )
-    return indices[tall]
+    result: NDArray[np.int64] = indices[tall]
+    return result
 
 
 def _best_pair(
@@ -142,7 +144,8 @@ def _best_pair(
 
     def score(distortion: Array) -> Array:
         cost = np.where(distortion < MOST_DISTORTION, (distortion / TYPICAL_DISTORTION) ** 2, np.inf)
-        return np.exp(weight - (cost + size_cost) / 2)
+        result: Array = np.exp(weight - (cost + size_cost) / 2)
+        return result
 
     proper_score, mirrored_score = score(proper), score(mirrored)
     first, second = np.unravel_index(np.argmax(proper_score), proper_score.shape)

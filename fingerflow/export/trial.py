@@ -133,7 +133,8 @@ def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
     """Where points were at the onset of contact, if it came to those outside last: spread and turned by some per cent
-    since then. NaN where it has not come yet."""
+    since then. NaN where it has not come yet.
+    """
     radius = _radius(points, size)[..., None]
     arm = points - torch.tensor([size[1] / 2, size[0] / 2])
     moved = (_BORDER - radius) * (0.2 * arm + 0.05 * torch.stack((-arm[..., 1], arm[..., 0]), dim=-1))
@@ -144,7 +145,8 @@ def _warp(points: Tensor) -> Tensor:
     """Deformation gradients (B, N, 2, 2) of some per cent, other ones from point to point."""
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
-    return torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
+    result: Tensor = torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
+    return result
 
 
 def _ellipse(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:

@@ -41,7 +41,8 @@ class DetectGraph(nn.Module):
 
     def forward(self, topography_view: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """(B, 1, H, W) view and bool mask. Returns points (B, N, 2) px, those with the largest response first and
-        NaN beyond those that were found, and their response (B, N)."""
+        NaN beyond those that were found, and their response (B, N).
+        """
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
         response = _response(view)

@@ -50,7 +50,8 @@ COMPILED_DO_WITHOUT = ("steepest_descent_images", "neighbours_weights", "neighbo
 
 class KeyView(NamedTuple):
     """What is needed of the key frame to prepare templates anew: `ops.templates.renewable` of it (B, 1, H, W), and its
-    noise (B,)."""
+    noise (B,).
+    """
 
     key_image: Tensor
     key_noise: Tensor
@@ -76,7 +77,8 @@ class HeldGraph(nn.Module):
 
 class RenewGraph(nn.Module):
     """Templates of some points prepared anew for the deformation of the skin since the key frame; settings as those of
-    `KeyGraph`."""
+    `KeyGraph`.
+    """
 
     def __init__(self, window: int = 25, gain_offset: bool = True) -> None:
         super().__init__()
@@ -93,7 +95,8 @@ class Followed(NamedTuple):
     """Positions `points` (B, N, 2) px of the topography view and their standard deviation a component (B, N) px, NaN
     where lost; forward-backward `error` (B, N) px; `status` (B, N) uint8 (`TrackStatus`). `warp` (B, N, 2, 2) is the
     deformation gradient since the key frame, and `stale` (B, N) uint8 says which templates are to be prepared anew with
-    it."""
+    it.
+    """
 
     points: Tensor
     error: Tensor
@@ -125,7 +128,8 @@ class FollowGraph(nn.Module):
 
 class FrameResult(NamedTuple):
     """Contact (`graphs.Contact`) and points (`Followed`) of B frames. `covered` (B, N) uint8 says which points the
-    gross contact covers, those that are lost where they were expected."""
+    gross contact covers, those that are lost where they were expected.
+    """
 
     real_contact_mask: Tensor
     real_area_px: Tensor
@@ -163,7 +167,8 @@ class FrameGraph(nn.Module):
         held: Held,
     ) -> FrameResult:
         """Views (B, 1, H, W), transform (2, 3), prediction (B, N, 2) px of the topography view, `Light`, and what
-        `HeldGraph` gave."""
+        `HeldGraph` gave.
+        """
         contact = self.contact(contact_view, light, black, limit)
         followed = self.follow(topography_view, prediction, held)
         place = torch.where((followed.status == 0)[..., None], followed.points, prediction)
@@ -213,7 +218,8 @@ class SinceOnsetGraph(nn.Module):
         angle: Tensor,
     ) -> SinceOnset:
         """Points, covered and the ellipse of the gross contact of `FrameGraph`; reference and reached as the frame
-        before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view."""
+        before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view.
+        """
         kind = points.dtype
         before = reached.to(kind)
         lasts = touch_length(before, covered)[..., None]

@@ -35,5 +35,6 @@ class LightGraph(nn.Module):
 
     def forward(self, empty: Tensor, dark: Tensor | None, threshold: Tensor) -> Light:
         """(B, 1, H, W) counts, a frame or a mean of several, `dark` None or zeros where unknown; threshold (B,) share
-        of intensity lost, NaN while unknown: nothing touches."""
+        of intensity lost, NaN while unknown: nothing touches.
+        """
         return Light(*glass_light(empty, dark, self.precision), 1 - threshold.to(self.precision))

@@ -24,7 +24,8 @@ _TINY = 1e-20
 class Deformed(NamedTuple):
     """What was found, corrected for the deformation of the templates, that deformation (K, N, 2, 2), px by which it has
     moved the edge of a window since the template was prepared (K, N), and where the neighbours of a point expect it
-    (K, N, 2) px, NaN where too few are known."""
+    (K, N, 2) px, NaN where too few are known.
+    """
 
     found: Found
     warp: Tensor
@@ -51,14 +52,16 @@ class DeformationGraph(nn.Module):
 
     def support(self, start: Tensor) -> Support | None:
         """What `forward` needs to know of the places (B, N, 2) px in the key frame; None where compiled kernels do
-        without."""
+        without.
+        """
         return neighbours_support(start, WARP_GAUGE_PX)
 
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
     ) -> Deformed:
         """(1, N, 2) px in the key frame, what was found of K frames, `Templates.numbers` (1, N, 34) and F_0^-1
-        (1, N, 2, 2) of the templates."""
+        (1, N, 2, 2) of the templates.
+        """
         support = support or self.support(start)
         points = found.points
         expected, gradient = neighbour_planes(start, points - start, WARP_GAUGE_PX, support)
@@ -96,7 +99,8 @@ class AgreementGraph(nn.Module):
 
     def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
         """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
-        frames, (K, N, ...)."""
+        frames, (K, N, ...).
+        """
         position_std = found.variance.sqrt()
         outliers = find_outliers(neighbours, found.points - start, position_std)
         status = found.status
@@ -138,4 +142,5 @@ def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Template
 def multiplied(a: Tensor, b: Tensor) -> Tensor:
     """Products (K, 4, N) of matrices (K or 1, 4, N), by xx, xy, yx, yy."""
     rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))
-    return (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
+    result: Tensor = (rows[:, :, :1] * other[:, None, 0] + rows[:, :, 1:] * other[:, None, 1]).flatten(1, 2)
+    return result

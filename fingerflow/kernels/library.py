@@ -42,7 +42,7 @@ def serve(*tensors: Tensor | None) -> bool:
             return False
     elif (
         _library() is None
-        or torch.jit.is_tracing()
+        or torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
         or torch._C._len_torch_dispatch_stack() > 0  # somebody records or changes what the ops do
         or torch._C._are_functorch_transforms_active()
     ):
@@ -129,7 +129,7 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
     entry("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
-@torch.compiler.assume_constant_result
+@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
 def _is_present() -> bool:
     return _library() is not None
 

@@ -3,7 +3,7 @@
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, get_args, get_type_hints
+from typing import Any, ParamSpec, TypeVar, cast, get_args, get_type_hints
 
 import torch
 from torch import Tensor
@@ -42,7 +42,7 @@ def torch_op(
         def whole(result: Any) -> Any:
             """None is no result of an op: an empty tensor stands for it."""
             if kind is Tensor:
-                return result
+                return cast(_R, result)
             return tuple(torch.empty(0, device=CPU) if part is None else part for part in result)
 
         def computed(*args: Any, **kwargs: Any) -> Any:
@@ -65,7 +65,7 @@ def torch_op(
                 return function(*args, **kwargs)
             result = op(*args, **kwargs)
             if kind is Tensor:
-                return result
+                return cast(_R, result)
             given = [None if none and part.ndim == 1 else part for none, part in zip(may_be_none, result, strict=True)]
             return kind(*given) if hasattr(kind, "_fields") else tuple(given)  # type: ignore[return-value]
 

@@ -95,6 +95,7 @@ def _state(place: Tensor, bone: Tensor, rubbed: Tensor, step: float = _FIRST_STE
 
 
 def stiffness_of(numbers: Tensor, name: str) -> Tensor:
+    """One of `NUMBERS` (...) of parameter sets (..., 10)."""
     return numbers[..., NUMBERS.index(name)]
 
 
@@ -112,7 +113,7 @@ def moved(
     rests = torch.as_tensor(rest, dtype=torch.float64).expand(chains.shape)
     wanted = chains.numbers.requires_grad or coefficient.requires_grad or start.place.requires_grad
     if torch.is_grad_enabled() and wanted:
-        place, bone, rubbed, step, time, steps = _Moved.apply(
+        place, bone, rubbed, step, time, steps = _Moved.apply(  # type: ignore[no-untyped-call]
             coefficient, chains.numbers, start.place, start.bone, start.rubbed, chains, start, loads, held, duration,
             tolerance, rests,
         )  # fmt: skip

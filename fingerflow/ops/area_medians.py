@@ -195,7 +195,8 @@ def _beside(
     sensitivity = field_sensitivity(now, measure)  # (B, Q, 5, 2, 2)
     variance = ((own @ sensitivity @ slopes[:, :, None]) * sensitivity).sum((-2, -1)).mT
     away = (fields - median).square() / (_REACH**2 * variance).clamp_min(_TINY)
-    return (1 - away).clamp_min(0).square()
+    result: Tensor = (1 - away).clamp_min(0).square()
+    return result
 
 
 def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
@@ -212,7 +213,8 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
     at_centroid = (weighted * fit.centroid.mT[:, :, None, None]).sum(-1, keepdim=True)
     columns = torch.cat((weighted, at_centroid), dim=-1).flatten(2).mT  # (B, 30, Q)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
-    return (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
+    result: Tensor = (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
+    return result
 
 
 def _check(

@@ -61,7 +61,8 @@ def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
     values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
     across, along = (x - left)[:, None], (y - top)[:, None]
     rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
-    return rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+    result: Tensor = rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+    return result
 
 
 def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
@@ -98,7 +99,8 @@ def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tenso
 
 def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
     """For each of a line of pixels the cells (pixels,) that it lies between, as in `at_places`, and how far from the
-    first."""
+    first.
+    """
     place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
     first = place.floor().clamp(0, max(count - 2, 0))
     index = first.to(torch.int64)

@@ -218,7 +218,8 @@ def _as_many(response: Tensor, candidate: Tensor, count: int, min_distance: floa
 @torch_op(shapes=_as_many)
 def choose_apart(response: Tensor, candidate: Tensor, count: int, min_distance: float) -> Tensor:
     """Pixels (B, count) int64 of frames, row after row, strongest first, none nearer to a stronger one than
-    `min_distance`; -1 behind the last."""
+    `min_distance`; -1 behind the last.
+    """
     batch, _, height, width = response.shape
     frame, y, x = candidate[:, 0].nonzero().unbind(1)
     strength = response[:, 0][candidate[:, 0]]

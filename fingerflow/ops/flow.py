@@ -306,7 +306,8 @@ def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]
 
 def _course(flow: Tensor, seen: Tensor) -> Tensor:
     """(B, 2, H, W): the plane that fits the flow best where it is seen, and beside that, for the rest, planes that fit
-    it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other."""
+    it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other.
+    """
     height, width = flow.shape[-2:]
     share, total = halved(halved(seen)), halved(halved(seen * flow))
     x, y = (
@@ -380,7 +381,8 @@ def _covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, box: int) -> Te
     textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
     known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
     rows = torch.cat((slope * xx + base, slope * xy, slope * xy, slope * yy + base), dim=1) + known
-    return rows.unflatten(1, (2, 2))
+    result: Tensor = rows.unflatten(1, (2, 2))
+    return result
 
 
 def _passed(z: Tensor) -> Tensor:

@@ -60,7 +60,8 @@ def _blocks(lines: Tensor, block: int) -> Tensor:
     rows = block // _STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
     down = cut.unflatten(2, (-1, rows)).sum(3)
-    return down.unflatten(3, (-1, block)).sum(4).flatten(1) / (rows * block)
+    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(1) / (rows * block)
+    return result
 
 
 def _uppermost_mode(passed: Tensor, light: Tensor, passed_squared: Tensor, light_squared: Tensor) -> Tensor:

@@ -14,7 +14,8 @@ _MOST_COMPILED_BINS = 1 << 16
 
 class Classes(NamedTuple):
     """Otsu's threshold (B,) in levels, NaN where there is one level only; the means of the levels up to it and above
-    it, and the deviation of the former, of which the threshold says whether they mean anything."""
+    it, and the deviation of the former, of which the threshold says whether they mean anything.
+    """
 
     threshold: Tensor
     lower: Tensor

@@ -20,7 +20,8 @@ _RIDGE = 1e-3  # of the spread of neighbours: for those on one line
 
 class Neighbours(NamedTuple):
     """The k nearest neighbours of N points, nearest first: numbers (P, k, N), offsets (P, k, N, 2), and whether they
-    lie within the gauge length and are known, (P, k, N) of 0 and 1."""
+    lie within the gauge length and are known, (P, k, N) of 0 and 1.
+    """
 
     number: Tensor
     offset: Tensor
@@ -131,7 +132,8 @@ def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: 
 
 def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
     """Slopes (B, N) du/dx, du/dy, dv/dx, dv/dy of the planes through differences (B, k, N) at offsets x and y, by least
-    squares with weights (B, k, N)."""
+    squares with weights (B, k, N).
+    """
     by_x, by_y = weight * x, weight * y
     total, sum_x, sum_y = (part.sum(1) for part in (weight, by_x, by_y))
     total = total.clamp_min(_LEAST)

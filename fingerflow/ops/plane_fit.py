@@ -32,7 +32,8 @@ class Support(NamedTuple):
 
 class PlaneFit(NamedTuple):
     """Planes at Q queries of B frames, of C components; lengths in radii of the support. Any number where it is not
-    `known`."""
+    `known`.
+    """
 
     known: Tensor  # (B, 1, Q) bool
     value: Tensor  # (B, C, Q), the unit of the values
@@ -135,7 +136,8 @@ def gradient_covariance(fit: PlaneFit, places: Tensor, covariance: Tensor, radiu
     )
     pairs = torch.cat([number for row in rows for number in row], dim=2) / radius**2  # (B, 3, 4, Q)
     full = pairs[:, (0, 1, 1, 2)].unflatten(2, (2, 2)).unflatten(1, (2, 2))  # (B, i, k, j, l, Q)
-    return full.permute(0, 5, 1, 3, 2, 4)
+    result: Tensor = full.permute(0, 5, 1, 3, 2, 4)
+    return result
 
 
 def squares(pair: Tensor) -> Tensor:
@@ -155,5 +157,6 @@ def _product(rows: Tensor, matrix: Tensor) -> Tensor:
     half the time of a product of few rows; a single row is none.
     """
     if matrix.shape[0] == 1 and rows.shape[0] != 1:
-        return _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
+        result: Tensor = _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
+        return result
     return rows @ matrix.mT if rows.shape[1] == 1 else (matrix @ rows.mT).mT

@@ -48,7 +48,8 @@ class NeighbourPlanes(NamedTuple):
 
 def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
     """What the portable form of `neighbour_planes` needs to know of reference positions (1 or B, N, 2), once for all
-    that is asked there; None where compiled kernels do without."""
+    that is asked there; None where compiled kernels do without.
+    """
     if kernels.serve(reference):
         return None
     places, _ = about_their_mean(reference, gauge_length / 2)

@@ -119,7 +119,8 @@ def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
 
 def _box_sum(x: Tensor, size: int) -> Tensor:
     """Sums over size x size windows of (P, h, w), by running sums along each axis in float64 (differences of long
-    sums)."""
+    sums).
+    """
     total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
     total = total[:, size:] - total[:, :-size]
     total = F.pad(total.cumsum(2), (1, 0))

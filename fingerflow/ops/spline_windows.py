@@ -51,7 +51,8 @@ def along_y(weights: Tensor, size: int) -> Tensor:
     # Lines of a band that are a place longer than the matrix: laid end to end, each begins a place later in its row.
     line = functional.pad(_smoothed(weights), (0, side + 1 - TAPS - 2))
     bands = line[:, None].expand(TAPS, size, side + 1).flatten(1)[:, : size * side]
-    return (weights @ bands).unflatten(-1, (size, side))
+    result: Tensor = (weights @ bands).unflatten(-1, (size, side))
+    return result
 
 
 def along_x(weights: Tensor, size: int) -> Tensor:

@@ -70,7 +70,8 @@ class Templates(NamedTuple):
     @property
     def window(self) -> int:
         """px."""
-        return round(self.samples.shape[-1] ** 0.5)
+        result: int = round(self.samples.shape[-1] ** 0.5)
+        return result
 
     def of(self, chosen: Tensor) -> "Templates":
         """Those of chosen points (B, L), int64."""
@@ -156,7 +157,8 @@ def prepare_templates(
 
 def renewable(image: Tensor) -> Tensor:
     """What `renew_templates` needs to know of a key frame (B, 1, H, W): its spline, or the frame itself where the
-    compiled twin takes it."""
+    compiled twin takes it.
+    """
     return image if kernels.serve(image) and image.dtype in kernels.FRAME_KINDS else spline_coefficients(image)
 
 
@@ -286,7 +288,8 @@ def further_rounds(
     look: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, prediction: Tensor, rounds: int
 ) -> Found:
     """Looks again, up to ``rounds`` times in all, for points (B, N, 2) that lie further from their predictions than a
-    look reaches, each time where the look before has led. Depends on data: it does not export."""
+    look reaches, each time where the look before has led. Depends on data: it does not export.
+    """
     guess = prediction
     for _ in range(rounds - 1):
         lost = (found.status == TrackStatus.NOT_CONVERGED) & _went_beyond(guess, found.estimate)
@@ -348,7 +351,8 @@ def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
 def inverse_2x2(matrix: Tensor) -> Tensor:
     """Inverses (..., 2, 2); not finite where singular."""
     a, b, c, d = matrix.flatten(-2).unbind(-1)
-    return torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+    result: Tensor = torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+    return result
 
 
 def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
@@ -422,7 +426,8 @@ def _numbers(
 
 def _covariance_of_noise(numbers: Tensor, pixels: Tensor) -> Tensor:
     """xx, xy, yy (P, 3) of the covariance of a position, px^2, that white noise of variance 1 in the pixels leaves:
-    H^-1 (sum w w') H^-1 with the weights w (P, 3 from the second on, m) of the pixels in sum g S."""
+    H^-1 (sum w w') H^-1 with the weights w (P, 3 from the second on, m) of the pixels in sum g S.
+    """
     inverse = _whole(numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1])
     weights = pixels[:, 1:]
     covariance = inverse @ (weights @ weights.transpose(1, 2)) @ inverse
@@ -431,7 +436,8 @@ def _covariance_of_noise(numbers: Tensor, pixels: Tensor) -> Tensor:
 
 def _whole(triangle: Tensor) -> Tensor:
     """Symmetric (P, 2, 2) from xx, xy, yy (P, 3)."""
-    return triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
+    result: Tensor = triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
+    return result
 
 
 def _correlations(value: Tensor, samples: Tensor) -> Tensor:
@@ -557,7 +563,8 @@ def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
     """(B, 3, N) of the residual D = M - a T - b of windows M (P, samples): the sum of D^2, and those of D grad D in x
-    and y, half the differences of D^2 between opposite edges."""
+    and y, half the differences of D^2 between opposite edges.
+    """
     own = samples[:, :, 0].flatten(0, 1)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
     place = torch.arange(size, device=samples.device)

@@ -156,7 +156,8 @@ def in_passes(
     mismatch_limit: float,
 ) -> Passed:
     """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
-    them. Without derivatives."""
+    them. Without derivatives.
+    """
     find = partial(
         find_templates, forward_backward_limit=forward_backward_limit, mismatch_limit=mismatch_limit, noise=noise
     )
@@ -226,7 +227,8 @@ def search_lost(
 
 def _deformation(start: Tensor, found: Tensor, gauge_length: float) -> Tensor:
     """The deformation gradient (B, N, 2, 2) at points (B, N, 2) px that were found at (B, N, 2), over a gauge length in
-    px; the identity where too few points are near."""
+    px; the identity where too few points are near.
+    """
     gradient = local_gradients(start, found - start, gauge_length=gauge_length).gradient
     return gradient.nan_to_num(0.0, 0.0, 0.0) + torch.eye(2, dtype=gradient.dtype, device=gradient.device)
 

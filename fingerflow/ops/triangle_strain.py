@@ -81,7 +81,8 @@ def triangle_strain(
 
     def at_corners(values: Tensor) -> Tensor:
         """(B, N) to (3, M, B)."""
-        return values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
+        result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
+        return result
 
     def gradient(values: Tensor) -> tuple[Tensor, Tensor]:
         first, second, third = at_corners(values)

@@ -32,6 +32,7 @@ class Tensor(NamedTuple):
 
     @classmethod
     def of(cls, argument: Any, path: Path) -> Tensor:
+        """Of an input or output of a session; raises PlayerError where its sizes are not fixed."""
         shape = [1 if place == 0 and not isinstance(size, int) else size for place, size in enumerate(argument.shape)]
         if not all(isinstance(size, int) for size in shape) or argument.type not in _NUMPY:
             raise PlayerError(

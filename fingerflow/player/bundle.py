@@ -30,14 +30,17 @@ class Bundle:
 
     @property
     def height(self) -> int:
+        """Of a view, px."""
         return int(self.recipe["views"]["height"])
 
     @property
     def width(self) -> int:
+        """Of a view, px."""
         return int(self.recipe["views"]["width"])
 
     @property
     def bit_depth(self) -> int:
+        """Of a pixel, 8 to 16."""
         return int(self.recipe["views"]["bit_depth"])
 
     @property

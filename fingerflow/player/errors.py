@@ -6,4 +6,5 @@ class PlayerError(Exception):
 
 
 def first_line(error: BaseException) -> str:
+    """What an error says first, or else its type."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]

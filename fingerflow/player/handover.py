@@ -64,6 +64,7 @@ class Channel(Generic[T]):
         return not self._items
 
     def close(self) -> None:
+        """Takes no item any more, and ends all waiting."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -18,6 +18,7 @@ class Latencies:
         self.worst = 0.0
 
     def add(self, seconds: float) -> None:
+        """Counts a time."""
         place = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
         self._counts[min(int(place), len(self._counts) - 1)] += 1
         self.count += 1

@@ -65,6 +65,7 @@ class LiveData:
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
+        """Adds a frame to the traces; the oldest leaves."""
         names = record.dtype.names or ()
         wanted = ("time", "real_contact_area", "gross_contact_area", "median_divergence")
         self._traces.append(tuple(float(record[n]) if n in names else math.nan for n in wanted))  # type: ignore[arg-type]

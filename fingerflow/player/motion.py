@@ -56,4 +56,5 @@ _TRUSTED = 4  # frames that a speed is good for: after them a point waits for wh
 
 
 def count_known(points: Array) -> int:
+    """Of points (1, N, 2), those that are not NaN."""
     return int(np.isfinite(points).all(-1).sum())

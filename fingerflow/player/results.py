@@ -110,6 +110,7 @@ class Sink:
                 self.sync()
 
     def sync(self) -> None:
+        """Waits until the disk has all records."""
         assert self._records is not None
         self._synced = time.perf_counter()
         self._records.flush()
@@ -124,6 +125,7 @@ class Sink:
             self._events.flush()
 
     def close(self) -> None:
+        """Writes what is left; raises PlayerError where that fails."""
         if self._records is None or self._events is None:
             return
         with self._said():

@@ -107,8 +107,11 @@ def load_scene(path: Path) -> Scene:
 
 
 def check_scene(scene: Scene, bundle: Bundle) -> None:
-    """Raises PlayerError where the views are not of the bundle's size, or a threshold is asked for that a stream cannot
-    have."""
+    """Whether a bundle can play the scene.
+
+    Raises PlayerError where the views are not of the bundle's size, or a threshold is asked for that a stream cannot
+    have.
+    """
     size = (bundle.height, bundle.width)
     for name, view in (("contact", scene.contact), ("topography", scene.topography)):
         if view.shape != size:

@@ -98,8 +98,10 @@ class Stepper:
         self.use(self.threshold)
 
     def warm_up(self) -> None:
-        """Runs every graph on an empty frame: the first run finds out how much memory it takes, the second lays it out,
-        which makes both slow."""
+        """Runs every graph on an empty frame, twice.
+
+        The first run finds out how much memory it takes, the second lays it out, which makes both slow.
+        """
         slot = Slot(self._bundle)
         for _ in range(2):
             self.restart(slot, self.choose(slot))
@@ -157,8 +159,10 @@ class Stepper:
         self._hold(self._run("background", {**self._glass, "threshold": np.array([threshold])}))
 
     def begin(self, slot: Slot, measure: bool = False) -> int:
-        """Makes ready to compute a frame, and to measure the threshold in it; gives the side that `run` and `finish`
-        are to be called with."""
+        """Makes ready to compute a frame, and to measure the threshold in it.
+
+        Gives the side that `run` and `finish` are to be called with.
+        """
         side = self._begun % len(self._bindings)
         motion = self._motions[(self._begun - self.lag) % len(self._motions)]
         self._begun += 1

@@ -68,7 +68,9 @@ _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may
 
 class _Change(NamedTuple):
     """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
-    Decided after frame number `after` of those that were computed."""
+
+    Decided after frame number `after` of those that were computed.
+    """
 
     after: int
     key: Slot
@@ -77,8 +79,10 @@ class _Change(NamedTuple):
 
 
 class _Renewing(NamedTuple):
-    """Templates that are renewed from frame number `due` of those that are computed on, unless the key frame is another
-    than number `key` then."""
+    """Templates that are renewed from frame number `due` on of those that are computed.
+
+    Not where the key frame is another than number `key` then.
+    """
 
     due: int
     key: int
@@ -183,6 +187,7 @@ class Player:
         return {"tracked": self.tracked, "found": self._stepper.found}
 
     def summary(self) -> dict[str, Any]:
+        """Counts, seconds, rates and latencies until now."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
             "frames_in": self.frames_in,

@@ -46,8 +46,10 @@ class ThresholdSearch:
         return self._asked is not None and index == self._asked + self._lag
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
-        """The area that touched in a frame, and the threshold found in it: NaN for none, None where that was not asked.
-        True where it is to be used."""
+        """The area of real contact in a frame, and the threshold found in it: NaN for none, None where nobody asked.
+
+        True where it is to be used.
+        """
         if self._found is not None:
             return False
         if measured is not None and math.isfinite(measured):

@@ -20,7 +20,8 @@ _ARROW_PX = 40  # length that the largest displacements are drawn with
 
 def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
     """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into
-    it."""
+    it.
+    """
     write_atomically(path, lambda part: _encode(result, scene, part))
     return path
 

@@ -118,7 +118,8 @@ def _contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
     along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
     cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
     outline: NDArray[np.float64] = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
-    return outline + np.asarray(frame["ellipse_center"])
+    result: NDArray[np.float64] | None = outline + np.asarray(frame["ellipse_center"])
+    return result
 
 
 def _stuck_outline(region: xr.DataArray) -> NDArray[np.float64] | None:

@@ -50,7 +50,8 @@ class ViewPainter:
             self._levels[name] = (float(np.percentile(part, 0.5)), float(np.percentile(part, 99.8)))
         low, high = self._levels[name]
         grey = np.clip((part - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
-        return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
+        result: Picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
+        return result
 
     def _ellipse(self, part: Picture, frame: int, matrix: NDArray[np.float64]) -> None:
         if "ellipse_angle" not in self._result:

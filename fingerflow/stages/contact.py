@@ -116,7 +116,8 @@ class ContactStage(Stage):
 
     def first_and_largest(self, margin_px: int) -> Tensor:
         """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
-        margin, so that there are points on both sides of the border of the contact."""
+        margin, so that there are points on both sides of the border of the contact.
+        """
         return dilate(self._region_of(0) | self.largest(), margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
@@ -141,7 +142,8 @@ class ContactStage(Stage):
 
     def _brightness(self, frame: NDArray[np.generic]) -> float:
         """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
-        is left, as in a dark frame: a contact leaves half."""
+        is left, as in a dark frame: a contact leaves half.
+        """
         view: Tensor = self.inputs.view(frame, self._view)
         some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, self._light, self._black))
         light = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())

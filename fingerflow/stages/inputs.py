@@ -67,7 +67,8 @@ class Inputs:
 
     def view(self, frames: NDArray[Any], view: View) -> Tensor:
         """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
-        memory of the frames. uint16 becomes int32, which torch can compute with."""
+        memory of the frames. uint16 becomes int32, which torch can compute with.
+        """
         part = view.crop(frames)
         if part.dtype == np.uint16:
             part = part.astype(np.int32)

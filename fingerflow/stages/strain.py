@@ -108,7 +108,8 @@ def _shared_errors(
     def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
         apart = np.abs(places[one] - places[other]) / window_px
         common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(onset[one] == onset[other], 1, 0.5)
-        return np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
+        result: NDArray[np.float32] = np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
+        return result
 
     known = np.flatnonzero(np.isfinite(places).all(-1))
     near = cKDTree(places[known]).query_pairs(window_px, p=np.inf, output_type="ndarray")
@@ -123,6 +124,7 @@ def triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
     if len(finite) < 3:
         return np.zeros((0, 3), dtype=np.int32)
     try:
-        return finite[Delaunay(reference[finite]).simplices].astype(np.int32)
+        result: NDArray[np.int32] = finite[Delaunay(reference[finite]).simplices].astype(np.int32)
+        return result
     except QhullError:  # all on one line
         return np.zeros((0, 3), dtype=np.int32)

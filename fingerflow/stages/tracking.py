@@ -254,13 +254,15 @@ class TrackingStage(Stage):
 
     def _enhanced(self, image: Tensor) -> Tensor:
         """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
-        press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust."""
+        press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust.
+        """
         skin = subtract_background(image, self.inputs.reference(self._view))
         return unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
 
     def _where(self, image: Tensor) -> Tensor:
         """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both
-        have the same points; else, and where the last frame comes first, all that touches at some time."""
+        have the same points; else, and where the last frame comes first, all that touches at some time.
+        """
         stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
             mask = torch.zeros_like(image, dtype=torch.bool)
@@ -280,7 +282,8 @@ class TrackingStage(Stage):
         self._templates = self._templates_of(self._key, points, None)
 
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
-        return self._keys(key, points, self._noise, warp)
+        result: Templates = self._keys(key, points, self._noise, warp)
+        return result
 
     def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
         """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
@@ -290,7 +293,8 @@ class TrackingStage(Stage):
 
 def _may_disagree(found: Found, expected: Tensor) -> Tensor:
     """Numbers (k,) of the frames in which a point is far enough from where its neighbours expect it, or uncertain
-    enough, to be looked at: what `find_outliers` marks is further off, and mostly there is nothing."""
+    enough, to be looked at: what `find_outliers` marks is further off, and mostly there is nothing.
+    """
     variance = found.variance
     off = (found.points - expected).square().sum(-1) / variance
     usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))

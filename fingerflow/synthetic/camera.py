@@ -39,7 +39,8 @@ class Camera:
     @property
     def full_range(self) -> int:
         """The largest grey level."""
-        return 2**self.bit_depth - 1
+        result: int = 2**self.bit_depth - 1
+        return result
 
     @property
     def levels(self) -> float:

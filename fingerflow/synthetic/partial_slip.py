@@ -61,7 +61,8 @@ class PartialSlip(Slide):
         progress = self.progress(time)
         held = self.motion.load_ratio(torch.from_numpy(progress)).numpy()
         slipping = np.clip((progress - self.full_slip) * self.times[-1] / self.collapse, 0, 1)
-        return self.force * (held + slipping * (self.kinetic_friction - held))
+        result: Array = self.force * (held + slipping * (self.kinetic_friction - held))
+        return result
 
 
 @dataclass(frozen=True)

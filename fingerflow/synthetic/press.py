@@ -56,7 +56,8 @@ class Press(Scene):
         return np.sqrt(np.sin(math.pi / 2 * self._rise(time)))
 
     def time_of(self, progress: Array) -> Array:
-        return self.contact_time + self.rise_time * 2 / math.pi * np.arcsin(np.minimum(progress, 1.0) ** 2)
+        result: Array = self.contact_time + self.rise_time * 2 / math.pi * np.arcsin(np.minimum(progress, 1.0) ** 2)
+        return result
 
     def normal_force(self, time: Array) -> Array:
         return self.force * np.sin(math.pi / 2 * self._rise(time)) ** 2

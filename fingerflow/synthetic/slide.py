@@ -52,7 +52,8 @@ class Slide(Scene):
         )
 
     def progress(self, time: Array) -> Array:
-        return np.clip(time / self.times[-1], 0, 1)
+        result: Array = np.clip(time / self.times[-1], 0, 1)
+        return result
 
     def time_of(self, progress: Array) -> Array:
         # What is inside before the pull was so in the first frame.

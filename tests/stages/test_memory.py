@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import xarray as xr
 
 from fingerflow import process
 from fingerflow.recordings import Recording
+from fingerflow.result import load_result
 from fingerflow.scene import Scene
 from fingerflow.stages.contact import ContactStage
 
@@ -102,3 +104,25 @@ def test_what_is_alive_does_not_grow_with_the_frames(
         assert many_tensors == few_tensors
     # A frame has 23,040 bytes. What stays of it are numbers: areas, and some 100 bytes a point and a triangle.
     assert (many_bytes - few_bytes) / (many - few) < 23_040 / 4
+
+
+def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[[int], Scene], tmp_path: Path) -> None:
+    """The same data set, of which a few numbers a frame are held until the end: of points and triangles none."""
+    file = tmp_path / "result.h5"
+    process(long(9), to=file).close()
+    bytes_of: dict[Path | None, list[int]] = {file: [], None: []}
+    for count in (40, 400):
+        scene = long(count)
+        for to, found in bytes_of.items():
+            gc.collect()
+            tracemalloc.start()
+            process(scene, to=to).close()
+            found.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+    a_frame = {to: (many - few) / 360 for to, (few, many) in bytes_of.items()}
+    assert a_frame[file] < 1000  # some forty numbers, and places of chunks in the file
+    assert a_frame[file] < a_frame[None] / 3
+    xr.testing.assert_identical(
+        load_result(file).drop_attrs(deep=False), process(scene).drop_attrs(deep=False).drop_encoding()
+    )
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".h5"] == ["result.h5"]

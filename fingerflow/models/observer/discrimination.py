@@ -161,4 +161,5 @@ def _weighted_quantile(values: Values, weights: Values, share: float) -> Values:
         ranked[np.argmax(counts > rank[:, None], axis=1)] for rank in (lower, np.minimum(lower + 1, counts[:, -1] - 1))
     )
     low, high = ends
-    return low + (place - lower) * (high - low)
+    result: Values = low + (place - lower) * (high - low)
+    return result

@@ -168,7 +168,8 @@ class _Posterior:
     def _expected(self, values: Values) -> Values:
         threshold, slope, guess, lapse = self._natural(values)
         core = ndtr((self.x - threshold) * slope + _core(self.share, guess, lapse))
-        return np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
+        result: Values = np.clip(guess + (1 - guess - lapse) * core, 1e-12, 1 - 1e-12)
+        return result
 
     def deviance(self, values: Values) -> float:
         """Of binomial counts: about the number of blocks less that of parameters where answers are independent."""

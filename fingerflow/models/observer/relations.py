@@ -66,7 +66,8 @@ def pearson(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correla
 
 def spearman(first: ArrayLike, second: ArrayLike, level: float = 0.95) -> Correlation:
     """Rank correlation of pairs, ties by mean ranks; interval by Fisher's transformation with the variance of ranks,
-    (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as `pearson`."""
+    (1 + r^2 / 2) / (n - 3) (Bonett & Wright 2000). Otherwise as `pearson`.
+    """
     return _correlation(first, second, level, stats.spearmanr, math.nan)
 
 

@@ -12,6 +12,8 @@ from fingerflow.models.observer.trials_table import Trials
 
 
 class Settings(TypedDict):
+    """How an interval was found: its level, and the resamples that a seed has drawn."""
+
     level: float
     resamples: int
     seed: int

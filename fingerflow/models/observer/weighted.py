@@ -22,13 +22,16 @@ def auc_statistic(correct: Values, incorrect: Values) -> Callable[[Values, Value
         if starts.size < values.size:  # equal values are one step of the curve
             hits, misses = (np.add.reduceat(some, starts, axis=1) for some in (hits, misses))
         below = misses.cumsum(1) - misses / 2
-        return (hits * below).sum(1) / (hits.sum(1) * misses.sum(1))
+        result: Values = (hits * below).sum(1) / (hits.sum(1) * misses.sum(1))
+        return result
 
     return area
 
 
 def mean(values: Values, weights: Values) -> Values:
-    return weights @ values / weights.sum(1)
+    """Means (R,) of values (N,) by weights (R, N)."""
+    result: Values = weights @ values / weights.sum(1)
+    return result
 
 
 def deviation(values: Values, weights: Values) -> Values:

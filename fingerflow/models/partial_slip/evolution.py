@@ -106,7 +106,10 @@ def friction_ratio(critical_stuck_area: Tensor | ArrayLike) -> Tensor:
 
 
 def _arguments(first: Tensor | ArrayLike, mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, ...]:
-    return torch.broadcast_tensors(torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k))
+    result: tuple[Tensor, ...] = torch.broadcast_tensors(
+        torch.as_tensor(first, dtype=torch.float64), *_friction(mu_s, mu_k)
+    )
+    return result
 
 
 def _friction(mu_s: Tensor | ArrayLike, mu_k: Tensor | ArrayLike) -> tuple[Tensor, Tensor]:

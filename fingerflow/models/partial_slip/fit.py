@@ -171,7 +171,8 @@ def fit_family(
 def student_weights(squared: Values, weights: Values) -> Values:
     """Weights (R, F) of frames with these squared distances, under Student's t whose scale the frames give."""
     scale = (weights * squared).sum(-1, keepdims=True) / weights.sum(-1, keepdims=True)
-    return (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
+    result: Values = (STUDENT_FREEDOM + 1) / (STUDENT_FREEDOM + squared / np.maximum(scale, 1e-300))
+    return result
 
 
 def student_scale(squared: Values) -> float:

@@ -41,8 +41,10 @@ class CalibrationFile(NamedTuple):
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Raises CalibrationError where the file cannot be read, lacks an entry, or holds a scale or a transform that
-    cannot be."""
+    """What a calibration file says.
+
+    Raises CalibrationError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

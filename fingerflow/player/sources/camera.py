@@ -21,9 +21,11 @@ class Camera:
         self._grab = grab
 
     def read(self) -> Array | None:
+        """The next frame (H, W); None at the end."""
         return self._grab()
 
     def close(self) -> None:
+        """Lets go of the camera."""
         getattr(self._grab, "close", lambda: None)()
 
 

@@ -43,6 +43,7 @@ class Pictures:
         self._paths, self._next = paths, first
 
     def read(self) -> Array | None:
+        """The next picture (H, W); None at the end."""
         if self._next >= len(self._paths):
             return None
         path = self._paths[self._next]

@@ -11,6 +11,7 @@ READS = "a .npy file"
 
 
 def reads(asked: Asked) -> bool:
+    """By the name's end."""
     return asked.path.is_file() and asked.path.suffix == ".npy"
 
 

@@ -14,9 +14,11 @@ class Source(Protocol):
 
     live: bool  # frames come whether or not there is room for them
 
-    def read(self) -> Array | None: ...
+    def read(self) -> Array | None:
+        """The next frame; None at the end."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Lets go of file or camera."""
 
 
 OpenSource = Callable[[int], Source]  # from the number of the next frame
@@ -46,6 +48,7 @@ class Recording:
         self._next = first
 
     def read(self) -> Array | None:
+        """The next frame; None at the end."""
         if self._next >= len(self._frames):
             return None
         frame: Array = self._frames[self._next]

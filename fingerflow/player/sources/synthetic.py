@@ -48,10 +48,12 @@ class Synthetic:
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
+        """The same, to go on from a frame."""
         self._next = number
         return self
 
     def read(self) -> Array:
+        """The next frame (H, W)."""
         place = self._next % (2 * self.half_period - 2)
         self._next += 1
         frame: Array = self._ring[min(place, 2 * self.half_period - 2 - place)]

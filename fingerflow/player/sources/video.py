@@ -28,6 +28,7 @@ class Video:
             self._capture.grab()
 
     def read(self) -> Array | None:
+        """The next frame (H, W); None at the end."""
         there, frame = self._capture.read()
         if not there:
             return None
@@ -35,4 +36,5 @@ class Video:
         return grey
 
     def close(self) -> None:
+        """Lets go of the video."""
         self._capture.release()

@@ -1,1 +1,1 @@
-""""""
+"""Files of forces, a reader each."""

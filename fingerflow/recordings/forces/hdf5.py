@@ -13,7 +13,8 @@ from fingerflow.recordings.forces.table import Table
 
 def read_table(path: Path) -> Table:
     """Columns are named by their path in the file without the leading slash. `sample_rate` (Hz) is an attribute of the
-    file or of a data set; two different ones are an error."""
+    file or of a data set; two different ones are an error.
+    """
     table = Table(path, {})
     rates: set[float] = set()
     try:

@@ -118,7 +118,8 @@ class _Weights:
 
 def _stretches(times: Samples) -> Samples:
     """Time that each sample stands for: half way to both neighbours. A gap ends the record as its ends do, so no sample
-    stands for more than twice the median."""
+    stands for more than twice the median.
+    """
     steps = np.diff(times)
     steps = np.minimum(steps, 2 * np.median(steps))
     stretches: Samples = (np.append(steps, 0.0) + np.append(0.0, steps)) / 2

@@ -121,7 +121,8 @@ def _wanted(
     count: int | None,
 ) -> dict[str, str]:
     """Column in the file by the name that its channel gets. Without a choice: all columns as long as the times, or as
-    the longest column."""
+    the longest column.
+    """
     if isinstance(channels, str):
         channels = [channels]
     if channels is None:

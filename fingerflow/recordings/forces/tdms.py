@@ -11,7 +11,8 @@ from fingerflow.recordings.forces.table import Table
 
 def read_table(path: Path) -> Table:
     """Columns have the name of their channel, group/channel where two groups share one. The rate is 1 / `wf_increment`,
-    the first sample is at `wf_start_offset`; channels with different ones have to be told apart by the user."""
+    the first sample is at `wf_start_offset`; channels with different ones have to be told apart by the user.
+    """
     try:
         from nptdms import TdmsFile
     except ImportError:

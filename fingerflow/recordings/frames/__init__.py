@@ -1,1 +1,1 @@
-""""""
+"""Files of frames, a reader each."""

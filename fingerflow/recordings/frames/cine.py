@@ -233,7 +233,8 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
 
 def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
     """TIME64 is a number of 2**-32 s since 1970; its two lowest bits carry flags. Subtracted as integers: a double
-    would round the difference to 0.2 us."""
+    would round the difference to 0.2 us.
+    """
     if not block:
         return np.empty(0)
     stamps = np.frombuffer(block, "<u8", len(block) // 8)

@@ -104,7 +104,10 @@ class MrawRecording(FileRecording):
         data = np.asarray(self._bytes[index * layout.frame_bytes : (index + 1) * layout.frame_bytes])
         if layout.stored_bits == 12:
             return unpack_12bit(data, layout.shape[0] * layout.shape[1]).reshape(layout.shape)
-        return data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(layout.shift)
+        result: Frames = data.view(layout.dtype.newbyteorder("<")).reshape(layout.shape) >> layout.dtype.type(
+            layout.shift
+        )
+        return result
 
     def _as_frames(self, count: int) -> Frames | None:
         """The bytes as frames (N, H, W), where they are not packed or shifted."""

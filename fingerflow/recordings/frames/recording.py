@@ -112,7 +112,8 @@ class Recording(ABC):
 
     def mapped(self) -> Frames:
         """All frames as one array (N, H, W), not to be written to: where the file's pixels are what frames are made of,
-        they are its memory map, and no copy is made; else they are read."""
+        they are its memory map, and no copy is made; else they are read.
+        """
         frames = self._memory_map()
         return self.read() if frames is None else frames
 

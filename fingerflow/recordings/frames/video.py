@@ -78,7 +78,8 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
 
 class VideoRecording(FileRecording):
     """Decodes from the key frame before the wanted one and keeps the last frames, so that reading backwards decodes
-    each group of pictures once if it fits into `CACHE_BYTES`."""
+    each group of pictures once if it fits into `CACHE_BYTES`.
+    """
 
     def __init__(self, description: Description, frame_rate: float | None, pixels: _Pixels, index: _Index) -> None:
         super().__init__(description, frame_rate)
@@ -151,7 +152,8 @@ class VideoRecording(FileRecording):
 @dataclass(frozen=True)
 class _Index:
     """`stamps`: ticks in the order in which frames are shown, None if the file has no useful ones (then decoding always
-    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order."""
+    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order.
+    """
 
     count: int
     stamps: NDArray[np.int64] | None
@@ -187,7 +189,8 @@ class _Pixels:
         values = np.frombuffer(plane, self.stored).reshape(self.shape[0], -1)
         if self.name in PACKED_LUMA:
             values = values[:, PACKED_LUMA[self.name]]
-        return (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
+        result: Frames = (values[:, : self.shape[1]] >> self.stored.type(self.shift)).astype(self.dtype)
+        return result
 
 
 def _open(path: Path) -> Any:
