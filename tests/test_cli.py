@@ -248,7 +248,7 @@ def test_an_interrupted_report_leaves_whole_files_only(
 
 def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "result.h5").write_bytes(b"of before")
-    monkeypatch.setattr("xarray.Dataset.to_netcdf", interrupt_after(0))
+    monkeypatch.setattr("fingerflow.store.FileStore.finish", interrupt_after(0))
     arguments = ("process", str(trial / "scene.toml"), "--output", "real_contact_area")
     assert main_with(monkeypatch, *arguments, "--to", str(tmp_path / "result.h5")) == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]

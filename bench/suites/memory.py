@@ -7,7 +7,7 @@ before that, so that what is loaded and cached once is not counted as growth. pe
 process's own (anonymous pages, looked at every 5 ms), torch and the other libraries included; resident_mb counts pages
 of the mapped recording too, which the system takes back when it needs them. A recording held in memory would grow by
 frame_bytes a frame. What remains grows by growth_bytes, counted from the row before: numbers of points and triangles,
-of which the result keeps result_bytes a frame. With results in a file the views are 512 x 640 px with 5,000 points, and
+of which the result keeps result_bytes a frame. With results in a file the views are 800 x 1000 px with 5,000 points, and
 `of_first` is the peak over that of the first of these rows.
 """
 
@@ -38,7 +38,7 @@ class LongPress(Press):
         return _picture(frame if frame < _RISE else _RISE + frame % _STILL, self.frame_shape)
 
 
-_SMALL, _LARGE = (160, 400), (512, 1280)  # rows and columns of both views
+_SMALL, _LARGE = (160, 400), (800, 2000)  # rows and columns of both views
 
 
 def run(quick: bool) -> list[Row]:
@@ -86,7 +86,7 @@ def _rows(counts: Sequence[int], shape: tuple[int, int], tracking: dict[str, flo
 
 
 def _press(count: int, shape: tuple[int, int]) -> LongPress:
-    finger, axes = ((2.6, 2.2), (1.9, 1.6)) if shape == _SMALL else ((8.0, 6.8), (6.0, 5.2))
+    finger, axes = ((2.6, 2.2), (1.9, 1.6)) if shape == _SMALL else ((14.0, 12.5), (12.4, 11.0))
     return LongPress(
         n_frames=count,
         frame_rate=1000.0,
