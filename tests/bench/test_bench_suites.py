@@ -232,8 +232,9 @@ def test_growth(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_memory() -> None:
     """The numbers of a process: torch alone has 100 MB. Growth over 40 frames is too little to be judged."""
-    short, long = memory.run(quick=True)
-    for row in (short, long):
+    short, long, *in_file = memory.run(quick=True)
+    assert [row["to"] for row in (short, long, *in_file)] == ["memory", "memory", "file", "file"]
+    for row in (short, long, *in_file):
         assert 100 < number(row, "peak_mb") < number(row, "resident_mb") < 2000
         assert 0 < number(row, "result_bytes") < number(row, "frame_bytes") / 2
     assert short["growth_bytes"] is None
