@@ -1,5 +1,5 @@
 // build: each instruction set, fused
-// Templates prepared and found by two looks of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
+// Templates prepared and found by two steps of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
 // the equations. Sums run in another order than there, so results differ by rounding.
 #include "templates_points.h"
 
@@ -465,7 +465,7 @@ private:
     Vector initial_estimate(const Wanted& wanted, Vector shift) const {
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
         alignas(64) float weights[kCells] = {};
-        for (int step = 0; step < kLookSteps; ++step) {
+        for (int step = 0; step < kEstimateSteps; ++step) {
             float x[kShifts], y[kShifts];
             between(shift.x, x);
             between(shift.y, y);
@@ -481,7 +481,7 @@ private:
             float gain = 1;
             if (numbers_[kGain] > 0) gain = clamped(fabsf(at[2]) > kTiny ? wanted.value / at[2] : 1.0f, 1 / kMostGain, kMostGain);
             const Vector move = inverse * Vector{at[0] - wanted.x / gain, at[1] - wanted.y / gain};
-            shift = {clamped(shift.x - move.x, -kLookReach, kLookReach), clamped(shift.y - move.y, -kLookReach, kLookReach)};
+            shift = {clamped(shift.x - move.x, -kEstimateReach, kEstimateReach), clamped(shift.y - move.y, -kEstimateReach, kEstimateReach)};
         }
         return shift;
     }

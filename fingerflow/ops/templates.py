@@ -1,20 +1,21 @@
-"""Templates of points, prepared once in a key frame and found in many frames by two looks of Lucas-Kanade.
+"""Templates of points, prepared once in a key frame and found in many frames by two steps of Lucas-Kanade.
 
 A template is the spline of the key frame on the window of a point, deformed like the skin since then: with the
 deformation gradient F its sample at the offset w of a frame is S_key(p + F^-1 w). In a frame the point lies at the y
 that solves sum_w g(w) (S(y + w) - T(w)) = 0, g the gradient of T (Lucas & Kanade 1981). With gain and offset free, g is
 taken without its parts along a constant and along T: then the equation holds whatever they are.
 
-1. *First look*, without an interpolation in the frame: where in the key frame lies the window around the whole pixel c
-   nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between them, has
-   to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image computed
-   before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c - s.
-2. *Second look*, in the frame: the window M is sampled there once, and a step ends the way. Its slopes are taken to be
+1. *Initial estimate*, without an interpolation in the frame: where in the key frame lies the window around the whole
+   pixel c nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between
+   them, has to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image
+   computed before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c -
+   s.
+2. *Refinement*, in the frame: the window M is sampled there once, and a step ends the way. Its slopes are taken to be
    those of the template times the gain a, so that sum g g', known from the key frame, is all that the step asks for:
    1e-4 px RMS from the root on a press, a fiftieth of a standard deviation at noise of 10 grey levels.
 
-*Way back.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad D
-with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
+*Backward check.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad
+D with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
 D grad D, which over a window is half the difference of D^2 between its opposite edges.
 
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
@@ -246,7 +247,7 @@ def find_templates(
         templates: from :func:`prepare_templates`.
         current: (B, 1, H, W).
         prediction: (B, N, 2) px. A point is found within a pixel in x and y of the whole pixel nearest to it.
-        rounds: how often a point that lies further off is looked for, each time where the look before has led. More
+        rounds: how often a point that lies further off is looked for, each time where the search before has led. More
             than one depends on data: it does not export.
         forward_backward_limit: px beyond which a point is flagged.
         mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
@@ -288,7 +289,7 @@ def further_rounds(
     look: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, prediction: Tensor, rounds: int
 ) -> Found:
     """Looks again, up to ``rounds`` times in all, for points (B, N, 2) that lie further from their predictions than a
-    look reaches, each time where the look before has led. Depends on data: it does not export.
+    look reaches, each time where the search before has led. Depends on data: it does not export.
     """
     guess = prediction
     for _ in range(rounds - 1):
@@ -536,13 +537,13 @@ def _first_look(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, sh
     """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
     cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
     value, gradient = wanted[:, :1], wanted[:, 1:]
-    for _ in range(limits.LOOK_STEPS):
+    for _ in range(limits.ESTIMATE_STEPS):
         x, y = _between(shift).unbind(1)  # (B, 5, N)
         weights = (y[:, :, None] * x[:, None]).flatten(1, 2)
         *at, own = sum_rows(cells * weights[:, None]).squeeze(2).split((2, 1), dim=1)
         ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
         shift = shift - _symmetric(inverse, at[0] - gradient / torch.where(free > 0, ratio, 1.0))
-        shift = shift.clamp(-limits.LOOK_REACH, limits.LOOK_REACH)
+        shift = shift.clamp(-limits.ESTIMATE_REACH, limits.ESTIMATE_REACH)
     return shift
 
 
@@ -590,5 +591,5 @@ def _length(vectors: Tensor) -> Tensor:
 
 
 def _went_beyond(guess: Tensor, estimate: Tensor) -> Tensor:
-    """(B, N) whether the look has led out of its reach."""
+    """(B, N) whether the estimate lies out of its reach."""
     return ((estimate - guess.round()).abs() >= limits.REACH).any(-1)

@@ -59,10 +59,10 @@ VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
 # px from the whole pixel that is nearest to the prediction, in x and y, within which a point is found.
 REACH = 1.0
 # px that the initial estimate may lead, and its steps: each leaves a fifth of the error far from the root, less near.
-LOOK_REACH, LOOK_STEPS = 1.5, 3
+ESTIMATE_REACH, ESTIMATE_STEPS = 1.5, 3
 # Contrast of an image over that of the template, or the reverse.
 MOST_GAIN = 8.0
-# px, the step of the second look: a longer one says that the first did not find what is there.
+# px, the step of the refinement: a longer one says that the initial estimate did not find what is there.
 LAST_STEP = 0.25
 # Frames that the speed of a lost point is good for, and the weight of the latest displacement in a speed.
 SPEED_FRAMES, SPEED_WEIGHT = 4.0, 0.5
