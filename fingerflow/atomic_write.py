@@ -8,6 +8,14 @@ from typing import Any
 from fingerflow.errors import FingerflowError
 
 
+def spare(output: Path, *inputs: Path | None) -> None:
+    """Raises FingerflowError where an output would replace an input, which may name a data set within its file."""
+    for given in inputs:
+        file = None if given is None else Path(str(given).split("::")[0])
+        if file is not None and output.exists() and file.exists() and output.samefile(file):
+            raise FingerflowError(f"{output} is an input of this command and would be replaced; give another output")
+
+
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
 

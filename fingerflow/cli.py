@@ -127,7 +127,7 @@ def calibrate(
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
     from fingerflow import calibration
-    from fingerflow.atomic_write import write_atomically
+    from fingerflow.atomic_write import spare, write_atomically
 
     ring_frame = _first_frame(ring)
     target_frame = None if target is None else _first_frame(target)
@@ -135,8 +135,8 @@ def calibrate(
     views = _views(ring_frame.shape, contact, topography, both=target is not None)
     found = calibration.calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame)
     picture = output.with_suffix(".png")
-    _spare(output, ring, target, background)
-    _spare(picture, ring, target, background)
+    spare(output, ring, target, background)
+    spare(picture, ring, target, background)
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
@@ -199,8 +199,6 @@ def process(
 
     path = to or scene.parent / "result.h5"
     loaded = load_scene(scene)
-    forces = None if loaded.forces is None else loaded.forces.file
-    _spare(path, scene, loaded.recording.frames, loaded.background.frames, loaded.background.dark, forces)
     result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine, to=path)
     if as_json:
         _print_json(
@@ -321,13 +319,6 @@ def _export_stream(folder: Path, table: Path) -> None:
     except PlayerError as error:
         raise FingerflowError(str(error)) from None
     typer.echo(f"{table} was written")
-
-
-def _spare(output: Path, *inputs: Path | None) -> None:
-    """Raises FingerflowError where an output would replace an input."""
-    for given in inputs:
-        if given is not None and output.exists() and output.samefile(given):
-            raise FingerflowError(f"{output} is an input of this command and would be replaced; give another output")
 
 
 def _is_table(path: Path) -> bool:

@@ -15,7 +15,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.atomic_write import write_atomically
+from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
 from fingerflow.result import open_result
@@ -39,7 +39,7 @@ def process(
     device: str = "auto",
     progress: bool = False,
     engine: str = "torch",
-    to: Path | None = None,
+    to: str | Path | None = None,
 ) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
@@ -72,6 +72,10 @@ def process(
             store = MemoryStore(VARIABLES, frames)
             _run(wanted, inputs, store, runtime, progress)
             return store.dataset
+
+        to = Path(to)
+        forces = None if scene.forces is None else scene.forces.file
+        spare(to, scene.path, scene.recording.frames, scene.background.frames, scene.background.dark, forces)
 
         def write(part: Path) -> None:
             with FileStore(VARIABLES, frames, part) as file:

@@ -281,13 +281,14 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
 
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
-    from fingerflow.cli import _remove_demo, _spare
+    from fingerflow.atomic_write import spare
+    from fingerflow.cli import _remove_demo
 
     frame = tmp_path / "calibration.png"
     frame.write_bytes(b"a frame")
     with pytest.raises(FingerflowError, match="would be replaced"):
-        _spare(tmp_path / "calibration.png", None, frame)
-    _spare(tmp_path / "other.png", frame)
+        spare(tmp_path / "calibration.png", None, frame)
+    spare(tmp_path / "other.png", frame)
 
     folder = tmp_path / "demo"
     folder.mkdir()

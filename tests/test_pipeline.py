@@ -381,3 +381,11 @@ def test_points_may_be_chosen_in_the_picture_that_the_paper_enhances(scene: Scen
         errors.append(np.nanmedian(np.linalg.norm(pixels[-1] - last, axis=-1)))
     assert not np.array_equal(plain["position_px"].values[0], enhanced["position_px"].values[0])
     assert errors[1] < 1.2 * errors[0]
+
+
+def test_a_result_spares_what_it_is_made_of(scene: Scene) -> None:
+    before = scene.recording.frames.read_bytes()
+    for given in (scene.recording.frames, str(scene.path), scene.background.frames):
+        with pytest.raises(FingerflowError, match="would be replaced"):
+            process(scene, ["normal_force"], to=given)
+    assert scene.recording.frames.read_bytes() == before
