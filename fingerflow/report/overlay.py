@@ -1,20 +1,19 @@
 """The video: both views with contact, points and displacement."""
 
-from fractions import Fraction
+from collections.abc import Iterator
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import xarray as xr
 
 from fingerflow.atomic_write import write_atomically
 from fingerflow.recordings import open_recording
-from fingerflow.report.views import ViewPainter
+from fingerflow.report.video import encode_video
+from fingerflow.report.views import Picture, ViewPainter
 from fingerflow.scene import Scene
 
 _MOST_FRAMES = 300
-_RATE = 30  # frames a second of the video
 _ARROW_PX = 40  # length that the largest displacements are drawn with
 
 
@@ -22,11 +21,11 @@ def write_overlay(result: xr.Dataset, scene: Scene, path: Path) -> Path:
     """Writes an MP4 of at most 300 frames, evenly spaced over the recording; the scale of the arrows is written into
     it.
     """
-    write_atomically(path, lambda part: _encode(result, scene, part))
+    write_atomically(path, lambda part: encode_video(_pictures(result, scene), part))
     return path
 
 
-def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
+def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
     count = result.sizes["frame"]
     frames = np.unique(np.linspace(0, count - 1, min(count, _MOST_FRAMES)).round().astype(int))
     scale = _arrow_scale(result)
@@ -34,32 +33,17 @@ def _encode(result: xr.Dataset, scene: Scene, path: Path) -> None:
     force = result["normal_force"].values if "normal_force" in result else None
     with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
         painter = ViewPainter(result, scene, recording)
-        # Sets the contrast where the finger is in view. Video needs even sides.
-        height, width = (side // 2 * 2 for side in painter.paint(int(frames[-1])).shape[:2])
-        with av.open(str(path), "w") as container:
-            name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-            stream = container.add_stream(name, rate=_RATE)
-            assert isinstance(stream, av.VideoStream)  # both codecs are of video
-            stream.height, stream.width = height, width
-            stream.pix_fmt = "yuv420p"
-            stream.time_base = Fraction(1, _RATE)
-            stream.bit_rate = 8_000_000
-            stream.thread_type = "AUTO"
-            if name == "libx264":
-                stream.options = {"preset": "veryfast"}
-            for frame in frames:
-                picture = painter.paint(int(frame), scale)
-                text = f"{times[frame]:+.3f} s"
-                if force is not None and np.isfinite(force[frame]):
-                    text += f"   {force[frame]:.2f} N"
-                if scale:
-                    text += f"   arrows {scale:.3g} x"
-                cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
-                picture = np.ascontiguousarray(picture[:height, :width])
-                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
-                    container.mux(packet)
-            for packet in stream.encode():
-                container.mux(packet)
+        # Sets the contrast where the finger is in view.
+        painter.paint(int(frames[-1]))
+        for frame in frames:
+            picture = painter.paint(int(frame), scale)
+            text = f"{times[frame]:+.3f} s"
+            if force is not None and np.isfinite(force[frame]):
+                text += f"   {force[frame]:.2f} N"
+            if scale:
+                text += f"   arrows {scale:.3g} x"
+            cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+            yield picture
 
 
 def _arrow_scale(result: xr.Dataset) -> float:

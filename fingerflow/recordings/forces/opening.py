@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -27,6 +27,7 @@ READER_OF = {
 }
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
+TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
@@ -38,8 +39,9 @@ def open_forces(
     time: str | None = None,
     sample_rate: float | None = None,
     trigger: str | None = None,
+    lengths: Collection[str] = (),
 ) -> Forces:
-    """Read forces and bring them to s, N and V.
+    """Read forces and bring them to s, N and V, and positions beside them to m.
 
     path: CSV or other delimited text, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
     channels: names of the columns to keep, or a mapping from the name that they get to the name in the file; by
@@ -49,6 +51,7 @@ def open_forces(
     time: name of the time column. By default one called time, t or timestamp, in any case of letters.
     sample_rate: Hz, for a file without times; goes before the rate that the file states.
     trigger: name of the column that carries the trigger; kept besides `channels`. Its unit may be missing.
+    lengths: columns by their names in the file that hold lengths, not forces; m, mm, um and nm become m.
 
     Raises FingerflowError for a missing file or column, an unknown or missing unit, and times that do not increase.
     """
@@ -80,7 +83,7 @@ def open_forces(
             raise FingerflowError(
                 f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
             )
-        factor, canonical[name] = _unit(table, column, may_be_missing=column == trigger)
+        factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
         values[name] = data * factor
     return Forces(location, times, values, canonical, trigger=_name_of(wanted, trigger))
 
@@ -153,14 +156,16 @@ def _column(table: Table, name: str) -> NDArray[np.float64]:
     return table.columns[name]
 
 
-def _unit(table: Table, column: str, may_be_missing: bool) -> tuple[float, str]:
+def _unit(table: Table, column: str, may_be_missing: bool, is_length: bool) -> tuple[float, str]:
     unit = table.units.get(column)
     if unit is None and may_be_missing:
         return 1.0, ""
-    for factors, canonical in ((TO_NEWTON, "N"), (TO_VOLT, "V")):
+    # A length is accepted where one is expected alone: a position taken for a force must not pass.
+    allowed = ((TO_METRE, "m"),) if is_length else ((TO_NEWTON, "N"), (TO_VOLT, "V"))
+    for factors, canonical in allowed:
         if unit in factors:
             return factors[unit], canonical
-    known = ", ".join([*TO_NEWTON, *TO_VOLT])
+    known = ", ".join(name for factors, _ in allowed for name in factors)
     state = "has no unit" if unit is None else f"is in {unit!r}, which is not known"
     raise FingerflowError(
         f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, or leave the "

@@ -1,0 +1,105 @@
+"""Figure S6 of Willemet et al. 2021: a displacement field as a constant, a divergence, a curl and two shears."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike, NDArray
+
+from fingerflow.report.axes_style import INK, RED, finished
+
+Values = NDArray[np.float64]
+PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Of P points: `parts` by the names of PARTS, mm, which but for the first add up to the first; NaN where not known.
+
+    With the divergence d, the curl c (rad) and the shears s, t the gradient of all but the rest is
+    [[d + s, t - c], [t + c, d - s]] / 2, without unit.
+    """
+
+    points: Values  # (P, 2) mm
+    parts: dict[str, Values]  # (P, 2) mm each
+    constant: tuple[float, float]  # mm
+    divergence: float
+    curl: float
+    shear: tuple[float, float]
+
+
+def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
+    """The least squares' linear field about the centre of the points, cut into its parts, and what it leaves.
+
+    Args:
+        points: (P, 2) mm, x and y, of the reference.
+        displacement: (P, 2) mm; a point that is not known in either is left out of the fit.
+
+    Raises:
+        ValueError: shapes that are not (P, 2), or known points on a line or fewer than three.
+    """
+    places, moved = np.asarray(points, dtype=np.float64), np.asarray(displacement, dtype=np.float64)
+    if places.shape != moved.shape or places.ndim != 2 or places.shape[1] != 2:
+        raise ValueError(f"points {places.shape} and displacement {moved.shape}: give (P, 2) of the same points")
+    known = np.isfinite(places).all(1) & np.isfinite(moved).all(1)
+    apart = places - (places[known].mean(0) if known.any() else 0)
+    columns = np.column_stack((np.ones(len(apart)), apart))
+    if known.sum() < 3 or np.linalg.matrix_rank(columns[known]) < 3:
+        raise ValueError(f"{known.sum()} known points that span no area: three that are not on a line are needed")
+    constant, *slopes = np.linalg.lstsq(columns[known], moved[known], rcond=None)[0]
+    (ux, vx), (uy, vy) = (tuple(map(float, row)) for row in slopes)
+    x, y = apart.T
+    zero = 0 * x
+    parts = {
+        "field": moved,
+        "constant": zero[:, None] + constant,
+        "divergence": (ux + vy) / 2 * np.stack((x, y), 1),
+        "curl": (vx - uy) / 2 * np.stack((-y, x), 1),
+        "shear along axes": (ux - vy) / 2 * np.stack((x, -y), 1),
+        "shear along diagonals": (uy + vx) / 2 * np.stack((y, x), 1),
+    }
+    parts["rest"] = moved - sum(parts[name] for name in PARTS[1:-1])
+    return Decomposition(
+        places, parts, (float(constant[0]), float(constant[1])), ux + vy, vx - uy, (ux - vy, uy + vx)
+    )
+
+
+def draw_decomposition(axes: Sequence[Axes], found: Decomposition) -> Sequence[Axes]:
+    """Figure S6 into seven axes: arrows of the field and of each of its parts, all drawn with one scale."""
+    x_shear, diagonal_shear = (1e3 * value for value in found.shear)
+    amounts = {
+        "field": "",
+        "constant": f"{1e3 * float(np.hypot(*found.constant)):.0f} µm",
+        "divergence": f"{1e3 * found.divergence:.1f} µm/mm",
+        "curl": f"{1e3 * found.curl:.1f} mrad",
+        "shear along axes": f"{x_shear:.1f} µm/mm",
+        "shear along diagonals": f"{diagonal_shear:.1f} µm/mm",
+        "rest": f"{1e3 * _middle_length(found.parts['rest']):.0f} µm in the median",
+    }
+    scale = _arrow_scale(found)
+    for one, (name, amount) in zip(axes, amounts.items(), strict=True):
+        arrows = found.parts[name]
+        shown = np.isfinite(arrows).all(1) & np.isfinite(found.points).all(1)
+        one.quiver(
+            *found.points[shown].T, *(scale * arrows[shown].T), angles="xy", scale_units="xy", scale=1,
+            color=RED if name == "rest" else INK, width=0.006,
+        )  # fmt: skip
+        one.set(aspect="equal", title=f"{name}\n{amount}" if amount else f"{name}\narrows {scale:g} x")
+        one.title.set_fontsize("medium")
+        one.set_xlabel("mm")
+        finished(one)
+        one.invert_yaxis()
+    return axes
+
+
+def _arrow_scale(found: Decomposition) -> float:
+    """Factor of one digit that makes the field's long arrows a sixth of its width."""
+    length = np.linalg.norm(found.parts["field"], axis=1)
+    wide = float(np.max(np.nanmax(found.points, axis=0) - np.nanmin(found.points, axis=0)))
+    long = float(np.nanquantile(length, 0.95))
+    return float(f"{wide / 6 / long:.1g}") if long > 0 else 1.0
+
+
+def _middle_length(arrows: Values) -> float:
+    return float(np.nanmedian(np.linalg.norm(arrows, axis=1)))

@@ -1,0 +1,49 @@
+"""Figure S4 of Willemet et al. 2021: a half-sphere of skin laid flat, its arc, its contact and what that leaves."""
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+
+from fingerflow.models.hemisphere import arc_length, contact_radius, radial_strain
+from fingerflow.report.axes_style import GREY, INK, RED, finished
+
+RADIUS_MM = 10.0  # of "10 % at 3 mm"
+DEEPEST_MM = 4.0
+
+
+def draw_half_sphere(axes: Axes, delta: float = 3.0, radius: float = RADIUS_MM) -> Axes:
+    """Figure S4 A: the fingertip pressed by ``delta`` into the glass, the arc 2 L and the contact 2 a; mm."""
+    turn = np.linspace(0, np.pi, 181)
+    axes.plot(radius * np.cos(turn), radius - delta - radius * np.sin(turn), color=GREY, linewidth=1)
+    axes.axhline(0, color=INK, linewidth=1)
+    angle = float(arc_length(delta, radius)) / radius
+    arc = np.linspace(-angle, angle, 91)
+    name = f"2 L = {2 * radius * angle:.1f} mm"
+    axes.plot(radius * np.sin(arc), radius - delta - radius * np.cos(arc), color=RED, linewidth=2.5, label=name)
+    half = float(contact_radius(delta, radius))
+    axes.plot([-half, half], [0, 0], color=INK, linewidth=2.5, label=f"2 a = {2 * half:.1f} mm")
+    axes.annotate("", (0, -delta), (0, 0), arrowprops={"arrowstyle": "<->", "color": INK, "shrinkA": 0, "shrinkB": 0})
+    axes.annotate(f" δ = {delta:g} mm", (0, -delta / 2), va="center")
+    axes.set(xlabel="mm", ylabel="above the glass (mm)", aspect="equal", ylim=(-1.2 * delta, 1.05 * radius))
+    finished(axes)
+    axes.legend(frameon=False, fontsize="small", loc="upper center")
+    return axes
+
+
+def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
+    """Figure S4 B: L and a (mm) against the normal indentation (mm)."""
+    delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
+    axes.plot(delta, arc_length(delta, radius), color=RED, label="L, arc of the skin")
+    axes.plot(delta, contact_radius(delta, radius), color=INK, label="a, contact")
+    axes.set(xlabel="normal indentation δ (mm)", ylabel="length (mm)", title=f"R = {radius:g} mm")
+    return finished(axes)
+
+
+def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
+    """Figure S4 C: compression of skin that sticks (%) against the normal indentation (mm), its value at 3 mm marked."""
+    delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
+    axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
+    at_three = 100 * float(radial_strain(3.0, radius))
+    axes.plot(3.0, at_three, "o", color=RED, label=f"{at_three:.1f} % at 3 mm")
+    axes.set(xlabel="normal indentation δ (mm)", ylabel="(L - a) / L (%)")
+    return finished(axes)

@@ -1,0 +1,84 @@
+"""Movie M3 of Willemet et al. 2021: how the chain of skin deforms while it is pressed, at a low and a high friction."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from fingerflow.atomic_write import write_atomically
+from fingerflow.report.axes_style import GREY, INK, RED
+from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
+from fingerflow.report.video import encode_video
+
+_INCHES, _DPI = (10.0, 5.4), 96
+_WIDE_MM = 9.0  # of the finger that is shown, from its middle
+_LARGEST_MM = 0.05  # of the scale of colours at least
+_HELD = 20  # frames in which the last picture stays
+
+
+def write_movie(presses: SimulatedPresses, path: Path, progress: bool = True) -> Path:
+    """Writes an MP4, a picture a time of the presses; raises FingerflowError where it cannot be written."""
+    write_atomically(path, lambda part: encode_video(_with_progress(presses, progress), part))
+    return path
+
+
+def _with_progress(presses: SimulatedPresses, progress: bool) -> Iterator[NDArray[np.uint8]]:
+    bar = tqdm(total=len(presses.time), desc="movie M3", unit="frame", disable=not progress, leave=False)
+    with bar:
+        for picture in movie_pictures(presses):
+            yield picture
+            bar.update()
+    for _ in range(_HELD):
+        yield picture
+
+
+def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
+    """RGB pictures (H, W, 3), one a time: the skin, coloured by its displacement along the plate, over its loads."""
+    figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(2, 1))
+    chosen = [presses.index(friction) for friction in (LOW, HIGH)]
+    chain = presses.chain
+    moved = 1e3 * chain.displacement[:, chosen, :, 0].numpy()
+    on_plate = chain.normal_force[:, chosen].numpy() > 0
+    largest = max(float(np.abs(moved[on_plate]).max(initial=0)), _LARGEST_MM)
+    highest = 1.1e-3 * float(chain.pressure[:, chosen].max())
+    skins, loads = [], []
+    for column, friction in enumerate((LOW, HIGH)):
+        top, bottom = axes[:, column]
+        skin = LineCollection([], cmap="coolwarm", linewidths=4)
+        skin.set_clim(-largest, largest)
+        top.add_collection(skin)
+        top.axhline(0, color=INK, linewidth=1)
+        top.set(xlim=(-_WIDE_MM, _WIDE_MM), ylim=(-0.6, 8.5), aspect="equal", title=f"friction {friction:g}")
+        pressure = bottom.plot([], [], color=INK, label="pressure")[0]
+        traction = bottom.plot([], [], color=RED, label="traction")[0]
+        bottom.set(ylim=(-0.4 * highest, highest), xlabel="along the plate (mm)")
+        bottom.grid(alpha=0.25)
+        skins.append((skin, top.plot([], [], "o", color=GREY, markersize=8)[0]))
+        loads.append((pressure, traction))
+    axes[0, 0].set_ylabel("above the plate (mm)")
+    axes[1, 0].set_ylabel("on the skin (kPa)")
+    axes[1, 1].legend(frameon=False, fontsize="small", loc="upper right")
+    figure.colorbar(skins[0][0], ax=list(axes[0]), label="displacement along the plate (mm)")
+    heading = figure.suptitle(" ")
+    for frame in range(len(presses.time)):
+        for column, k in enumerate(chosen):
+            place = 1e3 * chain.position[frame, k].numpy()
+            skin, bone = skins[column]
+            skin.set_segments(np.stack((place[:-1], place[1:]), 1))
+            skin.set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
+            # The middle of the undeformed half-circle, moved along with the bone.
+            radius = float(1e3 * (chain.position - chain.displacement)[frame, k, 0, 1])
+            at = 1e3 * chain.bone[frame, k].numpy()
+            bone.set_data([at[0]], [at[1] + radius])
+            for line, load in zip(loads[column], (chain.pressure, chain.traction), strict=True):
+                line.set_data(place[:, 0], 1e-3 * load[frame, k].numpy())
+        heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")
+        canvas.draw()
+        yield np.array(canvas.buffer_rgba())[..., :3]

@@ -1,0 +1,183 @@
+"""Presses of the skin chain at several frictions, and what they show of figures S5, S8 and S9 of Willemet et al. 2021.
+
+The chain is a section through a finger of revolution: its strains are radial and hoop, and maps are turned about the
+axis. They are counted from the undeformed finger, where a recording counts each point's from its onset of contact.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.models.skin_chain import CONTACT_N, Press, follow
+from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.report.axes_style import finished
+
+Values = NDArray[np.float64]
+FRICTIONS = (0.02, 0.05, 0.2, 1.0)
+LOW, HIGH = 0.2, 1.0  # what the paper calls a low and a high friction
+DEPTH_MM = 2.0  # over which the paper takes the strain as uniform (equation 3)
+_TIMES = 101
+_MAP_CELLS = 161
+
+
+@dataclass(frozen=True)
+class SimulatedPresses:
+    """K presses of one force trace at T times; `chain` holds tensors (T, K, ...) in SI units."""
+
+    friction: tuple[float, ...]
+    time: Values  # (T,) s
+    force: Values  # (T,) N
+    chain: Press
+
+    def index(self, friction: float) -> int:
+        """Which of the presses has a friction."""
+        return self.friction.index(friction)
+
+    def strains(self) -> tuple[Values, Values]:
+        """Radial du/dx and hoop u/x, (T, K, N) without unit, NaN outside of the contact."""
+        radial = self.chain.strain.numpy()
+        return radial, self.chain.divergence_field.numpy() - radial
+
+    def places(self) -> Values:
+        """(T, K, N) mm, distance of each element from the axis before it moved, negative on the left."""
+        return 1e3 * (self.chain.position - self.chain.displacement)[..., 0].numpy()
+
+    def energy(self) -> Values:
+        """Total strain energy (T, K) in mJ: 2 mm deep, over rings of the contact (equation 3)."""
+        places = self.places()
+        rings = np.pi * np.abs(places) * np.gradient(places, axis=-1)
+        return DEPTH_MM * np.nansum(_density(*self.strains()) * rings, axis=-1)
+
+
+def simulate_presses(
+    friction: Sequence[float] = FRICTIONS, load_n: float = 3.0, duration_s: float = 1.0, times: int = _TIMES
+) -> SimulatedPresses:
+    """Press the lab's chain with a force that rises evenly to ``load_n`` at each friction."""
+    time = torch.linspace(0, duration_s, times, dtype=torch.float64)
+    force = load_n * time / duration_s
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force)
+    return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
+
+
+def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, friction: float) -> Sequence[Axes]:
+    """Figures S8 B and D: exx, eyy and exy (%) over the contact at full load, on one scale of colours."""
+    extent, strain = _turned(presses, friction)
+    components = 100 * strain
+    largest = float(np.nanmax(np.abs(components)))
+    axes: Sequence[Axes] = part.subplots(1, 3, sharey=True)
+    for one, values, name in zip(axes, np.moveaxis(components, -1, 0), ("xx", "yy", "xy"), strict=True):
+        image = one.imshow(values, extent=extent, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest")
+        one.set(title=rf"$\epsilon_{{{name}}}$", xlabel="mm")
+    axes[0].set_ylabel("mm")
+    part.colorbar(image, ax=list(axes), label="strain (%)", shrink=0.8)
+    return axes
+
+
+def draw_energy_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> Sequence[Axes]:
+    """Figure S9 A: strain energy density (mJ/mm³) over the contact at full load, on one scale of colours."""
+    axes: Sequence[Axes] = part.subplots(1, len(frictions), sharey=True)
+    maps = [(_turned(presses, friction), friction) for friction in frictions]
+    densities = [strain_energy_density(torch.from_numpy(strain)).numpy() for (_, strain), _ in maps]
+    largest = max(float(np.nanmax(density)) for density in densities)
+    for one, density, ((extent, _), friction) in zip(axes, densities, maps, strict=True):
+        image = one.imshow(density, extent=extent, cmap="viridis", vmin=0, vmax=largest, interpolation="nearest")
+        one.set(title=f"friction {friction:g}", xlabel="mm")
+    axes[0].set_ylabel("mm")
+    part.colorbar(image, ax=list(axes), label="mJ/mm³", shrink=0.8)
+    return axes
+
+
+def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = False) -> Sequence[Axes]:
+    """Figure S8 E, or F with ``rate``: medians along the contact of both strains (%, %/s) against the normal force."""
+    axes: Sequence[Axes] = part.subplots(1, 2, sharex=True)
+    for one, strain, name in zip(axes, presses.strains(), ("radial", "hoop"), strict=True):
+        series = 100 * _medians(strain)
+        if rate:
+            series = np.gradient(series, presses.time, axis=0)
+        _draw_series(one, presses, series)
+        one.set(ylabel=f"median {name} strain{' rate (%/s)' if rate else ' (%)'}")
+    return axes
+
+
+def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False) -> Axes:
+    """Figure S9 B, or C with ``rate``: total strain energy (mJ, mJ/s) against the normal force."""
+    energy = presses.energy()
+    _draw_series(axes, presses, np.gradient(energy, presses.time, axis=0) if rate else energy)
+    axes.set(ylabel="strain energy rate (mJ/s)" if rate else "total strain energy (mJ)")
+    return axes
+
+
+def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
+    """Figure S5 K: speed along the plate of the element that moves furthest in contact, against the normal force."""
+    moved = 1e3 * presses.chain.displacement[..., 0].numpy()
+    touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
+    furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
+    own = np.take_along_axis(moved, furthest[None, :, None], axis=-1)[..., 0]
+    _draw_series(axes, presses, np.abs(np.gradient(own, presses.time, axis=0)))
+    axes.set(ylabel="speed of the furthest point (mm/s)")
+    return axes
+
+
+def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
+    """Figure S5 J by the model: the largest displacement (mm) along the plate in contact at full load, a friction."""
+    moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
+    largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
+    names = [f"{friction:g}" for friction in presses.friction]
+    axes.bar(names, largest, 0.6, color=_colours(presses))
+    axes.set(xlabel="friction coefficient", ylabel="largest displacement (mm)")
+    return finished(axes)
+
+
+def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
+    for values, friction, colour in zip(series.T, presses.friction, _colours(presses), strict=True):
+        axes.plot(presses.force, values, color=colour, linewidth=1.2, label=f"friction {friction:g}")
+    axes.set(xlabel="normal force (N)")
+    finished(axes)
+
+
+def _colours(presses: SimulatedPresses) -> Any:
+    return colormaps["viridis"](np.linspace(0, 0.9, len(presses.friction)))
+
+
+def _medians(strain: Values) -> Values:
+    """(T, K) along the contact, NaN where nothing touches."""
+    medians = np.full(strain.shape[:-1], np.nan)
+    for place in np.argwhere(np.isfinite(strain).any(-1)):
+        medians[tuple(place)] = np.nanmedian(strain[tuple(place)])
+    return medians
+
+
+def _density(radial: Values, hoop: Values) -> Values:
+    gradient = torch.zeros(*radial.shape, 2, 2, dtype=torch.float64)
+    gradient[..., 0, 0], gradient[..., 1, 1] = torch.from_numpy(radial), torch.from_numpy(hoop)
+    return np.asarray(strain_energy_density(green_lagrange(gradient)))
+
+
+def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
+    """Extent (mm) and strains (H, W, 3) at full load of the chain turned about its axis, NaN outside of the contact."""
+    k = presses.index(friction)
+    place = presses.places()[-1, k]
+    radial, hoop = (strain[-1, k] for strain in presses.strains())
+    known = np.isfinite(radial)
+    reach = float(np.abs(place[known]).max())
+    grid = np.linspace(-reach, reach, _MAP_CELLS)
+    x, y = np.meshgrid(grid, grid)
+    distance = np.hypot(x, y)
+    both = [
+        np.interp(distance, place[known & (place >= 0)], strain[known & (place >= 0)], right=np.nan)
+        for strain in (radial, hoop)
+    ]
+    cosine, sine = (np.divide(part, distance, out=np.ones_like(part), where=distance > 0) for part in (x, y))
+    outward: Tensor = torch.from_numpy(np.stack((cosine, sine), -1))
+    along = outward[..., :, None] * outward[..., None, :]
+    across = torch.eye(2, dtype=torch.float64) - along
+    gradient = torch.from_numpy(both[0])[..., None, None] * along + torch.from_numpy(both[1])[..., None, None] * across
+    return (-reach, reach, reach, -reach), green_lagrange(gradient).numpy()

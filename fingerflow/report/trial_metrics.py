@@ -1,0 +1,222 @@
+"""Metrics of many trials as figures S1, S5 and S7 to S9 of Willemet et al. 2021 show them, each into given axes.
+
+Answers are correct where the comparison, which vibrates, was felt as more slippery than the reference, which does not.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
+from fingerflow.report.axes_style import GREY, INK, RED, finished
+
+Values = NDArray[np.float64]
+ANSWERED = 'p(comparison is "more slippery")'
+AMPLITUDE = "vibration amplitude (µm)"
+_BINS = 8  # of equally many trials
+_NORMAL_95 = 1.959964
+
+
+class Shown(NamedTuple):
+    """How a metric is named on an axis, and what it is multiplied with for that."""
+
+    label: str
+    factor: float = 1.0
+
+
+#: Metrics by their column's name, with the unit of the column.
+METRICS = {
+    "max_force": Shown("maximal normal force (N)"),  # N
+    "time_to_max_force": Shown("time to maximal force (s)"),  # s
+    "duration": Shown("duration (s)"),  # s
+    "force_rate": Shown("maximal force rate (N/s)"),  # N/s
+    "max_displacement": Shown("maximal displacement (mm)"),  # mm
+    "global_displacement": Shown("global displacement (mm)"),  # mm
+    "force_angle": Shown("peak force angle (°)", 180 / np.pi),  # rad
+    "real_contact_area": Shown("real contact area (mm²)"),  # mm2
+    "gross_contact_area": Shown("apparent contact area (mm²)"),  # mm2
+    "divergence": Shown("divergence (µm/mm)", 1e3),  # 1
+    "curl": Shown("curl (mrad)", 1e3),  # rad
+    "strain": Shown("longitudinal strain (%)", 100.0),  # 1
+    "strain_rate": Shown("strain rate (%/s)", 100.0),  # 1/s
+    "strain_energy": Shown("strain energy (mJ)"),  # mJ
+    "strain_energy_rate": Shown("strain energy rate (mJ/s)"),  # mJ/s
+}
+
+
+def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
+    """Figures S5 B, C, D and H: how many trials have which value, with their mean and standard deviation."""
+    values = _shown(trials, metric)
+    known = values[np.isfinite(values)]
+    axes.hist(known, bins=max(8, min(40, round(known.size**0.5))) if known.size else 8, color=GREY, alpha=0.7)
+    if known.size > 1:
+        mean, deviation = known.mean(), known.std(ddof=1)
+        axes.axvline(mean, color=INK)
+        axes.axvspan(mean - deviation, mean + deviation, color=INK, alpha=0.12, linewidth=0)
+        axes.set_title(f"{mean:.3g} ± {deviation:.2g}, {known.size} trials", fontsize="medium")
+    axes.set(xlabel=METRICS[metric].label, ylabel="trials")
+    return finished(axes)
+
+
+def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
+    """Figures S5 E, F and G: share of answers in eight bins of equally many trials, its 95 % interval, and an ANOVA."""
+    values = _shown(trials, metric)
+    known = np.isfinite(values)
+    if known.any():
+        edges = np.unique(np.quantile(values[known], np.linspace(0, 1, _BINS + 1)))
+        which = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, max(len(edges) - 2, 0))
+        answers = trials.answer[known]
+        groups = [which == number for number in np.unique(which)]
+        shares = np.array([answers[group].mean() for group in groups])
+        middles = np.array([np.median(values[known][group]) for group in groups])
+        limits = np.array([_wilson(answers[group]) for group in groups]).T
+        axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
+    test = one_way_anova(values, trials.answer)
+    axes.set(xlabel=METRICS[metric].label, ylabel=ANSWERED, ylim=(0, 1.03))
+    axes.set_title(f"ANOVA {_p(test.p)}, {int(known.sum())} trials", fontsize="medium")
+    return finished(axes)
+
+
+def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes:
+    """Figure S5 I: share of answers at each amplitude, trials with low, middle and high values a bar each."""
+    values = _shown(trials, metric)
+    known = np.isfinite(values)
+    conditions, place = _conditions(trials)
+    low, high = np.quantile(values[known], (1 / 3, 2 / 3)) if known.any() else (np.nan, np.nan)
+    thirds = (
+        (f"below {low:.3g}", values < low),
+        (f"{low:.3g} to {high:.3g}", (values >= low) & (values < high)),
+        (f"{high:.3g} and more", values >= high),
+    )
+    colours = colormaps["viridis"](np.linspace(0.15, 0.85, 3))
+    for number, ((name, group), colour) in enumerate(zip(thirds, colours, strict=True)):
+        counted = [trials.answer[group & (place == index)] for index in range(len(conditions))]
+        shares = [float(some.mean()) if some.size else np.nan for some in counted]
+        axes.bar(np.arange(len(conditions)) + 0.27 * (number - 1), shares, 0.25, color=colour, label=name)
+    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
+    axes.set_yticks(np.linspace(0, 1, 6))
+    finished(axes)
+    axes.legend(frameon=False, fontsize="small", title=METRICS[metric].label, title_fontsize="small", ncols=3)
+    return axes
+
+
+def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool = False) -> Axes:
+    """Figures S1 D and F, S5 J, S7 A and B: a metric at each amplitude, every trial, median, mean ± SD, an ANOVA.
+
+    Args:
+        normalised: by the median of each participant, as contact areas are.
+    """
+    values = _shown(trials, metric)
+    if normalised:
+        values = _over_own_median(values, trials.participant)
+    conditions, place = _conditions(trials)
+    for index in range(len(conditions)):
+        own = values[place == index]
+        own = own[np.isfinite(own)]
+        if not own.size:
+            continue
+        # Side by side in the order of the table: no two runs of a figure differ.
+        axes.plot(index + np.linspace(-0.3, 0.3, own.size), own, ".", color=GREY, markersize=2, alpha=0.6, zorder=1)
+        if own.size > 1:
+            mean, deviation = own.mean(), own.std(ddof=1)
+            axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
+        axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
+    test = one_way_anova(values, trials.condition)
+    label = METRICS[metric].label
+    label = f"{label.partition(' (')[0]} over own median" if normalised else label
+    axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
+    if np.isfinite(test.f):
+        axes.set_title(f"F({test.degrees[0]}, {test.degrees[1]}) = {test.f:.1f}, {_p(test.p)}", fontsize="medium")
+    return finished(axes)
+
+
+def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
+    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median metric of each participant and amplitude.
+
+    The darker a dot, the smaller the amplitude. The title has Spearman's coefficient over the dots.
+    """
+    values = _shown(trials, metric)
+    conditions, place = _conditions(trials)
+    colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
+    medians, shares = [], []
+    for index, colour in enumerate(colours):
+        x, y = [], []
+        for participant in np.unique(trials.participant):
+            own = (place == index) & (trials.participant == participant) & np.isfinite(values)
+            if own.any():
+                x.append(float(np.median(values[own])))
+                y.append(float(trials.answer[own].mean()))
+        axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
+        medians, shares = medians + x, shares + y
+    found = spearman(medians, shares)
+    axes.set(xlabel=f"median {METRICS[metric].label}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
+    axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
+    return finished_beside(axes, AMPLITUDE)
+
+
+def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axes:
+    """Figures S8 G and S9 D: one metric against another, a colour a participant, the line of least squares and R²."""
+    x, y = _shown(trials, first), _shown(trials, second)
+    names = np.unique(trials.participant)
+    for name, colour in zip(names, colormaps["viridis"](np.linspace(0, 0.95, names.size)), strict=True):
+        own = trials.participant == name
+        axes.plot(x[own], y[own], ".", color=colour, markersize=3)
+    found = pearson(x, y)
+    if np.isfinite(found.value):
+        both = np.isfinite(x) & np.isfinite(y)
+        slope, offset = np.polyfit(x[both], y[both], 1)
+        ends = np.array([x[both].min(), x[both].max()])
+        sign = "+" if offset >= 0 else "-"
+        name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
+        axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
+    axes.set(xlabel=METRICS[first].label, ylabel=METRICS[second].label)
+    axes.set_title(f"{names.size} participants, {found.trials} trials", fontsize="medium")
+    return finished(axes)
+
+
+def finished_beside(axes: Axes, title: str) -> Axes:
+    """`finished`, with the legend beside the axes, where it covers no dot."""
+    finished(axes)
+    axes.legend(
+        frameon=False, fontsize="small", title=title.partition(" (")[0].replace(" ", "\n") + "\n(µm)",
+        title_fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5), handletextpad=0.1,
+    )  # fmt: skip
+    return axes
+
+
+def _shown(trials: Trials, metric: str) -> Values:
+    if metric not in trials.metrics:
+        raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
+    return trials.metrics[metric] * METRICS[metric].factor
+
+
+def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:
+    """Their names in rising order, and which of them each trial has."""
+    values, place = np.unique(trials.condition, return_inverse=True)
+    return [f"{value:g}" if isinstance(value, float) else str(value) for value in values.tolist()], place
+
+
+def _over_own_median(values: Values, participant: NDArray[Any]) -> Values:
+    scaled = np.full(values.shape, np.nan)
+    for name in np.unique(participant):
+        own = participant == name
+        known = values[own & np.isfinite(values)]
+        if known.size and np.median(known) > 0:
+            scaled[own] = values[own] / np.median(known)
+    return scaled
+
+
+def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
+    """The 95 % interval of a share by Wilson's score, which stays between 0 and 1."""
+    n, share, z2 = answers.size, float(answers.mean()), _NORMAL_95**2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    reach = _NORMAL_95 / (1 + z2 / n) * float(np.sqrt(share * (1 - share) / n + z2 / (4 * n * n)))
+    return middle - reach, middle + reach
+
+
+def _p(value: float) -> str:
+    return "p < 0.001" if value < 1e-3 else f"p = {value:.3f}"

@@ -1,0 +1,137 @@
+"""Sliding friction from a tribometer trace: a file in, figures S1 A and B of Willemet et al. 2021."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from torch import Tensor
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
+from fingerflow.recordings import open_forces
+from fingerflow.report.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+
+#: What a trace holds, in the unit it is brought to.
+SIGNALS = {"normal": "N", "tangential": "N", "position": "m", "amplitude": "m"}
+BINS = 6  # of amplitude: the paper has that many levels besides none
+_MOST_POINTS = 20_000  # of a line: more than any figure shows
+
+
+@dataclass(frozen=True)
+class TribometerTrace:
+    """T samples of a finger that slides to and fro while the plate's vibration is modulated; float64, SI units."""
+
+    path: Path
+    time: Tensor  # (T,) s
+    normal: Tensor  # (T,) N, pressing positive
+    tangential: Tensor  # (T,) N
+    position: Tensor  # (T,) m of the finger, growing to the right
+    amplitude: Tensor  # (T,) m, envelope of the vibration
+
+    def epochs(self, edges: Tensor | None = None, modulation_hz: float = 4.0) -> FrictionEpochs:
+        """Coefficient a rising half period, in bins between ``edges`` (m): six equal ones by default.
+
+        Raises FingerflowError, which names the file, for a trace that cannot be cut into epochs.
+        """
+        low, high = float(self.amplitude.min()), float(self.amplitude.max())
+        if edges is None:
+            edges = torch.linspace(low, np.nextafter(high, np.inf), BINS + 1, dtype=torch.float64)
+        try:
+            return friction_epochs(
+                self.time,
+                self.normal,
+                self.tangential,
+                self.position,
+                self.amplitude,
+                edges,
+                modulation_hz=modulation_hz,
+            )
+        except ValueError as error:
+            raise FingerflowError(f"{self.path}: {error}") from None
+
+
+def read_tribometer(
+    path: str | PathLike[str], columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
+) -> TribometerTrace:
+    """Read a trace by `open_forces`, in any of its formats.
+
+    Args:
+        path: CSV or other delimited text, HDF5, `.mat` or `.tdms`.
+        columns: from "normal", "tangential", "position", "amplitude" and "time" to the columns' names in the file;
+            what is left out is called so there.
+        units: of columns by their names in the file, where it does not state them: N, mN ...; m, mm, um ...
+
+    Raises:
+        FingerflowError: a signal that does not exist, or as in `open_forces`.
+    """
+    given = dict(columns or {})
+    strange = sorted(set(given) - {*SIGNALS, "time"})
+    if strange:
+        raise FingerflowError(
+            f"{path}: a trace has no signal {', '.join(map(repr, strange))}; name {', '.join(SIGNALS)} or time"
+        )
+    time = given.pop("time", None)
+    names = {signal: given.get(signal, signal) for signal in SIGNALS}
+    lengths = [names[signal] for signal, unit in SIGNALS.items() if unit == "m"]
+    forces = open_forces(path, channels=names, units=units, time=time, lengths=lengths)
+    for signal, unit in SIGNALS.items():
+        if forces.units[signal] != unit:
+            raise FingerflowError(
+                f"{forces.path}: {signal}, column {names[signal]!r}, is in {forces.units[signal]}: multiply it by the "
+                f"sensor's sensitivity and give it in {unit}"
+            )
+    signals = {signal: torch.from_numpy(np.array(forces.channels[signal])) for signal in SIGNALS}
+    return TribometerTrace(forces.path, torch.from_numpy(np.array(forces.times)), **signals)
+
+
+def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpochs) -> Sequence[Axes]:
+    """Figure S1 A into four axes, one above the other: forces, T/N, position and envelope, with the epochs shaded."""
+    step = max(1, len(trace.time) // _MOST_POINTS)
+    time, normal, tangential, position, amplitude = (
+        signal[::step].numpy()
+        for signal in (trace.time, trace.normal, trace.tangential, trace.position, trace.amplitude)
+    )
+    pressed = normal > 0
+    ratio = np.where(pressed, np.abs(tangential) / np.where(pressed, normal, 1), np.nan)
+    forces, coefficient, place, envelope = axes
+    forces.plot(time, normal, color=INK, linewidth=0.8, label="normal")
+    forces.plot(time, tangential, color=RED, linewidth=0.8, label="tangential")
+    coefficient.plot(time, ratio, color=INK, linewidth=0.8)
+    place.plot(time, 1e3 * position, color=GREEN, linewidth=1)
+    envelope.plot(time, 1e6 * amplitude, color=GREY, linewidth=0.8)
+    for one in axes:
+        for start, stop in zip(epochs.start.tolist(), epochs.stop.tolist(), strict=True):
+            edges = float(trace.time[start]), float(trace.time[stop - 1])
+            one.axvspan(*edges, color=YELLOW, alpha=0.3, linewidth=0)
+        one.label_outer()
+    count = len(epochs.start)
+    forces.set(ylabel="force (N)", title=f"{count} epoch{'s' * (count != 1)}: leftwards, envelope rising")
+    coefficient.set(ylabel="|T| / N", ylim=(0, _enough(ratio)))
+    place.set(ylabel="finger (mm)")
+    envelope.set(ylabel="vibration (µm)", xlabel="time (s)", ylim=(0, None))
+    for one in axes:
+        finished(one)
+    forces.legend(frameon=False, fontsize="small", ncols=2, loc="upper right")
+    return axes
+
+
+def draw_friction(axes: Axes, epochs: FrictionEpochs) -> Axes:
+    """Figure S1 B: the coefficient of each epoch against the amplitude, and over epochs their median and quartiles."""
+    middles = 1e6 * ((epochs.edges[1:] + epochs.edges[:-1]) / 2).numpy()
+    for medians in epochs.median.numpy():
+        axes.plot(middles, medians, color=GREY, linewidth=0.6, alpha=0.5)
+    median, spread, count = (part.numpy() for part in epochs.over_epochs())
+    name = f"median and quartiles of {int(count.max(initial=0))} epochs"
+    axes.errorbar(middles, median, spread / 2, fmt="o-", color=INK, markersize=4, capsize=3, label=name)
+    axes.set(xlabel="vibration amplitude (µm)", ylabel="friction coefficient", ylim=(0, _enough(epochs.median.numpy())))
+    return finished(axes)
+
+
+def _enough(values: np.ndarray) -> float | None:
+    """Upper limit of an axis that a few wild quotients, of a finger that hardly presses, do not set."""
+    known = values[np.isfinite(values)]
+    return 1.2 * float(np.quantile(known, 0.99)) if known.size else None

@@ -1,0 +1,40 @@
+"""MP4 files by PyAV, from pictures as they come."""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+RATE = 30  # frames a second of a video
+
+
+def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
+    """Writes RGB pictures (H, W, 3) of one size; a row or column beyond an even side is left out.
+
+    H.264 where PyAV has it, else MPEG-4. Raises ValueError for no picture at all.
+    """
+    with av.open(str(path), "w") as container:
+        name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+        stream = container.add_stream(name, rate=RATE)
+        assert isinstance(stream, av.VideoStream)  # both codecs are of video
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = Fraction(1, RATE)
+        stream.bit_rate = 8_000_000
+        stream.thread_type = "AUTO"
+        if name == "libx264":
+            stream.options = {"preset": "veryfast"}
+        height = width = 0
+        for picture in pictures:
+            if not height:
+                height, width = (side // 2 * 2 for side in picture.shape[:2])  # video needs even sides
+                stream.height, stream.width = height, width
+            even = np.ascontiguousarray(picture[:height, :width])
+            for packet in stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")):
+                container.mux(packet)
+        if not height:
+            raise ValueError("a video needs a picture: none was given")
+        for packet in stream.encode():
+            container.mux(packet)
