@@ -266,6 +266,53 @@ def slip(
 
 
 @app.command()
+def figures(
+    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S4.png ... and M3.mp4.")],
+    tribometer: Annotated[
+        Path | None,
+        typer.Option(help="A trace of sliding friction, for figure S1: CSV, HDF5, .mat or .tdms."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="normal=NAME, tangential=NAME, position=NAME, amplitude=NAME or time=NAME: what a column of the trace "
+            "is called there; may be repeated."
+        ),
+    ] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=UNIT of a column of the trace that does not state it; may be repeated."),
+    ] = None,
+    trials: Annotated[
+        Path | None, typer.Option(help="A CSV file, one row a trial: participant, trial, condition, answer, metrics.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
+    from fingerflow.report.supplement import Sources, write_supplement
+    from fingerflow.report.trials_file import load_trials
+    from fingerflow.report.tribometer import read_tribometer
+
+    names, units = _pairs("--column", column), _pairs("--unit", unit)
+    if tribometer is None and (names or units):
+        raise FingerflowError("--column and --unit are of a trace; give the file by --tribometer")
+    sources = Sources(
+        tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
+        trials=None if trials is None else load_trials(trials),
+    )
+    written = write_supplement(sources, folder, progress=not as_json)
+    if as_json:
+        _print_json(
+            [
+                {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)}
+                for one in written
+            ]
+        )
+    else:
+        typer.echo("\n".join(map(str, written)))
+
+
+@app.command()
 def export(
     recipe: Annotated[Path, typer.Argument(help="A recipe file, such as export/exact.toml.")],
     bundle: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
@@ -319,6 +366,14 @@ def _export_stream(folder: Path, table: Path) -> None:
     except PlayerError as error:
         raise FingerflowError(str(error)) from None
     typer.echo(f"{table} was written")
+
+
+def _pairs(option: str, given: list[str] | None) -> dict[str, str]:
+    pairs = [text.partition("=") for text in given or []]
+    for name, equals, value in pairs:
+        if not (name and equals and value):
+            raise FingerflowError(f"{option} {name}{equals}{value}: give two names with = between them")
+    return {name: value for name, _, value in pairs}
 
 
 def _is_table(path: Path) -> bool:

@@ -31,7 +31,7 @@ ARROWS: dict[str, set[str]] = {
     "pipeline": {"__init__", "atomic_write", "errors", "export", "plan", "result", "scene", "stages", "store"},
     "synthetic": {"errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
-    "report": {"atomic_write", "errors", "models", "recordings", "result", "scene", "views"},
+    "report": {"atomic_write", "errors", "models", "ops", "recordings", "result", "scene", "synthetic", "views"},
     "export": {"errors", "graphs", "kernels", "ops", "strict", "synthetic"},
     "player": {
         "contract",

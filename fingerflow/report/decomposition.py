@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
 from numpy.typing import ArrayLike, NDArray
 
 from fingerflow.report.axes_style import INK, RED, finished
@@ -60,24 +61,24 @@ def decompose(points: ArrayLike, displacement: ArrayLike) -> Decomposition:
         "shear along diagonals": (uy + vx) / 2 * np.stack((y, x), 1),
     }
     parts["rest"] = moved - sum(parts[name] for name in PARTS[1:-1])
-    return Decomposition(
-        places, parts, (float(constant[0]), float(constant[1])), ux + vy, vx - uy, (ux - vy, uy + vx)
-    )
+    return Decomposition(places, parts, (float(constant[0]), float(constant[1])), ux + vy, vx - uy, (ux - vy, uy + vx))
 
 
-def draw_decomposition(axes: Sequence[Axes], found: Decomposition) -> Sequence[Axes]:
-    """Figure S6 into seven axes: arrows of the field and of each of its parts, all drawn with one scale."""
+def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
+    """Figure S6: arrows of the field and of each of its parts, axes in the order of PARTS, all drawn with one scale."""
     x_shear, diagonal_shear = (1e3 * value for value in found.shear)
     amounts = {
         "field": "",
         "constant": f"{1e3 * float(np.hypot(*found.constant)):.0f} µm",
         "divergence": f"{1e3 * found.divergence:.1f} µm/mm",
-        "curl": f"{1e3 * found.curl:.1f} mrad",
-        "shear along axes": f"{x_shear:.1f} µm/mm",
-        "shear along diagonals": f"{diagonal_shear:.1f} µm/mm",
+        "curl": f"{1e3 * found.curl:.1f} µm/mm",
+        "shear along axes": f"{x_shear:z.1f} µm/mm",
+        "shear along diagonals": f"{diagonal_shear:z.1f} µm/mm",
         "rest": f"{1e3 * _middle_length(found.parts['rest']):.0f} µm in the median",
     }
     scale = _arrow_scale(found)
+    *axes, unused = part.subplots(2, 4, sharex=True, sharey=True).flat
+    unused.set_axis_off()
     for one, (name, amount) in zip(axes, amounts.items(), strict=True):
         arrows = found.parts[name]
         shown = np.isfinite(arrows).all(1) & np.isfinite(found.points).all(1)
@@ -87,9 +88,14 @@ def draw_decomposition(axes: Sequence[Axes], found: Decomposition) -> Sequence[A
         )  # fmt: skip
         one.set(aspect="equal", title=f"{name}\n{amount}" if amount else f"{name}\narrows {scale:g} x")
         one.title.set_fontsize("medium")
-        one.set_xlabel("mm")
+        one.margins(0.15)
         finished(one)
-        one.invert_yaxis()
+    axes[0].invert_yaxis()  # shared by all
+    for one in (axes[0], axes[4]):
+        one.set_ylabel("mm")
+    for one in axes[3:]:
+        one.set_xlabel("mm")
+        one.tick_params(labelbottom=True)
     return axes
 
 

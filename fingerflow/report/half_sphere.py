@@ -40,7 +40,7 @@ def draw_lengths(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST
 
 
 def draw_radial_strain(axes: Axes, radius: float = RADIUS_MM, deepest: float = DEEPEST_MM) -> Axes:
-    """Figure S4 C: compression of skin that sticks (%) against the normal indentation (mm), its value at 3 mm marked."""
+    """Figure S4 C: compression of skin that sticks (%) against the indentation (mm), that at 3 mm marked."""
     delta = torch.linspace(0, deepest, 201, dtype=torch.float64)
     axes.plot(delta, 100 * radial_strain(delta, radius), color=INK)
     at_three = 100 * float(radial_strain(3.0, radius))

@@ -40,7 +40,9 @@ def draw_roc(axes: Axes, observers: Mapping[str, PrintedObserver]) -> Axes:
     for (name, observer), colour in zip(observers.items(), colours, strict=False):
         axes.plot(observer.false_alarms, observer.hits, color=colour, label=f"{name} ({observer.auc:.2f})")
     axes.set(xlabel="p(false alarms)", ylabel="p(hits)", xlim=(0, 1), ylim=(0, 1), aspect="equal")
-    return finished(axes)
+    finished(axes)
+    axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))  # it would cover curves
+    return axes
 
 
 def draw_estimates(axes: Axes, estimates: Mapping[str, Estimate], quantity: str, chance: float) -> Axes:
@@ -62,7 +64,7 @@ def draw_groups(axes: Axes, values: ArrayLike, groups: Groups, quantity: str) ->
     known = known[np.isfinite(known)]
     _, edges, _ = axes.hist(known, bins=max(6, round(2 * known.size**0.5)), color=GREY, alpha=0.6)
     if groups.groups:
-        x = np.linspace(edges[0], edges[-1], 300)
+        x = np.linspace(edges[0] - 2 * groups.deviation, edges[-1] + 2 * groups.deviation, 300)
         for mean, share, colour in zip(groups.means, groups.shares, (INK, RED), strict=True):
             density = np.exp(-(((x - mean) / groups.deviation) ** 2) / 2) / (groups.deviation * (2 * np.pi) ** 0.5)
             axes.plot(x, share * density * known.size * (edges[1] - edges[0]), color=colour)

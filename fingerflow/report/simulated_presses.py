@@ -25,7 +25,8 @@ FRICTIONS = (0.02, 0.05, 0.2, 1.0)
 LOW, HIGH = 0.2, 1.0  # what the paper calls a low and a high friction
 DEPTH_MM = 2.0  # over which the paper takes the strain as uniform (equation 3)
 _TIMES = 101
-_MAP_CELLS = 161
+_MAP_CELLS = 241
+_RADII = 201
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,34 @@ class SimulatedPresses:
         """Which of the presses has a friction."""
         return self.friction.index(friction)
 
-    def strains(self) -> tuple[Values, Values]:
-        """Radial du/dx and hoop u/x, (T, K, N) without unit, NaN outside of the contact."""
-        radial = self.chain.strain.numpy()
-        return radial, self.chain.divergence_field.numpy() - radial
-
-    def places(self) -> Values:
-        """(T, K, N) mm, distance of each element from the axis before it moved, negative on the left."""
-        return 1e3 * (self.chain.position - self.chain.displacement)[..., 0].numpy()
+    def profile(self) -> "Profile":
+        """Strains from the middle of each contact to its edge, which moves on between elements."""
+        shape = (*self.chain.contact_length.shape, _RADII)
+        radius = 5e2 * self.chain.contact_length.numpy()[..., None] * np.linspace(0, 1, _RADII)
+        x = 1e3 * self.chain.position[..., 0].numpy()
+        strain, divergence = self.chain.strain.numpy(), self.chain.divergence_field.numpy()
+        radial, hoop = np.full(shape, np.nan), np.full(shape, np.nan)
+        for place in np.argwhere(radius[..., -1] > 0):
+            at = tuple(place)
+            known = np.isfinite(strain[at])
+            radial[at] = np.interp(radius[at], x[at][known], strain[at][known])
+            hoop[at] = np.interp(radius[at], x[at][known], (divergence[at] - strain[at])[known])
+        return Profile(radius, radial, hoop)
 
     def energy(self) -> Values:
-        """Total strain energy (T, K) in mJ: 2 mm deep, over rings of the contact (equation 3)."""
-        places = self.places()
-        rings = np.pi * np.abs(places) * np.gradient(places, axis=-1)
-        return DEPTH_MM * np.nansum(_density(*self.strains()) * rings, axis=-1)
+        """Total strain energy (T, K) in mJ: 2 mm deep, over the disc of the contact (equation 3), 0 without one."""
+        found = self.profile()
+        rings = np.nan_to_num(_density(found.radial, found.hoop)) * 2 * np.pi * found.radius
+        return np.asarray(DEPTH_MM * np.trapezoid(rings, found.radius, axis=-1))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Strains (T, K, R) without unit at R radii (T, K, R) in mm, 0 to the edge; NaN where nothing touches."""
+
+    radius: Values
+    radial: Values  # du/dx
+    hoop: Values  # u/x
 
 
 def simulate_presses(
@@ -67,17 +82,21 @@ def simulate_presses(
     return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
 
 
-def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, friction: float) -> Sequence[Axes]:
-    """Figures S8 B and D: exx, eyy and exy (%) over the contact at full load, on one scale of colours."""
-    extent, strain = _turned(presses, friction)
-    components = 100 * strain
-    largest = float(np.nanmax(np.abs(components)))
-    axes: Sequence[Axes] = part.subplots(1, 3, sharey=True)
-    for one, values, name in zip(axes, np.moveaxis(components, -1, 0), ("xx", "yy", "xy"), strict=True):
-        image = one.imshow(values, extent=extent, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest")
-        one.set(title=rf"$\epsilon_{{{name}}}$", xlabel="mm")
-    axes[0].set_ylabel("mm")
-    part.colorbar(image, ax=list(axes), label="strain (%)", shrink=0.8)
+def draw_strain_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequence[float]) -> NDArray[Any]:
+    """Figures S8 B and D: exx, eyy and exy (%) over the contact at full load, a row a friction, in one scale."""
+    maps = [_turned(presses, friction) for friction in frictions]
+    largest = max(100 * float(np.nanmax(np.abs(strain))) for _, strain in maps)
+    axes: NDArray[Any] = part.subplots(len(frictions), 3, sharex=True, sharey=True, squeeze=False)
+    for row, (extent, strain), friction in zip(axes, maps, frictions, strict=True):
+        for one, values, name in zip(row, np.moveaxis(100 * strain, -1, 0), ("xx", "yy", "xy"), strict=True):
+            image = one.imshow(
+                values, extent=extent, cmap="RdBu_r", vmin=-largest, vmax=largest, interpolation="nearest"
+            )
+            one.set_title(rf"$\epsilon_{{{name}}}$, friction {friction:g}", fontsize="medium")
+        row[0].set_ylabel("mm")
+    for one in axes[-1]:
+        one.set_xlabel("mm")
+    part.colorbar(image, ax=list(axes.flat), label="strain (%)", shrink=0.7)
     return axes
 
 
@@ -98,8 +117,9 @@ def draw_energy_maps(part: SubFigure, presses: SimulatedPresses, frictions: Sequ
 def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = False) -> Sequence[Axes]:
     """Figure S8 E, or F with ``rate``: medians along the contact of both strains (%, %/s) against the normal force."""
     axes: Sequence[Axes] = part.subplots(1, 2, sharex=True)
-    for one, strain, name in zip(axes, presses.strains(), ("radial", "hoop"), strict=True):
-        series = 100 * _medians(strain)
+    found = presses.profile()
+    for one, strain, name in zip(axes, (found.radial, found.hoop), ("radial", "hoop"), strict=True):
+        series = 100 * np.median(strain, axis=-1)
         if rate:
             series = np.gradient(series, presses.time, axis=0)
         _draw_series(one, presses, series)
@@ -131,28 +151,21 @@ def draw_largest_displacement(axes: Axes, presses: SimulatedPresses) -> Axes:
     moved = 1e3 * presses.chain.displacement[-1, ..., 0].numpy()
     largest = np.where(presses.chain.normal_force.numpy()[-1] > CONTACT_N, np.abs(moved), 0).max(-1)
     names = [f"{friction:g}" for friction in presses.friction]
-    axes.bar(names, largest, 0.6, color=_colours(presses))
+    axes.bar(names, largest, 0.6, color=friction_colours(presses))
     axes.set(xlabel="friction coefficient", ylabel="largest displacement (mm)")
     return finished(axes)
 
 
 def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
-    for values, friction, colour in zip(series.T, presses.friction, _colours(presses), strict=True):
+    for values, friction, colour in zip(series.T, presses.friction, friction_colours(presses), strict=True):
         axes.plot(presses.force, values, color=colour, linewidth=1.2, label=f"friction {friction:g}")
     axes.set(xlabel="normal force (N)")
     finished(axes)
 
 
-def _colours(presses: SimulatedPresses) -> Any:
+def friction_colours(presses: SimulatedPresses) -> Any:
+    """A colour a friction, (K, 4), darker the smaller it is."""
     return colormaps["viridis"](np.linspace(0, 0.9, len(presses.friction)))
-
-
-def _medians(strain: Values) -> Values:
-    """(T, K) along the contact, NaN where nothing touches."""
-    medians = np.full(strain.shape[:-1], np.nan)
-    for place in np.argwhere(np.isfinite(strain).any(-1)):
-        medians[tuple(place)] = np.nanmedian(strain[tuple(place)])
-    return medians
 
 
 def _density(radial: Values, hoop: Values) -> Values:
@@ -163,18 +176,13 @@ def _density(radial: Values, hoop: Values) -> Values:
 
 def _turned(presses: SimulatedPresses, friction: float) -> tuple[tuple[float, float, float, float], Values]:
     """Extent (mm) and strains (H, W, 3) at full load of the chain turned about its axis, NaN outside of the contact."""
-    k = presses.index(friction)
-    place = presses.places()[-1, k]
-    radial, hoop = (strain[-1, k] for strain in presses.strains())
-    known = np.isfinite(radial)
-    reach = float(np.abs(place[known]).max())
+    k, found = presses.index(friction), presses.profile()
+    radius = found.radius[-1, k]
+    reach = float(radius[-1])
     grid = np.linspace(-reach, reach, _MAP_CELLS)
     x, y = np.meshgrid(grid, grid)
     distance = np.hypot(x, y)
-    both = [
-        np.interp(distance, place[known & (place >= 0)], strain[known & (place >= 0)], right=np.nan)
-        for strain in (radial, hoop)
-    ]
+    both = [np.interp(distance, radius, strain[-1, k], right=np.nan) for strain in (found.radial, found.hoop)]
     cosine, sine = (np.divide(part, distance, out=np.ones_like(part), where=distance > 0) for part in (x, y))
     outward: Tensor = torch.from_numpy(np.stack((cosine, sine), -1))
     along = outward[..., :, None] * outward[..., None, :]

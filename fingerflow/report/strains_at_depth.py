@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,11 +13,10 @@ from numpy.typing import NDArray
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
-from fingerflow.report.axes_style import GREY, INK, RED, finished
-from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
+from fingerflow.report.axes_style import GREY, finished
+from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, friction_colours
 
 Values = NDArray[np.float64]
-COLOURS = {LOW: INK, HIGH: RED}
 _REACH_MM = 5.0  # along the surface from the middle of the contact
 _APART_MM = 1.2  # of two receptors that are marked
 _SHAPES = 6  # of the skin while it is pressed
@@ -24,20 +24,19 @@ _SHAPES = 6  # of the skin while it is pressed
 
 @dataclass(frozen=True)
 class Depth:
-    """Under presses at friction LOW and HIGH, these two (2) in that order, at Y places along the surface."""
+    """Under K presses at Y places along the surface."""
 
     place: Values  # (Y,) mm
     map_depth: Values  # (Z,) mm
-    sigma_z: Values  # (2, Z, Y) kPa at full load, tension positive
-    receptor_stress: Values  # (3, 2, Y) kPa at full load 2 mm deep: sigma_y, sigma_z, tau_yz
-    strain_y: Values  # (T, 2, Y) without unit, 2 mm deep, along the surface, extension positive
-    strain_z: Values  # (T, 2, Y) without unit, 2 mm deep, along the depth
+    sigma_z: Values  # (K, Z, Y) kPa at full load, tension positive
+    receptor_stress: Values  # (3, K, Y) kPa at full load 2 mm deep: sigma_y, sigma_z, tau_yz
+    strain_y: Values  # (T, K, Y) without unit, 2 mm deep, along the surface, extension positive
+    strain_z: Values  # (T, K, Y) without unit, 2 mm deep, along the depth
 
 
 def look_under(presses: SimulatedPresses, places: int = 101, depths: int = 40) -> Depth:
     """Stress by the half-space under the chain's pressure and traction, and the strain that follows it with a delay."""
-    chosen = [presses.index(friction) for friction in (LOW, HIGH)]
-    edges, pressure, traction = (part[:, chosen] for part in presses.chain.strips())
+    edges, pressure, traction = presses.chain.strips()
     y = torch.linspace(-_REACH_MM, _REACH_MM, places, dtype=torch.float64)
     z = torch.linspace(0.05, 5.0, depths, dtype=torch.float64)
     receptor = RECEPTOR_DEPTHS_M[-1]
@@ -73,16 +72,12 @@ def draw_evolution(part: SubFigure, presses: SimulatedPresses, friction: float =
 
 
 def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
-    """Figure S10 B: pressure and traction (kPa) on the skin at full load, a low and a high friction."""
+    """Figure S10 B: pressure and traction (kPa) on the skin at full load, a line a friction."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
-    for friction in (LOW, HIGH):
-        k = presses.index(friction)
+    for k, style in enumerate(_lines(presses)):
         x = 1e3 * presses.chain.position[-1, k, :, 0].numpy()
-        name = f"friction {friction:g}"
         for one, load in zip(axes, (presses.chain.pressure, presses.chain.traction), strict=True):
-            # The pressures nearly coincide: the one drawn first stays visible below the other.
-            style = {"linewidth": 2.4, "alpha": 0.6} if friction == LOW else {"linewidth": 1.0}
-            one.plot(x, 1e-3 * load[-1, k].numpy(), color=COLOURS[friction], label=name, **style)
+            one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
     axes[0].set(ylabel="pressure (kPa)", title=f"{presses.force[-1]:.1f} N")
     axes[1].set(xlabel="along the plate (mm)", ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
     for one in axes:
@@ -90,11 +85,12 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
     return axes
 
 
-def draw_stress_map(part: SubFigure, depth: Depth) -> Sequence[Axes]:
+def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
     """Figure S10 C: normal stress (kPa) inside the skin at full load, receptors as black dots."""
     axes: Sequence[Axes] = part.subplots(2, 1, sharex=True)
     lowest = float(depth.sigma_z.min())
-    for one, values, friction in zip(axes, depth.sigma_z, (LOW, HIGH), strict=True):
+    for one, friction in zip(axes, (LOW, HIGH), strict=True):
+        values = depth.sigma_z[presses.index(friction)]
         image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="viridis_r", vmin=lowest, vmax=0)
         for down in RECEPTOR_DEPTHS_M:
             along = np.arange(-3, 4) * _APART_MM
@@ -105,18 +101,17 @@ def draw_stress_map(part: SubFigure, depth: Depth) -> Sequence[Axes]:
     return axes
 
 
-def draw_receptor_stress(part: SubFigure, depth: Depth) -> Sequence[Axes]:
-    """Figure S10 D: the three stresses (kPa) 2 mm deep at full load, a low and a high friction."""
+def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Sequence[Axes]:
+    """Figure S10 D: the three stresses (kPa) 2 mm deep at full load, a line a friction."""
     axes: Sequence[Axes] = part.subplots(3, 1, sharex=True)
     names = (r"$\sigma_y$ (kPa)", r"$\sigma_z$ (kPa)", r"$\tau_{yz}$ (kPa)")
     for one, values, name in zip(axes, depth.receptor_stress, names, strict=True):
-        for profile, friction in zip(values, (LOW, HIGH), strict=True):
-            style = {"linewidth": 2.4, "alpha": 0.6} if friction == LOW else {"linewidth": 1.0}
-            one.plot(depth.place, profile, color=COLOURS[friction], label=f"friction {friction:g}", **style)
+        for profile, style in zip(values, _lines(presses), strict=True):
+            one.plot(depth.place, profile, **style)
         one.set_ylabel(name)
         one.grid(alpha=0.25)
-    ratio = float(depth.receptor_stress[1, 1].min() / depth.receptor_stress[1, 0].min())
-    axes[0].set_title(f"peak of $\\sigma_z$: high / low = {ratio:.3f}, in print 1.2", fontsize="medium")
+    peak = depth.receptor_stress[1].min(-1)
+    axes[0].set_title(f"peak of $\\sigma_z$ {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
     axes[1].legend(frameon=False, fontsize="small")
     axes[2].set_xlabel("along the plate (mm), 2 mm deep")
     return axes
@@ -125,7 +120,7 @@ def draw_receptor_stress(part: SubFigure, depth: Depth) -> Sequence[Axes]:
 def draw_strain_in_time(part: SubFigure, presses: SimulatedPresses, depth: Depth) -> Axes:
     """Figure S10 E: strain along the surface (%) 2 mm deep, over place and time, at the high friction."""
     axes: Axes = part.subplots()
-    strain = 100 * depth.strain_y[:, 1]
+    strain = 100 * depth.strain_y[:, presses.index(HIGH)]
     largest = float(np.abs(strain).max())
     image = axes.pcolormesh(depth.place, presses.time, strain, cmap="RdBu_r", vmin=-largest, vmax=largest)
     axes.set(xlabel="along the plate (mm), 2 mm deep", ylabel="time (s)", title=f"friction {HIGH:g}")
@@ -137,10 +132,22 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     """Figure S10 F: compression (%) of the tissue 2 mm below the middle of the contact against time, and its ratio."""
     middle = len(depth.place) // 2
     compression = -100 * depth.strain_z[:, :, middle]
-    for series, friction in zip(compression.T, (LOW, HIGH), strict=True):
-        style = {"linewidth": 2.4, "alpha": 0.6} if friction == LOW else {"linewidth": 1.0}
-        axes.plot(presses.time, series, color=COLOURS[friction], label=f"friction {friction:g}", **style)
-    ratio = float(compression[-1, 1] / compression[-1, 0])
+    for series, style in zip(compression.T, _lines(presses), strict=True):
+        axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
-    axes.set_title(f"high / low = {ratio:.3f}, in print almost 1.2", fontsize="medium")
+    axes.set_title(f"at the end {_ratio(presses, compression[-1])}, in print almost 1.2", fontsize="medium")
     return finished(axes)
+
+
+def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
+    """Of each press: loads nearly coincide, so that lines grow thinner, and those drawn first stay visible."""
+    widths = np.linspace(3.5, 0.9, len(presses.friction))
+    return [
+        {"color": colour, "linewidth": width, "label": f"friction {friction:g}"}
+        for friction, colour, width in zip(presses.friction, friction_colours(presses), widths, strict=True)
+    ]
+
+
+def _ratio(presses: SimulatedPresses, values: Values) -> str:
+    """Of values (K,) at the high over the low friction."""
+    return f"{HIGH:g} / {LOW:g}: {values[presses.index(HIGH)] / values[presses.index(LOW)]:.3f}"

@@ -40,7 +40,7 @@ METRICS = {
     "real_contact_area": Shown("real contact area (mm²)"),  # mm2
     "gross_contact_area": Shown("apparent contact area (mm²)"),  # mm2
     "divergence": Shown("divergence (µm/mm)", 1e3),  # 1
-    "curl": Shown("curl (mrad)", 1e3),  # rad
+    "curl": Shown("curl (µm/mm)", 1e3),  # rad
     "strain": Shown("longitudinal strain (%)", 100.0),  # 1
     "strain_rate": Shown("strain rate (%/s)", 100.0),  # 1/s
     "strain_energy": Shown("strain energy (mJ)"),  # mJ
@@ -135,7 +135,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median metric of each participant and amplitude.
+    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median metric, a dot a participant and amplitude.
 
     The darker a dot, the smaller the amplitude. The title has Spearman's coefficient over the dots.
     """
@@ -154,6 +154,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         medians, shares = medians + x, shares + y
     found = spearman(medians, shares)
     axes.set(xlabel=f"median {METRICS[metric].label}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
+    axes.locator_params(axis="x", nbins=6)
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
     return finished_beside(axes, AMPLITUDE)
 

@@ -44,9 +44,7 @@ def load_trials(path: str | PathLike[str]) -> Trials:
             raise FingerflowError(
                 f"{location}: trial {number + 1} has {len(row)} cells, the heading {len(names)}; are commas missing?"
             )
-    columns = {
-        name: _typed(location, name, [row[place].strip() for row in rows]) for place, name in enumerate(names)
-    }
+    columns = {name: _typed(location, name, [row[place].strip() for row in rows]) for place, name in enumerate(names)}
     try:
         return read_trials(columns)
     except FingerflowError as error:

@@ -115,6 +115,8 @@ def draw_trace(axes: Sequence[Axes], trace: TribometerTrace, epochs: FrictionEpo
     envelope.set(ylabel="vibration (µm)", xlabel="time (s)", ylim=(0, None))
     for one in axes:
         finished(one)
+    low, high = forces.get_ylim()
+    forces.set_ylim(low, high + 0.5 * (high - low))  # room for the legend
     forces.legend(frameon=False, fontsize="small", ncols=2, loc="upper right")
     return axes
 

@@ -1,0 +1,68 @@
+"""The displacement of the simulated press of `fingerflow demo`, exactly, for figures S6 and S13."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
+from numpy.typing import NDArray
+
+from fingerflow.report.axes_style import finished
+from fingerflow.synthetic import Press, Scene
+
+Values = NDArray[np.float64]
+_SPACING_MM = 0.6  # of the points
+_FRAMES = 24  # in which the median curl is asked for
+
+
+@dataclass(frozen=True)
+class PressField:
+    """P points in the contact of the last frame, and F frames before it; NaN where the truth has none."""
+
+    reference: Values  # (P, 2) mm, where the contact reached each point
+    displacement: Values  # (P, 2) mm since then
+    curl: Values  # (P,) rad
+    force: Values  # (F,) N
+    median_curl: Values  # (F,) rad, over the area of the gross contact
+
+
+def press_field(scene: Scene | None = None) -> PressField:
+    """From the truth of a scene that ends in contact, by default the press of `fingerflow demo`.
+
+    Raises ValueError for a scene whose last frame has no contact.
+    """
+    scene = Press() if scene is None else scene
+    truth, last = scene.truth, len(scene.times) - 1
+    ellipse = truth.ellipse(last)
+    if ellipse is None:
+        raise ValueError("nothing touches in the last frame: give a scene that ends in contact")
+    reach = max(ellipse.semi_axes)
+    steps = np.arange(-np.ceil(reach / _SPACING_MM), np.ceil(reach / _SPACING_MM) + 1) * _SPACING_MM
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) + ellipse.centre
+    material = truth.material(grid, last)
+    displacement = truth.displacement(material, last)
+    inside = np.isfinite(displacement).all(1)
+    position, displacement, material = grid[inside], displacement[inside], material[inside]
+    gradient = truth.gradient(material, last)
+    frames = np.unique(np.linspace(0, last, _FRAMES).round().astype(int)).tolist()
+    found = [truth.medians(frame).curl if truth.ellipse(frame) is not None else np.nan for frame in frames]
+    return PressField(
+        reference=position - displacement,
+        displacement=displacement,
+        curl=gradient[:, 1, 0] - gradient[:, 0, 1],
+        force=np.asarray(scene.normal_force(scene.times))[frames],
+        median_curl=np.array(found),
+    )
+
+
+def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
+    """Figure S13 A: the curl (µm/mm) at each point of the contact."""
+    axes: Axes = part.subplots()
+    values = 1e3 * field.curl
+    largest = float(np.nanmax(np.abs(values)))
+    dots = axes.scatter(*field.reference.T, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, s=60, marker="s")
+    axes.set(xlabel="mm", ylabel="mm", aspect="equal", title="press of fingerflow demo")
+    part.colorbar(dots, ax=axes, label="curl (µm/mm)", shrink=0.75)
+    finished(axes)
+    axes.invert_yaxis()
+    return axes

@@ -1,0 +1,69 @@
+"""The figures of the supplement of Willemet et al. 2021 that simulation and tables give, and its movie of the model."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from fingerflow.report.model_movie import write_movie
+from fingerflow.report.supplement.of_models import decomposition, half_sphere, strains_at_depth
+from fingerflow.report.supplement.of_observer import curl, ideal_observer, individual_performance
+from fingerflow.report.supplement.of_trials import (
+    displacement_and_angle,
+    friction_and_area,
+    kinematics,
+    strain_energy,
+    surface_strain,
+)
+from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sources import Sources
+
+__all__ = ["Panel", "Sheet", "Sources", "Written", "write_supplement"]
+
+#: From their sources to figures; S2 is photographs of the setup, S3 frames of a recording being processed.
+FIGURES: dict[str, Callable[[Sources], Sheet]] = {
+    "S1": friction_and_area,
+    "S4": half_sphere,
+    "S5": kinematics,
+    "S6": decomposition,
+    "S7": displacement_and_angle,
+    "S8": surface_strain,
+    "S9": strain_energy,
+    "S10": strains_at_depth,
+    "S11": ideal_observer,
+    "S12": individual_performance,
+    "S13": curl,
+}
+
+
+@dataclass(frozen=True)
+class Written:
+    """A figure's name, its file, None where nothing of it could be made, and what was left out and why."""
+
+    name: str
+    path: Path | None
+    left_out: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """A line for the reader."""
+        skipped = "; ".join(self.left_out)
+        if self.path is None:
+            return f"{self.name}: skipped: {skipped}"
+        return f"{self.name}: {self.path}" + (f" (without {skipped})" if skipped else "")
+
+
+def write_supplement(sources: Sources, folder: Path, progress: bool = True) -> list[Written]:
+    """Writes each figure as PNG and the model's movie as `M3.mp4` into a folder, made where there is none.
+
+    Raises FingerflowError where a file cannot be written or a trace cannot be cut into epochs.
+    """
+    written = []
+    with tqdm(FIGURES.items(), desc="figures", disable=not progress, leave=False) as bar:
+        for name, make in bar:
+            bar.set_postfix_str(name)
+            sheet = make(sources)
+            path = sheet.write(folder) if sheet.panels else None
+            written.append(Written(name, path, sheet.left_out))
+    movie = write_movie(sources.presses, folder / "M3.mp4", progress)
+    return [*written, Written("M3", movie, ())]

@@ -1,0 +1,151 @@
+"""Figures S1, S5, S7, S8 and S9: a tribometer trace, a table of trials, and the skin chain where it has an answer."""
+
+from collections.abc import Callable
+from typing import Any
+
+from matplotlib.figure import SubFigure
+
+from fingerflow.models.observer import Trials
+from fingerflow.report.simulated_presses import (
+    HIGH,
+    LOW,
+    draw_energy_maps,
+    draw_energy_series,
+    draw_fastest_point,
+    draw_largest_displacement,
+    draw_strain_maps,
+    draw_strain_series,
+)
+from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sources import Sources
+from fingerflow.report.trial_metrics import (
+    draw_by_condition,
+    draw_correlation,
+    draw_distribution,
+    draw_influence,
+    draw_influence_by_condition,
+    draw_share_against,
+)
+from fingerflow.report.tribometer import draw_friction, draw_trace
+
+_RECORDING = "the pictures and series of recordings, which a table of trials does not hold"
+_NO_TRACE = "a tribometer trace (--tribometer)"
+
+# A letter, what draws it from the table, the metrics that it takes, and settings.
+_Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
+
+
+def friction_and_area(sources: Sources) -> Sheet:
+    """Figure S1."""
+    panels: list[Panel] = []
+    left_out = []
+    trace, epochs = sources.tribometer, sources.epochs
+    if trace is None or epochs is None:
+        left_out += [f"{letter} needs {_NO_TRACE}" for letter in "AB"]
+    else:
+        panels.append(
+            Panel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), columns=2, rows=1.4)
+        )
+        panels.append(Panel("B", lambda part: draw_friction(part.subplots(), epochs)))
+    left_out += [f"{letter} needs {_RECORDING}" for letter in "CE"]
+    found, lacking = _from_table(
+        sources,
+        (
+            ("D", draw_by_condition, ("gross_contact_area",), {"normalised": True}),
+            ("F", draw_by_condition, ("real_contact_area",), {"normalised": True}),
+        ),
+    )
+    return Sheet("S1", (*panels, *found), (*left_out, *lacking))
+
+
+def kinematics(sources: Sources) -> Sheet:
+    """Figure S5; J beside the table's by the skin chain, K by the skin chain."""
+    found, lacking = _from_table(
+        sources,
+        (
+            ("B", draw_distribution, ("max_force",), {}),
+            ("C", draw_distribution, ("time_to_max_force",), {}),
+            ("D", draw_distribution, ("duration",), {}),
+            ("E", draw_influence, ("max_force",), {}),
+            ("F", draw_influence, ("time_to_max_force",), {}),
+            ("G", draw_influence, ("duration",), {}),
+            ("H", draw_distribution, ("force_rate",), {}),
+            ("I", draw_influence_by_condition, ("force_rate",), {}),
+            ("J", draw_by_condition, ("max_displacement",), {}),
+        ),
+    )
+    chain = (
+        Panel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
+        Panel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
+    )
+    return Sheet("S5", (*found, *chain), (f"A needs {_RECORDING}", *lacking))
+
+
+def displacement_and_angle(sources: Sources) -> Sheet:
+    """Figure S7."""
+    found, lacking = _from_table(
+        sources,
+        (
+            ("A", draw_by_condition, ("global_displacement",), {}),
+            ("B", draw_by_condition, ("force_angle",), {}),
+            ("C", draw_share_against, ("global_displacement",), {}),
+            ("D", draw_share_against, ("force_angle",), {}),
+            ("E", draw_share_against, ("real_contact_area",), {}),
+        ),
+    )
+    return Sheet("S7", tuple(found), tuple(lacking))
+
+
+def surface_strain(sources: Sources) -> Sheet:
+    """Figure S8; B, D, E and F by the skin chain."""
+    presses = sources.presses
+    chain = (
+        Panel("B and D (skin chain)", lambda part: draw_strain_maps(part, presses, (LOW, HIGH)), columns=3, rows=2),
+        Panel("E (skin chain)", lambda part: draw_strain_series(part, presses), columns=3),
+        Panel("F (skin chain)", lambda part: draw_strain_series(part, presses, rate=True), columns=3),
+    )
+    found, lacking = _from_table(
+        sources,
+        (
+            ("G", draw_correlation, ("divergence", "strain"), {}),
+            ("H", draw_share_against, ("strain",), {}),
+            ("I", draw_share_against, ("strain_rate",), {}),
+        ),
+    )
+    return Sheet("S8", (*chain, *found), (*(f"{letter} needs {_RECORDING}" for letter in "AC"), *lacking))
+
+
+def strain_energy(sources: Sources) -> Sheet:
+    """Figure S9; A, B and C by the skin chain."""
+    presses = sources.presses
+    chain = (
+        Panel("A (skin chain)", lambda part: draw_energy_maps(part, presses, (LOW, HIGH)), columns=2),
+        Panel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), presses)),
+        Panel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), presses, rate=True)),
+    )
+    found, lacking = _from_table(
+        sources,
+        (
+            ("D", draw_correlation, ("divergence", "strain_energy"), {}),
+            ("E", draw_share_against, ("strain_energy",), {}),
+        ),
+    )
+    return Sheet("S9", (*chain, *found), tuple(lacking))
+
+
+def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[Panel], list[str]]:
+    """Panels whose metrics the table has, and a sentence for each of the others."""
+    panels, left_out = [], []
+    for letter, draw, metrics, settings in wanted:
+        lacks = sources.lacks(*metrics)
+        if lacks or sources.trials is None:
+            left_out.append(f"{letter} needs {lacks}")
+        else:
+            panels.append(Panel(letter, _drawing(draw, sources.trials, metrics, settings)))
+    return panels, left_out
+
+
+def _drawing(
+    draw: Callable[..., Any], trials: Trials, metrics: tuple[str, ...], settings: dict[str, Any]
+) -> Callable[[SubFigure], Any]:
+    return lambda part: draw(part.subplots(), trials, *metrics, **settings)

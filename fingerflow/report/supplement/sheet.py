@@ -1,0 +1,62 @@
+"""A figure of lettered panels, and what of it is left out for want of input."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure, SubFigure
+
+from fingerflow.atomic_write import write_atomically
+
+_COLUMNS = 3
+_PANEL_INCHES = (4.6, 3.8)
+_DPI = 110
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A letter of the caption, what draws it, over how many of three columns it goes, and its height in panels."""
+
+    letter: str
+    draw: Callable[[SubFigure], Any]
+    columns: int = 1
+    rows: float = 1.0
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A figure by its name in the supplement; `left_out` says which panels lack what."""
+
+    name: str
+    panels: tuple[Panel, ...]
+    left_out: tuple[str, ...] = ()
+
+    def figure(self) -> Figure:
+        """Panels in rows of three columns, each with its letter."""
+        rows: list[list[Panel]] = []
+        for panel in self.panels:
+            if not rows or sum(other.columns for other in rows[-1]) + panel.columns > _COLUMNS:
+                rows.append([])
+            rows[-1].append(panel)
+        columns = max(sum(panel.columns for panel in row) for row in rows)
+        wide, high = _PANEL_INCHES
+        heights = [max(panel.rows for panel in row) for row in rows]
+        figure = Figure(figsize=(wide * columns, high * sum(heights)), layout="constrained")
+        grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
+        for number, row in enumerate(rows):
+            at = 0
+            for panel in row:
+                part = figure.add_subfigure(grid[number, at : at + panel.columns])
+                if panel.letter:
+                    part.suptitle(panel.letter, x=0.01, ha="left", fontweight="bold")
+                panel.draw(part)
+                at += panel.columns
+        return figure
+
+    def write(self, folder: Path) -> Path:
+        """Writes `S1.png` and so on, whole or not at all; raises FingerflowError where it cannot be written."""
+        path = folder / f"{self.name}.png"
+        figure = self.figure()
+        write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=_DPI))
+        return path

@@ -1,0 +1,53 @@
+"""What figures are made from: each part is read or simulated once, when the first figure asks for it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from fingerflow.models.friction_epochs import FrictionEpochs
+from fingerflow.models.observer import Trials
+from fingerflow.report.press_field import PressField, press_field
+from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
+from fingerflow.report.strains_at_depth import Depth, look_under
+from fingerflow.report.trial_metrics import METRICS
+from fingerflow.report.tribometer import TribometerTrace
+
+NO_TRIALS = "a table of trials (--trials)"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """A tribometer trace and a table of trials, None where there is none; the rest is simulated."""
+
+    tribometer: TribometerTrace | None = None
+    trials: Trials | None = None
+
+    @cached_property
+    def epochs(self) -> FrictionEpochs | None:
+        """Of the tribometer trace."""
+        return None if self.tribometer is None else self.tribometer.epochs()
+
+    @cached_property
+    def presses(self) -> SimulatedPresses:
+        """Of the skin chain."""
+        return simulate_presses()
+
+    @cached_property
+    def depth(self) -> Depth:
+        """Under these presses."""
+        return look_under(self.presses)
+
+    @cached_property
+    def field(self) -> PressField:
+        """Of the simulated press."""
+        return press_field()
+
+    def lacks(self, *metrics: str) -> str:
+        """What a panel of these metrics needs and has not; empty where all is there."""
+        if self.trials is None:
+            return NO_TRIALS
+        missing = [name for name in metrics if name not in self.trials.metrics]
+        return f"the column{'s' * (len(missing) > 1)} {', '.join(missing)} in the table of trials" if missing else ""
+
+    def known_metrics(self) -> list[str]:
+        """Columns of the table that figures know by name."""
+        return [] if self.trials is None else [name for name in METRICS if name in self.trials.metrics]
