@@ -77,8 +77,9 @@ def draw_decomposition(part: SubFigure, found: Decomposition) -> Sequence[Axes]:
         "rest": f"{1e3 * _middle_length(found.parts['rest']):.0f} µm in the median",
     }
     scale = _arrow_scale(found)
-    *axes, unused = part.subplots(2, 4, sharex=True, sharey=True).flat
-    unused.set_axis_off()
+    grid: list[Axes] = list(part.subplots(2, 4, sharex=True, sharey=True).flat)
+    axes = grid[: len(PARTS)]
+    grid[-1].set_axis_off()
     for one, (name, amount) in zip(axes, amounts.items(), strict=True):
         arrows = found.parts[name]
         shown = np.isfinite(arrows).all(1) & np.isfinite(found.points).all(1)

@@ -17,7 +17,7 @@ from fingerflow.report.video import encode_video
 
 _INCHES, _DPI = (10.0, 5.4), 96
 _WIDE_MM = 9.0  # of the finger that is shown, from its middle
-_LARGEST_MM = 0.05  # of the scale of colours at least
+_LARGEST_MM = 1e-3  # of the scale of colours at least
 _HELD = 20  # frames in which the last picture stays
 
 
@@ -41,7 +41,7 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
     """RGB pictures (H, W, 3), one a time: the skin, coloured by its displacement along the plate, over its loads."""
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(2, 1))
+    axes = figure.subplots(2, 2, sharex=True, sharey="row", height_ratios=(1.4, 1))
     chosen = [presses.index(friction) for friction in (LOW, HIGH)]
     chain = presses.chain
     moved = 1e3 * chain.displacement[:, chosen, :, 0].numpy()
@@ -71,7 +71,7 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
         for column, k in enumerate(chosen):
             place = 1e3 * chain.position[frame, k].numpy()
             skin, bone = skins[column]
-            skin.set_segments(np.stack((place[:-1], place[1:]), 1))
+            skin.set_segments(list(np.stack((place[:-1], place[1:]), 1)))
             skin.set_array((moved[frame, column, 1:] + moved[frame, column, :-1]) / 2)
             # The middle of the undeformed half-circle, moved along with the bone.
             radius = float(1e3 * (chain.position - chain.displacement)[frame, k, 0, 1])
@@ -80,5 +80,6 @@ def movie_pictures(presses: SimulatedPresses) -> Iterator[NDArray[np.uint8]]:
             for line, load in zip(loads[column], (chain.pressure, chain.traction), strict=True):
                 line.set_data(place[:, 0], 1e-3 * load[frame, k].numpy())
         heading.set_text(f"{presses.time[frame]:.2f} s, {presses.force[frame]:.2f} N")
-        canvas.draw()
-        yield np.array(canvas.buffer_rgba())[..., :3]
+        canvas.draw()  # type: ignore[no-untyped-call]
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        figure.set_layout_engine("none")  # found once: it takes ten times as long as drawing

@@ -60,7 +60,8 @@ def draw_curl_map(part: SubFigure, field: PressField) -> Axes:
     axes: Axes = part.subplots()
     values = 1e3 * field.curl
     largest = float(np.nanmax(np.abs(values)))
-    dots = axes.scatter(*field.reference.T, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, s=60, marker="s")
+    x, y = field.reference.T
+    dots = axes.scatter(x, y, s=60, c=values, cmap="RdBu_r", vmin=-largest, vmax=largest, marker="s")
     axes.set(xlabel="mm", ylabel="mm", aspect="equal", title="press of fingerflow demo")
     part.colorbar(dots, ax=axes, label="curl (µm/mm)", shrink=0.75)
     finished(axes)

@@ -25,6 +25,8 @@ FRICTIONS = (0.02, 0.05, 0.2, 1.0)
 LOW, HIGH = 0.2, 1.0  # what the paper calls a low and a high friction
 DEPTH_MM = 2.0  # over which the paper takes the strain as uniform (equation 3)
 _TIMES = 101
+_ELEMENTS = 1001  # twice the paper's: contact grows by whole elements, and rates show it
+_SLOPE_S = 0.12  # over which a rate is a straight line's slope, some elements' worth of growth
 _MAP_CELLS = 241
 _RADII = 201
 
@@ -73,12 +75,16 @@ class Profile:
 
 
 def simulate_presses(
-    friction: Sequence[float] = FRICTIONS, load_n: float = 3.0, duration_s: float = 1.0, times: int = _TIMES
+    friction: Sequence[float] = FRICTIONS,
+    load_n: float = 3.0,
+    duration_s: float = 1.0,
+    times: int = _TIMES,
+    elements: int = _ELEMENTS,
 ) -> SimulatedPresses:
     """Press the lab's chain with a force that rises evenly to ``load_n`` at each friction."""
     time = torch.linspace(0, duration_s, times, dtype=torch.float64)
     force = load_n * time / duration_s
-    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force)
+    chain = follow(torch.tensor(friction, dtype=torch.float64), time, force, elements=elements)
     return SimulatedPresses(tuple(friction), time.numpy(), force.numpy(), chain)
 
 
@@ -121,7 +127,7 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
     for one, strain, name in zip(axes, (found.radial, found.hoop), ("radial", "hoop"), strict=True):
         series = 100 * np.median(strain, axis=-1)
         if rate:
-            series = np.gradient(series, presses.time, axis=0)
+            series = _rate(series, presses.time)
         _draw_series(one, presses, series)
         one.set(ylabel=f"median {name} strain{' rate (%/s)' if rate else ' (%)'}")
     return axes
@@ -130,7 +136,7 @@ def draw_strain_series(part: SubFigure, presses: SimulatedPresses, rate: bool = 
 def draw_energy_series(axes: Axes, presses: SimulatedPresses, rate: bool = False) -> Axes:
     """Figure S9 B, or C with ``rate``: total strain energy (mJ, mJ/s) against the normal force."""
     energy = presses.energy()
-    _draw_series(axes, presses, np.gradient(energy, presses.time, axis=0) if rate else energy)
+    _draw_series(axes, presses, _rate(energy, presses.time) if rate else energy)
     axes.set(ylabel="strain energy rate (mJ/s)" if rate else "total strain energy (mJ)")
     return axes
 
@@ -141,7 +147,7 @@ def draw_fastest_point(axes: Axes, presses: SimulatedPresses) -> Axes:
     touching = presses.chain.normal_force.numpy()[-1] > CONTACT_N
     furthest = np.where(touching, np.abs(moved[-1]), -1.0).argmax(-1)
     own = np.take_along_axis(moved, furthest[None, :, None], axis=-1)[..., 0]
-    _draw_series(axes, presses, np.abs(np.gradient(own, presses.time, axis=0)))
+    _draw_series(axes, presses, np.abs(_rate(own, presses.time)))
     axes.set(ylabel="speed of the furthest point (mm/s)")
     return axes
 
@@ -166,6 +172,18 @@ def _draw_series(axes: Axes, presses: SimulatedPresses, series: Values) -> None:
 def friction_colours(presses: SimulatedPresses) -> Any:
     """A colour a friction, (K, 4), darker the smaller it is."""
     return colormaps["viridis"](np.linspace(0, 0.9, len(presses.friction)))
+
+
+def _rate(series: Values, time: Values) -> Values:
+    """(T, K) a second, by straight lines over 0.12 s of even times; NaN where a line would reach beyond them."""
+    width = max(1, round(_SLOPE_S / (time[1] - time[0]) / 2))
+    offsets = np.arange(-width, width + 1)
+    weights = offsets[::-1] / ((offsets**2).sum() * (time[1] - time[0]))
+    rates = np.full(series.shape, np.nan)
+    for column in range(series.shape[1]):
+        if len(time) > 2 * width:
+            rates[width:-width, column] = np.convolve(series[:, column], weights, mode="valid")
+    return rates
 
 
 def _density(radial: Values, hoop: Values) -> Values:

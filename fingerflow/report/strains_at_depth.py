@@ -80,8 +80,8 @@ def draw_surface(part: SubFigure, presses: SimulatedPresses) -> Sequence[Axes]:
             one.plot(x, 1e-3 * load[-1, k].numpy(), **style)
     axes[0].set(ylabel="pressure (kPa)", title=f"{presses.force[-1]:.1f} N")
     axes[1].set(xlabel="along the plate (mm)", ylabel="traction (kPa)", xlim=(-_REACH_MM, _REACH_MM))
-    for one in axes:
-        finished(one)
+    finished(axes[0])
+    axes[1].grid(alpha=0.25)  # without a legend: the same lines as above
     return axes
 
 
@@ -91,7 +91,7 @@ def draw_stress_map(part: SubFigure, presses: SimulatedPresses, depth: Depth) ->
     lowest = float(depth.sigma_z.min())
     for one, friction in zip(axes, (LOW, HIGH), strict=True):
         values = depth.sigma_z[presses.index(friction)]
-        image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="viridis_r", vmin=lowest, vmax=0)
+        image = one.pcolormesh(depth.place, depth.map_depth, values, cmap="YlOrRd_r", vmin=lowest, vmax=0)
         for down in RECEPTOR_DEPTHS_M:
             along = np.arange(-3, 4) * _APART_MM
             one.plot(along, np.full(along.shape, 1e3 * down), "k.", markersize=4)
@@ -112,7 +112,8 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
         one.grid(alpha=0.25)
     peak = depth.receptor_stress[1].min(-1)
     axes[0].set_title(f"peak of $\\sigma_z$ {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
-    axes[1].legend(frameon=False, fontsize="small")
+    handles, labels = axes[0].get_legend_handles_labels()
+    part.legend(handles, labels, frameon=False, fontsize="small", ncols=len(labels), loc="outside lower center")
     axes[2].set_xlabel("along the plate (mm), 2 mm deep")
     return axes
 

@@ -135,14 +135,16 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
 
 
 def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
-    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median metric, a dot a participant and amplitude.
+    """Figures S7 C to E, S8 H and I, S9 E: share of answers against the median of a metric.
 
-    The darker a dot, the smaller the amplitude. The title has Spearman's coefficient over the dots.
+    A dot a participant and amplitude; the darker, the smaller the amplitude.
+    The title has Spearman's coefficient over the dots.
     """
     values = _shown(trials, metric)
     conditions, place = _conditions(trials)
     colours = colormaps["viridis"](np.linspace(0, 0.9, len(conditions)))
-    medians, shares = [], []
+    medians: list[float] = []
+    shares: list[float] = []
     for index, colour in enumerate(colours):
         x, y = [], []
         for participant in np.unique(trials.participant):
