@@ -113,7 +113,10 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
     peak = depth.receptor_stress[1].min(-1)
     axes[0].set_title(f"peak of $\\sigma_z$ {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
     handles, labels = axes[0].get_legend_handles_labels()
-    part.legend(handles, labels, frameon=False, fontsize="small", ncols=len(labels), loc="outside lower center")
+    part.legend(
+        handles, labels, frameon=False, fontsize="small", ncols=len(labels), loc="outside lower center",
+        columnspacing=1.0, handlelength=1.2,
+    )  # fmt: skip
     axes[2].set_xlabel("along the plate (mm), 2 mm deep")
     return axes
 

@@ -39,7 +39,7 @@ def ideal_observer(sources: Sources) -> Sheet:
     """Figure S11, of the metrics that the paper tests and the table has, without trials of fingers that slid."""
     trials = sources.trials
     metrics = [name for name in _OBSERVED if not sources.lacks(name)]
-    lacking = [f"{name} needs {sources.lacks(name)}" for name in _OBSERVED if sources.lacks(name)]
+    missing = [name for name in _OBSERVED if name not in metrics]
     if trials is None or not metrics:
         return Sheet("S11", (), (f"needs {NO_TRIALS} with {', '.join(_OBSERVED)}",))
     if "global_displacement" in trials.metrics:
@@ -61,7 +61,8 @@ def ideal_observer(sources: Sources) -> Sheet:
             ),
         ),
     )
-    return Sheet("S11", panels, tuple(lacking))
+    left_out = (f"the metrics need {sources.lacks(*missing)}",) if missing else ()
+    return Sheet("S11", panels, left_out)
 
 
 def individual_performance(sources: Sources) -> Sheet:

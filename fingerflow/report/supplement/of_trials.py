@@ -28,7 +28,7 @@ from fingerflow.report.trial_metrics import (
 )
 from fingerflow.report.tribometer import draw_friction, draw_trace
 
-_RECORDING = "the pictures and series of recordings, which a table of trials does not hold"
+_RECORDING = "pictures and series of recordings, which no table of trials holds"
 _NO_TRACE = "a tribometer trace (--tribometer)"
 
 # A letter, what draws it from the table, the metrics that it takes, and settings.
@@ -38,16 +38,16 @@ _Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
 def friction_and_area(sources: Sources) -> Sheet:
     """Figure S1."""
     panels: list[Panel] = []
-    left_out = []
+    left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
     if trace is None or epochs is None:
-        left_out += [f"{letter} needs {_NO_TRACE}" for letter in "AB"]
+        left_out += [(letter, _NO_TRACE) for letter in "AB"]
     else:
         panels.append(
             Panel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), columns=2, rows=1.4)
         )
         panels.append(Panel("B", lambda part: draw_friction(part.subplots(), epochs)))
-    left_out += [f"{letter} needs {_RECORDING}" for letter in "CE"]
+    left_out += [(letter, _RECORDING) for letter in "CE"]
     found, lacking = _from_table(
         sources,
         (
@@ -55,7 +55,7 @@ def friction_and_area(sources: Sources) -> Sheet:
             ("F", draw_by_condition, ("real_contact_area",), {"normalised": True}),
         ),
     )
-    return Sheet("S1", (*panels, *found), (*left_out, *lacking))
+    return Sheet("S1", (*panels, *found), Sheet.sentences(left_out + lacking))
 
 
 def kinematics(sources: Sources) -> Sheet:
@@ -78,7 +78,7 @@ def kinematics(sources: Sources) -> Sheet:
         Panel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
         Panel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
     )
-    return Sheet("S5", (*found, *chain), (f"A needs {_RECORDING}", *lacking))
+    return Sheet("S5", (*found, *chain), Sheet.sentences([("A", _RECORDING), *lacking]))
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
@@ -93,7 +93,7 @@ def displacement_and_angle(sources: Sources) -> Sheet:
             ("E", draw_share_against, ("real_contact_area",), {}),
         ),
     )
-    return Sheet("S7", tuple(found), tuple(lacking))
+    return Sheet("S7", tuple(found), Sheet.sentences(lacking))
 
 
 def surface_strain(sources: Sources) -> Sheet:
@@ -112,7 +112,7 @@ def surface_strain(sources: Sources) -> Sheet:
             ("I", draw_share_against, ("strain_rate",), {}),
         ),
     )
-    return Sheet("S8", (*chain, *found), (*(f"{letter} needs {_RECORDING}" for letter in "AC"), *lacking))
+    return Sheet("S8", (*chain, *found), Sheet.sentences([("A", _RECORDING), ("C", _RECORDING), *lacking]))
 
 
 def strain_energy(sources: Sources) -> Sheet:
@@ -130,16 +130,17 @@ def strain_energy(sources: Sources) -> Sheet:
             ("E", draw_share_against, ("strain_energy",), {}),
         ),
     )
-    return Sheet("S9", (*chain, *found), tuple(lacking))
+    return Sheet("S9", (*chain, *found), Sheet.sentences(lacking))
 
 
-def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[Panel], list[str]]:
-    """Panels whose metrics the table has, and a sentence for each of the others."""
-    panels, left_out = [], []
+def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[Panel], list[tuple[str, str]]]:
+    """Panels whose metrics the table has, and of the others the letter and what they need."""
+    panels: list[Panel] = []
+    left_out: list[tuple[str, str]] = []
     for letter, draw, metrics, settings in wanted:
         lacks = sources.lacks(*metrics)
         if lacks or sources.trials is None:
-            left_out.append(f"{letter} needs {lacks}")
+            left_out.append((letter, lacks))
         else:
             panels.append(Panel(letter, _drawing(draw, sources.trials, metrics, settings)))
     return panels, left_out

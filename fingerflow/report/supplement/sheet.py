@@ -1,6 +1,6 @@
 """A figure of lettered panels, and what of it is left out for want of input."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,14 @@ class Sheet:
     name: str
     panels: tuple[Panel, ...]
     left_out: tuple[str, ...] = ()
+
+    @staticmethod
+    def sentences(missing: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+        """From letters of panels and what each needs to one sentence a need."""
+        letters: dict[str, list[str]] = {}
+        for letter, need in missing:
+            letters.setdefault(need, []).append(letter)
+        return tuple(f"{', '.join(of)} need{'s' * (len(of) == 1)} {need}" for need, of in letters.items())
 
     def figure(self) -> Figure:
         """Panels in rows of three columns, each with its letter."""

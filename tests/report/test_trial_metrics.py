@@ -1,0 +1,135 @@
+"""Figures of a table of trials: what they show is what the table says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.observer import Trials, spearman
+from fingerflow.report import trial_metrics as metrics
+from fingerflow.report.trials_file import load_trials
+
+AMPLITUDES = (0.0, 1.0, 2.0)
+
+
+def table(path: Path, rows: int = 20) -> Path:
+    """4 participants, 3 amplitudes; the area is 10 times the participant's number, less with amplitude."""
+    draw = np.random.default_rng(0)
+    lines = ["participant,trial,condition,answer,max_force,real_contact_area,force_angle,divergence,strain"]
+    for who in range(1, 5):
+        for amplitude in AMPLITUDES:
+            for trial in range(rows):
+                right = int(draw.random() < 0.5 + 0.2 * amplitude)
+                force = 5 + draw.standard_normal()
+                area = 10 * who * (1 - 0.1 * amplitude)
+                divergence = 0.01 + 0.005 * amplitude + 0.001 * draw.standard_normal()
+                cells = f"p{who},{trial},{amplitude},{right},{force:.6f},{area},0.1,{divergence:.6f}"
+                lines.append(f"{cells},{0.4 * divergence + 0.001:.8f}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> Trials:
+    return load_trials(table(tmp_path_factory.mktemp("trials") / "trials.csv"))
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure(layout="constrained").subplots()
+
+
+def test_a_distribution(axes: Axes, trials: Trials) -> None:
+    metrics.draw_distribution(axes, trials, "max_force")
+    assert sum(patch.get_height() for patch in axes.patches[:-1]) == 240
+    force = trials.metrics["max_force"]
+    assert axes.lines[0].get_xdata()[0] == pytest.approx(force.mean())
+    assert axes.get_title() == f"{force.mean():.3g} ± {force.std(ddof=1):.2g}, 240 trials"
+
+
+def test_an_influence_that_is_none(axes: Axes, trials: Trials) -> None:
+    metrics.draw_influence(axes, trials, "max_force")
+    shares = np.asarray(axes.lines[0].get_ydata(), dtype=float)
+    assert shares.size == 8
+    assert shares.mean() == pytest.approx(trials.answer.mean())
+    (low, high) = zip(*(segment[:, 1] for segment in axes.collections[0].get_segments()), strict=True)
+    assert (np.array(low) < shares).all()
+    assert (shares < np.array(high)).all()
+    assert "240 trials" in axes.get_title()
+
+
+def test_bars_of_three_thirds(axes: Axes, trials: Trials) -> None:
+    metrics.draw_influence_by_condition(axes, trials, "max_force")
+    assert len(axes.patches) == 9
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "1", "2"]
+    force = trials.metrics["max_force"]
+    first = trials.answer[(force < np.quantile(force, 1 / 3)) & (trials.condition == 0)]
+    assert axes.patches[0].get_height() == pytest.approx(first.mean())
+
+
+def test_areas_over_the_participants_own(axes: Axes, trials: Trials) -> None:
+    metrics.draw_by_condition(axes, trials, "real_contact_area", normalised=True)
+    medians = [line.get_ydata()[0] for line in axes.lines if line.get_linewidth() == 2]
+    assert medians == pytest.approx([1 / 0.9, 1, 0.8 / 0.9])
+    assert "real contact area over own median" in axes.get_ylabel()
+    angle = Figure().subplots()
+    metrics.draw_by_condition(angle, trials, "force_angle")
+    assert angle.lines[-1].get_ydata()[0] == pytest.approx(np.rad2deg(0.1))
+
+
+def test_shares_against_the_median_metric(axes: Axes, trials: Trials) -> None:
+    metrics.draw_share_against(axes, trials, "divergence")
+    assert [line.get_label() for line in axes.lines] == ["0", "1", "2"]
+    own = (trials.participant == "p1") & (trials.condition == 2)
+    assert axes.lines[2].get_xdata()[0] == pytest.approx(1e3 * np.median(trials.metrics["divergence"][own]))
+    assert axes.lines[2].get_ydata()[0] == pytest.approx(trials.answer[own].mean())
+    dots = np.concatenate([line.get_data() for line in axes.lines], axis=1)
+    assert f"Spearman {spearman(*dots).value:.2f}" in axes.get_title()
+    brightness = [np.sum(line.get_color()[:3]) for line in axes.lines]
+    assert brightness == sorted(brightness)
+
+
+def test_a_correlation_has_its_line(axes: Axes, trials: Trials) -> None:
+    metrics.draw_correlation(axes, trials, "divergence", "strain")
+    x, y = axes.lines[-1].get_data()
+    assert (y[1] - y[0]) / (x[1] - x[0]) == pytest.approx(0.04, rel=1e-3)  # % a um/mm
+    assert axes.lines[-1].get_label() == "y = 0.04 x + 0.1, R² = 1.00"
+    assert len({tuple(line.get_color()) for line in axes.lines[:-1]}) == 4
+
+
+def test_a_metric_that_is_not_there(axes: Axes, trials: Trials) -> None:
+    with pytest.raises(FingerflowError, match="no metric 'duration': it has max_force"):
+        metrics.draw_distribution(axes, trials, "duration")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "give a heading"),
+        ("participant,trial,condition,answer\n", "0 rows"),
+        ("participant,trial,condition,answer\na,1,0,yes\n", "answer of trial 1 is 'yes'; give 1"),
+        ("participant,trial,condition,answer\na,1,0\n", "trial 1 has 3 cells, the heading 4"),
+        ("participant,trial,condition,answer,curl\na,1,0,1,much\n", "curl of trial 1 is 'much'; give a number"),
+        ("participant,trial,answer\na,1,0\n", r"t\.csv: the table of trials lacks condition"),
+    ],
+)
+def test_tables_with_mistakes(tmp_path: Path, text: str, match: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(FingerflowError, match=match):
+        load_trials(path)
+    with pytest.raises(FingerflowError, match=r"none\.csv cannot be read"):
+        load_trials(tmp_path / "none.csv")
+
+
+def test_empty_cells_and_words(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("participant,trial,condition,answer,curl\n1,1,high,True,\n1,2,low,FALSE,0.5\n")
+    found = load_trials(path)
+    assert found.participant.tolist() == ["1", "1"]
+    assert found.condition.tolist() == ["high", "low"]
+    assert found.answer.tolist() == [True, False]
+    np.testing.assert_array_equal(found.metrics["curl"], [np.nan, 0.5])
