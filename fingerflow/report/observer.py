@@ -19,6 +19,10 @@ from fingerflow.report.axes_style import GREEN, GREY, INK, RED, finished
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
     """Figure S11 A: trials a bin of the normalised metric, correct and incorrect, with the Gaussians fitted to them."""
+    axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials")
+    if not observer.bins.size:
+        axes.set_title(observer.reason, fontsize="small", wrap=True)
+        return finished(axes)
     middles = (observer.bins[:-1] + observer.bins[1:]) / 2
     for counts, fitted, colour, name in (
         (observer.counts_correct, observer.correct, GREEN, "correct"),
@@ -29,7 +33,7 @@ def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:
             x = np.linspace(middles[0], middles[-1], 300)
             curve = fitted.amplitude * np.exp(-(((x - fitted.mean) / fitted.deviation) ** 2) / 2)
             axes.plot(x, curve, color=colour, label=name)
-    axes.set(xlabel=f"{metric} over its 0.9 quantile", ylabel="trials", title=f"d' = {observer.d_prime:.2f}")
+    axes.set_title(f"d' = {observer.d_prime:.2f}")
     return finished(axes)
 
 

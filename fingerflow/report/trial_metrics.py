@@ -222,4 +222,6 @@ def _wilson(answers: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def _p(value: float) -> str:
+    if np.isnan(value):
+        return "no p"
     return "p < 0.001" if value < 1e-3 else f"p = {value:.3f}"

@@ -84,7 +84,9 @@ def individual_performance(sources: Sources) -> Sheet:
     panels += [_scatter(f"B, {name}" if len(parts) > 1 else "B", own) for name, own in parts.items()]
     left_out = [] if not groups.reason else [f"A has no groups: {groups.reason}"]
     if not np.issubdtype(trials.condition.dtype, np.number):
-        left_out.append(f"C needs the vibration amplitude (µm) in the column condition, not {trials.condition[0]!r}")
+        left_out.append(
+            f"C needs the vibration amplitude (µm) in the column condition, not {str(trials.condition[0])!r}"
+        )
     elif np.unique(trials.condition).size < _FEWEST_AMPLITUDES:
         left_out.append(f"C needs {_FEWEST_AMPLITUDES} amplitudes in the column condition or more")
     else:

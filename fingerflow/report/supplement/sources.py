@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from fingerflow.models.friction_epochs import FrictionEpochs
 from fingerflow.models.observer import Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
 from fingerflow.report.strains_at_depth import Depth, look_under
-from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.tribometer import TribometerTrace
 
 NO_TRIALS = "a table of trials (--trials)"
@@ -45,9 +46,6 @@ class Sources:
         """What a panel of these metrics needs and has not; empty where all is there."""
         if self.trials is None:
             return NO_TRIALS
-        missing = [name for name in metrics if name not in self.trials.metrics]
-        return f"the column{'s' * (len(missing) > 1)} {', '.join(missing)} in the table of trials" if missing else ""
-
-    def known_metrics(self) -> list[str]:
-        """Columns of the table that figures know by name."""
-        return [] if self.trials is None else [name for name in METRICS if name in self.trials.metrics]
+        values = self.trials.metrics
+        missing = [name for name in metrics if name not in values or not np.isfinite(values[name]).any()]
+        return f"values of {', '.join(missing)} in the table of trials" if missing else ""

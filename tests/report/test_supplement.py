@@ -1,0 +1,146 @@
+"""`fingerflow figures`: which figures come from what, what is left out and why, and whole files only."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fingerflow import cli
+from fingerflow.report.press_field import press_field
+from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, simulate_presses
+from fingerflow.report.supplement import FIGURES, Sources, sources
+from fingerflow.report.supplement.sheet import Sheet
+from fingerflow.report.trials_file import load_trials
+from fingerflow.synthetic import Press
+
+
+@pytest.fixture(autouse=True)
+def small_presses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer elements, times and frictions than the figures have: it is the composition that is tested here."""
+
+    def few() -> SimulatedPresses:
+        return simulate_presses((LOW, HIGH), times=21, elements=101)
+
+    monkeypatch.setattr(sources, "simulate_presses", few)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit code of the command line, run in this process."""
+    monkeypatch.setattr(sys, "argv", ["fingerflow", "figures", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def table(path: Path, columns: tuple[str, ...]) -> Path:
+    """8 participants, of whom 4 have softer skin, 4 amplitudes."""
+    draw = np.random.default_rng(0)
+    lines = [",".join(("participant", "trial", "condition", "answer", *columns))]
+    for who in range(8):
+        for amplitude in (0.0, 1.0, 2.0, 3.0):
+            for trial in range(6):
+                right = int(draw.random() < 0.5 + 0.16 * amplitude)
+                level = 0.01 + 0.02 * (who >= 4) + 0.002 * amplitude + 0.001 * right
+                values = level * (1 + 0.2 * draw.random(len(columns)))
+                lines.append(",".join(map(str, (who, trial, amplitude, right, *values))))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_without_tables_the_simulated_figures_come_and_the_others_say_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, str(tmp_path / "new"), "--json") == 0
+    found = {one["figure"]: one for one in json.loads(capsys.readouterr().out)}
+    assert list(found) == [*FIGURES, "M3"]
+    assert {name for name, one in found.items() if one["file"] is None} == {"S1", "S7", "S11", "S12"}
+    assert found["S1"]["left_out"] == [
+        "A, B need a tribometer trace (--tribometer)",
+        "C, E need pictures and series of recordings, which no table of trials holds",
+        "D, F need a table of trials (--trials)",
+    ]
+    assert found["S7"]["left_out"] == ["A, B, C, D, E need a table of trials (--trials)"]
+    assert found["S4"]["left_out"] == found["S6"]["left_out"] == found["S10"]["left_out"] == []
+    assert found["S13"]["left_out"] == ["C needs a table of trials (--trials)"]
+    names = sorted(path.name for path in (tmp_path / "new").iterdir())
+    assert names == sorted([*(f"S{number}.png" for number in (4, 5, 6, 8, 9, 10, 13)), "M3.mp4"])
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "new").glob("*.png"))
+
+
+def test_a_table_brings_the_panels_of_its_columns(tmp_path: Path) -> None:
+    columns = ("divergence", "curl", "strain", "global_displacement", "force_rate")
+    found = Sources(trials=load_trials(table(tmp_path / "t.csv", columns)))
+    letters = {name: [panel.letter for panel in FIGURES[name](found).panels] for name in ("S5", "S7", "S8", "S12")}
+    assert letters["S5"] == ["H", "I", "J (skin chain)", "K (skin chain)"]
+    assert letters["S7"] == ["A", "C"]
+    assert letters["S8"][-2:] == ["G", "H"]
+    assert letters["S12"] == ["A", "B, stiffer skin", "B, softer skin", "C"]
+    assert FIGURES["S7"](found).left_out == (
+        "B, D need values of force_angle in the table of trials",
+        "E needs values of real_contact_area in the table of trials",
+    )
+    observer = FIGURES["S11"](found)
+    assert [panel.letter for panel in observer.panels] == ["A", "B", "C, d'", "C, AUC"]
+    assert observer.left_out == (
+        "the metrics need values of force_angle, strain_rate, strain_energy, real_contact_area in the table of trials",
+    )
+    table_axes = observer.figure().axes[2]
+    assert [label.get_text() for label in table_axes.get_yticklabels()] == [
+        *("divergence", "global displacement", "force rate")
+    ]
+
+
+def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", ("divergence", "curl"))
+    heading, *rows = path.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    path.write_text("\n".join([heading, *(",".join([*row[:3], "1", row[4], ""]) for row in cells)]))
+    found = Sources(trials=load_trials(path))
+    one = FIGURES["S11"](found)
+    assert "both are needed" in one.figure().axes[0].get_title()
+    FIGURES["S12"](found).figure()
+    assert FIGURES["S13"](found).left_out == ("C needs values of curl in the table of trials",)
+
+
+def test_rows_of_panels_have_letters_in_order(tmp_path: Path) -> None:
+    found = Sources(trials=load_trials(table(tmp_path / "t.csv", ("max_force", "duration", "force_rate"))))
+    figure = FIGURES["S5"](found).figure()
+    assert [part._suptitle.get_text() for part in figure.subfigs] == [
+        *("B", "D", "E", "G", "H", "I", "J (skin chain)", "K (skin chain)")
+    ]
+    assert Sheet.sentences([("A", "x"), ("C", "y"), ("B", "x")]) == ("A, B need x", "C needs y")
+
+
+def test_the_field_of_the_simulated_press_is_its_truth() -> None:
+    scene = Press(bumps=(), gradient=((0.0, 0.0), (0.0, 0.0)), shift=(0.1, -0.05))
+    found = press_field(scene)
+    at_rest = np.hypot(*(found.reference - scene.contact_centre).T) < 1.5  # reached before the skin had moved much
+    np.testing.assert_allclose(found.displacement[at_rest], np.tile((0.1, -0.05), (at_rest.sum(), 1)), atol=0.005)
+    assert found.force[-1] == pytest.approx(5.0)
+    assert np.isnan(found.median_curl[0])
+    assert len(found.curl) == len(found.reference) > 100
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--tribometer", "none.csv"), "none.csv: there is no such file"),
+        (("--trials", "none.csv"), "none.csv cannot be read"),
+        (("--column", "normal=Fz"), "give the file by --tribometer"),
+        (("--tribometer", "none.csv", "--column", "normal"), "--column normal: give two names with = between them"),
+    ],
+)
+def test_mistakes_are_named(
+    arguments: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "out", *arguments) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
