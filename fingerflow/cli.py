@@ -284,7 +284,13 @@ def figures(
         typer.Option(help="NAME=UNIT of a column of the trace that does not state it; may be repeated."),
     ] = None,
     trials: Annotated[
-        Path | None, typer.Option(help="A CSV file, one row a trial: participant, trial, condition, answer, metrics.")
+        Path | None,
+        typer.Option(
+            help="A CSV file, one row a trial: participant, trial, condition (vibration amplitude in µm), answer (1 or "
+            "0) and any of max_force, time_to_max_force, duration, force_rate, max_displacement, global_displacement, "
+            "force_angle, real_contact_area, gross_contact_area, divergence, curl, strain, strain_rate, strain_energy, "
+            "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit."
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

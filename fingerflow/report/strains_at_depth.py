@@ -111,7 +111,7 @@ def draw_receptor_stress(part: SubFigure, presses: SimulatedPresses, depth: Dept
         one.set_ylabel(name)
         one.grid(alpha=0.25)
     peak = depth.receptor_stress[1].min(-1)
-    axes[0].set_title(f"peak of $\\sigma_z$ {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
+    axes[0].set_title(f"peak of $\\sigma_z$, {_ratio(presses, peak)}, in print 1.2", fontsize="medium")
     handles, labels = axes[0].get_legend_handles_labels()
     part.legend(
         handles, labels, frameon=False, fontsize="small", ncols=len(labels), loc="outside lower center",
@@ -139,7 +139,7 @@ def draw_compression(axes: Axes, presses: SimulatedPresses, depth: Depth) -> Axe
     for series, style in zip(compression.T, _lines(presses), strict=True):
         axes.plot(presses.time, series, **style)
     axes.set(xlabel="time (s)", ylabel=r"compression $-\epsilon_z$ (%)")
-    axes.set_title(f"at the end {_ratio(presses, compression[-1])}, in print almost 1.2", fontsize="medium")
+    axes.set_title(f"at the end, {_ratio(presses, compression[-1])}, in print almost 1.2", fontsize="medium")
     return finished(axes)
 
 
@@ -154,4 +154,4 @@ def _lines(presses: SimulatedPresses) -> list[dict[str, Any]]:
 
 def _ratio(presses: SimulatedPresses, values: Values) -> str:
     """Of values (K,) at the high over the low friction."""
-    return f"{HIGH:g} / {LOW:g}: {values[presses.index(HIGH)] / values[presses.index(LOW)]:.3f}"
+    return f"friction {HIGH:g} over {LOW:g}: {values[presses.index(HIGH)] / values[presses.index(LOW)]:.3f}"

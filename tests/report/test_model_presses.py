@@ -136,7 +136,7 @@ def test_stress_and_strain_at_depth(simulated: SimulatedPresses) -> None:
     assert np.max(surface[0].lines[2].get_ydata()) == pytest.approx(1e-3 * float(pressure[2].max()))
     assert [np.unique(line.get_ydata()).tolist() for line in maps[0].lines] == [[1.2], [2.0]]
     ratio = float(expected.sigma_z[2].min() / expected.sigma_z[1].min())
-    assert f"1 / 0.2: {ratio:.3f}, in print 1.2" in receptor[0].get_title()
+    assert f"friction 1 over 0.2: {ratio:.3f}, in print 1.2" in receptor[0].get_title()
     # A dilatation of the central part and a compression aside.
     values = over_time.collections[0].get_array()[-1]
     assert values[10] > 0 > values[4]

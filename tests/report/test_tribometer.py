@@ -1,5 +1,7 @@
 """A tribometer trace from a file to figures S1 A and B."""
 
+import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,3 +91,15 @@ def test_mistakes_name_file_value_and_remedy(tmp_path: Path) -> None:
         read_tribometer(volts, COLUMNS)
     with pytest.raises(FingerflowError, match=r"trace\.csv: the envelope has .* not modulated"):
         read_tribometer(written(tmp_path), COLUMNS).epochs(modulation_hz=7.0)
+
+
+def test_a_finger_at_rest_is_drawn_without_epochs(trace: TribometerTrace) -> None:
+    still = replace(trace, position=0 * trace.position)
+    epochs = still.epochs()
+    figure = Figure(layout="constrained")
+    axes = list(figure.subplots(5, 1))
+    draw_trace(axes[:4], still, epochs)
+    draw_friction(axes[4], epochs)
+    figure.savefig(io.BytesIO(), dpi=40)
+    assert not axes[0].patches
+    assert axes[4].get_legend().get_texts()[0].get_text() == "median and quartiles of 0 epochs"
