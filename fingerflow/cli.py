@@ -289,7 +289,8 @@ def figures(
             help="A CSV file, one row a trial: participant, trial, condition (vibration amplitude in µm), answer (1 or "
             "0) and any of max_force, time_to_max_force, duration, force_rate, max_displacement, global_displacement, "
             "force_angle, real_contact_area, gross_contact_area, divergence, curl, strain, strain_rate, strain_energy, "
-            "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit."
+            "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit; "
+            "of any with _difference behind its name, comparison less reference."
         ),
     ] = None,
     as_json: AsJson = False,

@@ -16,6 +16,7 @@ from fingerflow.report.axes_style import GREY, INK, RED, finished
 
 Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'
+DIFFERENCE = "_difference"
 AMPLITUDE = "vibration amplitude (µm)"
 _BINS = 8  # of equally many trials
 _NORMAL_95 = 1.959964
@@ -48,6 +49,15 @@ METRICS = {
 }
 
 
+def named(metric: str) -> Shown:
+    """Of METRICS, or of one of these with `_difference` behind it: the comparison's less the reference's."""
+    own = METRICS[metric.removesuffix(DIFFERENCE)]
+    if not metric.endswith(DIFFERENCE):
+        return own
+    name, bracket, unit = own.label.partition(" (")
+    return Shown(f"{name} difference{bracket}{unit}", own.factor)
+
+
 def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
     """Figures S5 B, C, D and H: how many trials have which value, with their mean and standard deviation."""
     values = _shown(trials, metric)
@@ -58,7 +68,7 @@ def draw_distribution(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.axvline(mean, color=INK)
         axes.axvspan(mean - deviation, mean + deviation, color=INK, alpha=0.12, linewidth=0)
         axes.set_title(f"{mean:.3g} ± {deviation:.2g}, {known.size} trials", fontsize="medium")
-    axes.set(xlabel=METRICS[metric].label, ylabel="trials")
+    axes.set(xlabel=named(metric).label, ylabel="trials")
     return finished(axes)
 
 
@@ -76,7 +86,7 @@ def draw_influence(axes: Axes, trials: Trials, metric: str) -> Axes:
         limits = np.array([_wilson(answers[group]) for group in groups]).T
         axes.errorbar(middles, shares, np.abs(limits - shares), fmt="o", color=INK, markersize=4, capsize=2)
     test = one_way_anova(values, trials.answer)
-    axes.set(xlabel=METRICS[metric].label, ylabel=ANSWERED, ylim=(0, 1.03))
+    axes.set(xlabel=named(metric).label, ylabel=ANSWERED, ylim=(0, 1.03))
     axes.set_title(f"ANOVA {_p(test.p)}, {int(known.sum())} trials", fontsize="medium")
     return finished(axes)
 
@@ -100,7 +110,7 @@ def draw_influence_by_condition(axes: Axes, trials: Trials, metric: str) -> Axes
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=ANSWERED, ylim=(0, 1.4))
     axes.set_yticks(np.linspace(0, 1, 6))
     finished(axes)
-    axes.legend(frameon=False, fontsize="small", title=METRICS[metric].label, title_fontsize="small", ncols=3)
+    axes.legend(frameon=False, fontsize="small", title=named(metric).label, title_fontsize="small", ncols=3)
     return axes
 
 
@@ -126,7 +136,7 @@ def draw_by_condition(axes: Axes, trials: Trials, metric: str, normalised: bool 
             axes.bar(index, 2 * deviation, 0.6, mean - deviation, color=INK, alpha=0.18, linewidth=0)
         axes.plot([index - 0.3, index + 0.3], [np.median(own)] * 2, color=INK, linewidth=2)
     test = one_way_anova(values, trials.condition)
-    label = METRICS[metric].label
+    label = named(metric).label
     label = f"{label.partition(' (')[0]} over own median" if normalised else label
     axes.set(xticks=range(len(conditions)), xticklabels=conditions, xlabel=AMPLITUDE, ylabel=label)
     if np.isfinite(test.f):
@@ -155,7 +165,7 @@ def draw_share_against(axes: Axes, trials: Trials, metric: str) -> Axes:
         axes.plot(x, y, "o", color=colour, markersize=4, label=conditions[index])
         medians, shares = medians + x, shares + y
     found = spearman(medians, shares)
-    axes.set(xlabel=f"median {METRICS[metric].label}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
+    axes.set(xlabel=f"median {named(metric).label}", ylabel=ANSWERED, ylim=(-0.03, 1.03))
     axes.locator_params(axis="x", nbins=6)
     axes.set_title(f"Spearman {found.value:.2f}, {_p(found.p)}, {found.trials} dots", fontsize="medium")
     return finished_beside(axes, AMPLITUDE)
@@ -176,7 +186,7 @@ def draw_correlation(axes: Axes, trials: Trials, first: str, second: str) -> Axe
         sign = "+" if offset >= 0 else "-"
         name = f"y = {slope:.3g} x {sign} {abs(offset):.3g}, R² = {found.value**2:.2f}"
         axes.plot(ends, slope * ends + offset, color=RED, linewidth=1.2, label=name)
-    axes.set(xlabel=METRICS[first].label, ylabel=METRICS[second].label)
+    axes.set(xlabel=named(first).label, ylabel=named(second).label)
     axes.set_title(f"{names.size} participants, {found.trials} trials", fontsize="medium")
     return finished(axes)
 
@@ -194,7 +204,7 @@ def finished_beside(axes: Axes, title: str) -> Axes:
 def _shown(trials: Trials, metric: str) -> Values:
     if metric not in trials.metrics:
         raise FingerflowError(f"the table has no metric {metric!r}: it has {', '.join(trials.metrics)}")
-    return trials.metrics[metric] * METRICS[metric].factor
+    return trials.metrics[metric] * named(metric).factor
 
 
 def _conditions(trials: Trials) -> tuple[list[str], NDArray[np.intp]]:

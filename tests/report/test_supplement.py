@@ -93,6 +93,15 @@ def test_a_table_brings_the_panels_of_its_columns(tmp_path: Path) -> None:
     ]
 
 
+def test_differences_are_taken_where_the_caption_has_them(tmp_path: Path) -> None:
+    columns = ("divergence", "divergence_difference", "force_angle", "force_angle_difference", "strain")
+    found = Sources(trials=load_trials(table(tmp_path / "t.csv", columns)))
+    labels = {name: [axes.get_xlabel() for axes in FIGURES[name](found).figure().axes] for name in ("S7", "S12")}
+    assert labels["S7"] == ["vibration amplitude (µm)", "median peak force angle difference (°)"]
+    assert labels["S12"][:3] == ["median divergence difference (µm/mm)"] * 3
+    assert found.difference("strain") == "strain"
+
+
 def test_answers_of_one_kind_and_empty_columns_are_drawn_or_said(tmp_path: Path) -> None:
     path = table(tmp_path / "t.csv", ("divergence", "curl"))
     heading, *rows = path.read_text().splitlines()

@@ -26,7 +26,7 @@ from fingerflow.report.observer import (
 from fingerflow.report.press_field import draw_curl_map
 from fingerflow.report.supplement.sheet import Panel, Sheet
 from fingerflow.report.supplement.sources import NO_TRIALS, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, draw_share_against
+from fingerflow.report.trial_metrics import AMPLITUDE, draw_share_against, named
 
 _OBSERVED = (
     "divergence", "force_angle", "global_displacement", "strain_rate", "strain_energy", "force_rate",
@@ -66,11 +66,12 @@ def ideal_observer(sources: Sources) -> Sheet:
 
 
 def individual_performance(sources: Sources) -> Sheet:
-    """Figure S12: groups by each participant's median divergence, and how each of them answers."""
-    trials, lacks = sources.trials, sources.lacks("divergence")
+    """Figure S12: groups by each participant's median divergence, its difference where the table has it, and answers."""
+    metric = sources.difference("divergence")
+    trials, lacks = sources.trials, sources.lacks(metric)
     if trials is None or lacks:
         return Sheet("S12", (), (f"needs {lacks}",))
-    divergence = trials.metrics["divergence"]
+    divergence = trials.metrics[metric]
     names = np.unique(trials.participant)
     medians = np.array([_median(divergence[trials.participant == name]) for name in names])
     groups = participant_groups(1e3 * medians)
@@ -80,8 +81,10 @@ def individual_performance(sources: Sources) -> Sheet:
         parts = {"stiffer skin": _of(trials, ~is_softer), "softer skin": _of(trials, is_softer)}
     else:
         parts = {"all": trials}
-    panels = [Panel("A", lambda part: draw_groups(part.subplots(), 1e3 * medians, groups, "median divergence (µm/mm)"))]
-    panels += [_scatter(f"B, {name}" if len(parts) > 1 else "B", own) for name, own in parts.items()]
+    panels = [
+        Panel("A", lambda part: draw_groups(part.subplots(), 1e3 * medians, groups, f"median {named(metric).label}"))
+    ]
+    panels += [_scatter(f"B, {name}" if len(parts) > 1 else "B", own, metric) for name, own in parts.items()]
     left_out = [] if not groups.reason else [f"A has no groups: {groups.reason}"]
     if not np.issubdtype(trials.condition.dtype, np.number):
         left_out.append(
@@ -116,8 +119,8 @@ def curl(sources: Sources) -> Sheet:
     return Sheet("S13", tuple(panels))
 
 
-def _scatter(letter: str, trials: Trials) -> Panel:
-    return Panel(letter, lambda part: draw_share_against(part.subplots(), trials, "divergence"))
+def _scatter(letter: str, trials: Trials, metric: str) -> Panel:
+    return Panel(letter, lambda part: draw_share_against(part.subplots(), trials, metric))
 
 
 def _draw_curves(part: SubFigure, parts: dict[str, Trials]) -> None:

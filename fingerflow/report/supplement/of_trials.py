@@ -82,22 +82,22 @@ def kinematics(sources: Sources) -> Sheet:
 
 
 def displacement_and_angle(sources: Sources) -> Sheet:
-    """Figure S7."""
+    """Figure S7; D and E against differences where the table has them, as the axes say."""
     found, lacking = _from_table(
         sources,
         (
             ("A", draw_by_condition, ("global_displacement",), {}),
             ("B", draw_by_condition, ("force_angle",), {}),
             ("C", draw_share_against, ("global_displacement",), {}),
-            ("D", draw_share_against, ("force_angle",), {}),
-            ("E", draw_share_against, ("real_contact_area",), {}),
+            ("D", draw_share_against, (sources.difference("force_angle"),), {}),
+            ("E", draw_share_against, (sources.difference("real_contact_area"),), {}),
         ),
     )
     return Sheet("S7", tuple(found), Sheet.sentences(lacking))
 
 
 def surface_strain(sources: Sources) -> Sheet:
-    """Figure S8; B, D, E and F by the skin chain."""
+    """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
     presses = sources.presses
     chain = (
         Panel("B and D (skin chain)", lambda part: draw_strain_maps(part, presses, (LOW, HIGH)), columns=3, rows=2),
@@ -108,7 +108,7 @@ def surface_strain(sources: Sources) -> Sheet:
         sources,
         (
             ("G", draw_correlation, ("divergence", "strain"), {}),
-            ("H", draw_share_against, ("strain",), {}),
+            ("H", draw_share_against, (sources.difference("strain"),), {}),
             ("I", draw_share_against, ("strain_rate",), {}),
         ),
     )
@@ -116,7 +116,7 @@ def surface_strain(sources: Sources) -> Sheet:
 
 
 def strain_energy(sources: Sources) -> Sheet:
-    """Figure S9; A, B and C by the skin chain."""
+    """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
     presses = sources.presses
     chain = (
         Panel("A (skin chain)", lambda part: draw_energy_maps(part, presses, (LOW, HIGH)), columns=2),
@@ -127,7 +127,7 @@ def strain_energy(sources: Sources) -> Sheet:
         sources,
         (
             ("D", draw_correlation, ("divergence", "strain_energy"), {}),
-            ("E", draw_share_against, ("strain_energy",), {}),
+            ("E", draw_share_against, (sources.difference("strain_energy"),), {}),
         ),
     )
     return Sheet("S9", (*chain, *found), Sheet.sentences(lacking))

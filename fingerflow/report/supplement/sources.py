@@ -10,6 +10,7 @@ from fingerflow.models.observer import Trials
 from fingerflow.report.press_field import PressField, press_field
 from fingerflow.report.simulated_presses import SimulatedPresses, simulate_presses
 from fingerflow.report.strains_at_depth import Depth, look_under
+from fingerflow.report.trial_metrics import DIFFERENCE
 from fingerflow.report.tribometer import TribometerTrace
 
 NO_TRIALS = "a table of trials (--trials)"
@@ -41,6 +42,11 @@ class Sources:
     def field(self) -> PressField:
         """Of the simulated press."""
         return press_field()
+
+    def difference(self, metric: str) -> str:
+        """The column of a metric's difference between comparison and reference, the metric's own where there is none."""
+        column = metric + DIFFERENCE
+        return metric if self.lacks(column) else column
 
     def lacks(self, *metrics: str) -> str:
         """What a panel of these metrics needs and has not; empty where all is there."""
