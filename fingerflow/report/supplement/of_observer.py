@@ -66,7 +66,7 @@ def ideal_observer(sources: Sources) -> Sheet:
 
 
 def individual_performance(sources: Sources) -> Sheet:
-    """Figure S12: groups by each participant's median divergence, its difference where the table has it, and answers."""
+    """Figure S12: groups by each participant's median divergence, or its difference, and how they answer."""
     metric = sources.difference("divergence")
     trials, lacks = sources.trials, sources.lacks(metric)
     if trials is None or lacks:

@@ -44,7 +44,7 @@ class Sources:
         return press_field()
 
     def difference(self, metric: str) -> str:
-        """The column of a metric's difference between comparison and reference, the metric's own where there is none."""
+        """The column of a metric's difference, comparison less reference, or the metric's own where there is none."""
         column = metric + DIFFERENCE
         return metric if self.lacks(column) else column
 
