@@ -74,8 +74,7 @@ def process(
             return store.dataset
 
         to = Path(to)
-        forces = None if scene.forces is None else scene.forces.file
-        spare(to, scene.path, scene.recording.frames, scene.background.frames, scene.background.dark, forces)
+        spare(to, *scene.files())
 
         def write(part: Path) -> None:
             with FileStore(VARIABLES, frames, part) as file:

@@ -168,6 +168,12 @@ class Scene:
     slip: SlipSettings
     stream: StreamSettings
 
+    def files(self) -> tuple[Path, ...]:
+        """Everything that it is made of, itself first: what no result may replace."""
+        forces = None if self.forces is None else self.forces.file
+        named = (self.recording.frames, self.background.frames, self.background.dark, self.calibration.file, forces)
+        return (self.path, *(file for file in named if file is not None))
+
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
         found: Any = self

@@ -4,7 +4,7 @@ import json
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from fingerflow.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.player.contract.variables import SLIP, by_name
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
+from fingerflow.report import write_report
 from fingerflow.result import export_table, load_result, save_result
 from fingerflow.scene import Scene, Views, scene_text
 from fingerflow.stages.tracking import TrackingStage
@@ -389,3 +390,42 @@ def test_a_result_spares_what_it_is_made_of(scene: Scene) -> None:
         with pytest.raises(FingerflowError, match="would be replaced"):
             process(scene, ["normal_force"], to=given)
     assert scene.recording.frames.read_bytes() == before
+
+
+def test_what_is_made_of_a_scene_spares_its_calibration_and_its_video(scene: Scene, tmp_path: Path) -> None:
+    calibration, video = tmp_path / "calibration.toml", tmp_path / "overlay.mp4"
+    for file in (calibration, video):
+        file.write_bytes(b"mine")
+    calibrated = replace(scene, calibration=replace(scene.calibration, file=calibration))
+    with pytest.raises(FingerflowError, match="would be replaced"):
+        process(calibrated, ["normal_force"], to=calibration)
+    filmed = replace(scene, recording=replace(scene.recording, frames=video))
+    with pytest.raises(FingerflowError, match="would be replaced"):
+        write_report(process(scene, ["normal_force"]), filmed, tmp_path)
+    assert video.read_bytes() == calibration.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("to", ["", ".", "/"])
+def test_a_result_needs_a_name(scene: Scene, to: str) -> None:
+    with pytest.raises(FingerflowError, match="name a file in it"):
+        process(scene, ["normal_force"], to=to)
+
+
+@pytest.fixture
+def torch_defaults() -> Iterator[None]:
+    yield
+    torch.set_default_dtype(torch.float32)
+    torch.set_default_device(None)
+
+
+@pytest.mark.usefixtures("torch_defaults")
+def test_foreign_defaults_change_no_result(scene: Scene) -> None:
+    some = replace(scene, recording=replace(scene.recording, first_frame=10, last_frame=13))
+    outputs = ["median_divergence", "strain_energy", "principal_strains", "printed_real_contact_area", "stuck_ratio"]
+    wanted = process(some, outputs)
+    for dtype, device in ((torch.float64, None), (torch.bfloat16, None), (torch.float32, "meta")):
+        torch.set_default_dtype(dtype)
+        torch.set_default_device(device)
+        found = process(some, outputs)
+        xr.testing.assert_equal(found, wanted)
+        assert {name: one.dtype for name, one in found.items()} == {name: one.dtype for name, one in wanted.items()}

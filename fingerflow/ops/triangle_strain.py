@@ -129,8 +129,10 @@ def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, sha
     linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
     if shared is not None:
         forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
+        correlation = shared.correlation.to(x.dtype)
+        # The device is stated: else torch takes the default one, whatever the tensors are on.
         beside = torch.sparse_coo_tensor(
-            shared.pairs.T, shared.correlation.to(x.dtype), (len(x), len(x)), check_invariants=True
+            shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
         )
         of_others = torch.stack([torch.sparse.mm(beside, one) for one in forces])
         linear = linear + 2 * (forces * of_others).sum((0, 1), dtype=torch.float64)

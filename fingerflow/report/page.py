@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from jinja2 import Environment
 
-from fingerflow.atomic_write import write_atomically
+from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report import figures
 from fingerflow.report.overlay import write_overlay
@@ -30,6 +30,8 @@ def write_report(result: xr.Dataset, scene: Scene | None, folder: Path, comparis
     frame = _most_contact(result)
     sections: list[tuple[str, bytes]] = []
     if scene is not None:
+        for output in ("report.html", "overlay.mp4"):
+            spare(folder / output, *scene.files())
         write_overlay(result, scene, folder / "overlay.mp4")
         with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
             picture = ViewPainter(result, scene, recording).paint(frame)

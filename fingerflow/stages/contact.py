@@ -53,7 +53,7 @@ class ContactStage(Stage):
         self._damaged: list[int] = []
 
     def begin(self) -> None:
-        unknown = torch.full((1,), torch.nan, device=self.inputs.device)
+        unknown = torch.full((1,), torch.nan, dtype=torch.float32, device=self.inputs.device)
         light = self.inputs.engine(LightGraph())
         self._light, self._black, _ = light(self.inputs.reference(self._view), self.inputs.dark(self._view), unknown)
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
