@@ -59,7 +59,7 @@ def contact_threshold(
     brightness = lost.new_ones(len(frames)) if gain is None else torch.where(gain.abs() < torch.inf, gain, 1.0)
 
     def share(level: Tensor) -> Tensor:
-        """Light lost of a level, had the lamp its brightness of the empty glass."""
+        """Relative intensity loss of a level, had the lamp its brightness of the empty glass."""
         return 1 - (1 - (level / scale + low)) / brightness
 
     classes = otsu_classes(_counts(smooth, counted).to(kind))

@@ -474,7 +474,7 @@ def _look(
     patches = cut_patches(current, center, window, dtype) - level.flatten()[:, None, None]
 
     wanted = _times(templates.pixels, patches.flatten(1))  # (B, 3, N) of values, gx, gy
-    beside = _first_look(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
+    beside = _initial_estimate(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
     looked = (-beside).clamp(-limits.REACH, limits.REACH)
 
     matched = _window(patches, looked, window)
@@ -533,7 +533,7 @@ def _look(
     )
 
 
-def _first_look(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, shift: Tensor) -> Tensor:
+def _initial_estimate(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, shift: Tensor) -> Tensor:
     """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
     cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
     value, gradient = wanted[:, :1], wanted[:, 1:]
