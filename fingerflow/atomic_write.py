@@ -21,7 +21,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
     Raises FingerflowError where the system does not let it be written.
     """
-    if not path.name:
+    if not path.name or path.is_dir():
         raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
     part = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:

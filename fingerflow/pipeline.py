@@ -20,7 +20,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
 from fingerflow.result import open_result
 from fingerflow.scene import Scene, load_scene
-from fingerflow.stages.inputs import Inputs, open_inputs
+from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.store import FileStore, MemoryStore, Store
 
@@ -143,7 +143,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, fl
             batch = Batch(indices)
             if pictures:
                 with _timed(seconds, "decoding"):
-                    batch.frames = trial.inputs.recording[indices].mapped()
+                    batch.frames = read_frames(trial.inputs.recording[indices])
             for stage in early:
                 _step(stage, batch, seconds)
         return batch

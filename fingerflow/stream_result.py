@@ -45,6 +45,13 @@ def open_stream(folder: str | Path) -> xr.Dataset:
         results = read_results(folder)
     except PlayerError as error:
         raise FingerflowError(str(error)) from None
+    try:
+        return _labelled(results)
+    except KeyError as error:
+        raise FingerflowError(f"{folder}: header.json does not state {error}; copy the folder again") from None
+
+
+def _labelled(results: StreamResults) -> xr.Dataset:
     chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
     variables = {
         name: (one.dims, values, _attributes(one, results.header))

@@ -13,7 +13,7 @@ import pytest
 import torch
 import xarray as xr
 
-from fingerflow import load_scene, process
+from fingerflow import load_scene, open_stream, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.player.contract.variables import SLIP, by_name
@@ -429,3 +429,40 @@ def test_foreign_defaults_change_no_result(scene: Scene) -> None:
         found = process(some, outputs)
         xr.testing.assert_equal(found, wanted)
         assert {name: one.dtype for name, one in found.items()} == {name: one.dtype for name, one in wanted.items()}
+
+
+def test_frames_that_cannot_be_read_are_not_blamed_on_the_result(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fingerflow.recordings import Recording
+
+    def fail(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(Recording, "mapped", fail)
+    for to in (None, tmp_path / "result.h5"):
+        with pytest.raises(FingerflowError, match=r"npy: frames cannot be read \(Input/output error\)"):
+            process(replace(scene, contact=replace(scene.contact, threshold=0.3)), ["real_contact_area"], to=to)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ('{"format": 2, "fields": []}', "no frame and no time"),
+        ('{"format": 2, "fields": [{"name": "frame", "dtype": "<i8", "shape": []}]}', "no time"),
+        ('{"format": 1, "fields": []}', "format 1"),
+        ("{", "no results folder"),
+        (
+            '{"format": 2, "fields": [{"name": "frame", "dtype": "<i8", "shape": [], "dims": ["frame"], "unit": ""},'
+            ' {"name": "time", "dtype": "<f8", "shape": [], "dims": ["frame"], "unit": "s"}]}',
+            "does not state",
+        ),
+    ],
+)
+def test_a_folder_that_no_stream_has_left_is_said(header: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "header.json").write_text(header, encoding="utf-8")
+    (tmp_path / "records.bin").write_bytes(bytes(32))
+    (tmp_path / "events.jsonl").write_text("", encoding="utf-8")
+    with pytest.raises(FingerflowError, match=said):
+        open_stream(tmp_path)

@@ -101,8 +101,19 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            mean = view.crop(still[:_REFERENCE_FRAMES].mapped()).mean(axis=0, dtype=np.float64)
+            mean = view.crop(read_frames(still[:_REFERENCE_FRAMES])).mean(axis=0, dtype=np.float64)
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
+
+
+def read_frames(part: Recording) -> NDArray[Any]:
+    """Frames (n, H, W) of a part of a recording; raises FingerflowError where the system cannot read them."""
+    try:
+        return part.mapped()
+    except OSError as error:  # which a file of results that is being written would take for its own
+        raise FingerflowError(
+            f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording again, or to a local "
+            f"disk"
+        ) from error
 
 
 class _Lent:
