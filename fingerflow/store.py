@@ -73,14 +73,14 @@ class MemoryStore(Store):
 
     dataset: xr.Dataset
 
+    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
+        super().__init__(known, frames)
+        self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
+
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         values = np.full(shape, *_fill(variable))
         self._arrays[variable.name] = (variable.dims, values, attributes)
         return values
-
-    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
-        super().__init__(known, frames)
-        self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         used = {dim for dims, _, _ in self._arrays.values() for dim in dims}

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.calibration_file import pixel_range
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,10 @@ class View:
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
-            object.__setattr__(self, name, _pixel_range(name, getattr(self, name)))
+            try:
+                object.__setattr__(self, name, pixel_range(name, getattr(self, name)))
+            except ValueError as error:
+                raise FingerflowError(str(error)) from None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -37,17 +41,3 @@ class View:
                 f"{height} rows and {width} columns: ranges are half-open, their ends are at most {height} and {width}"
             )
         return frame[..., self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
-
-
-def _pixel_range(name: str, values: Any) -> tuple[int, int]:
-    try:
-        first, end = (int(value) for value in values)
-        whole = (first, end) == tuple(values)
-    except (TypeError, ValueError):
-        whole = False
-    if not whole or not 0 <= first < end:
-        raise FingerflowError(
-            f"a view's {name} are {values!r}; two whole numbers [first, end) with 0 <= first < end are needed, "
-            f"for example [0, 512]"
-        )
-    return first, end

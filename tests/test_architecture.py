@@ -15,7 +15,7 @@ ARROWS: dict[str, set[str]] = {
     "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
     "strict": set(),
     "toml_string": set(),
-    "views": {"errors"},
+    "views": {"contract", "errors"},
     "atomic_write": {"errors"},
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},

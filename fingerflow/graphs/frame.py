@@ -11,7 +11,6 @@ from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
 from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.onset import LASTING as LASTING
 from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates, renewable

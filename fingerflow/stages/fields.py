@@ -1,7 +1,6 @@
 """Divergence, curl, shear and strain by local fits, their medians over the gross contact, and what is not rigid."""
 
 import numpy as np
-import torch
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.rigid_motion import rigid_residual
@@ -64,8 +63,10 @@ class FieldsStage(Stage):
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
         self._residual[batch.indices] = nanmedian(np.linalg.norm(residual, axis=-1))
-        self._median[batch.indices] = torch.Tensor.cpu(found.median)
-        self._median_std[batch.indices] = torch.Tensor.cpu(found.median_std)
+        assert found.median is not None
+        assert found.median_std is not None
+        self._median[batch.indices] = found.median.cpu()
+        self._median_std[batch.indices] = found.median_std.cpu()
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)

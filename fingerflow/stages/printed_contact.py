@@ -4,9 +4,9 @@ import numpy as np
 import torch
 
 from fingerflow.ops.illumination import (
-    LEVEL_RANGE,
     NormalizedFrames,
     contact_signal,
+    dequantize,
     normalize_illumination,
     quantize,
 )
@@ -80,9 +80,9 @@ class PrintedContactStage(Stage):
         levels = median_filter(quantize(signal), _MEDIAN_PX)
         threshold = otsu_threshold(levels)
         mask = levels > threshold.reshape(-1, 1, 1, 1)
-        size, low, high = self.inputs.mm_per_px**2, *LEVEL_RANGE
+        size = self.inputs.mm_per_px**2
         for name, values in {
-            "printed_contact_threshold": low + (high - low) * threshold.double() / 255,
+            "printed_contact_threshold": dequantize(threshold.double()),
             "printed_real_contact_area": mask.sum((1, 2, 3)).double() * size,
             "printed_eroded_contact_area": erode(mask, 1, "diamond").sum((1, 2, 3)).double() * size,
         }.items():
