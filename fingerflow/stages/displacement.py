@@ -154,11 +154,11 @@ class DisplacementStage(Stage):
         """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time; and its
         mean.
 
-        The time is known to a frame, uniformly within it: 1/12 frame^2, and as many times the square of the frames since
-        the last usable one where some are not; and the place of the border to `_BORDER_MM`,
-        which takes it as many frames as neighbouring points are apart in time. Both change from one neighbour to the
-        next, as the border crosses several between two frames or one ridge after the other, so errors are taken as
-        independent. A point that touches in the first frame has no onset: its displacement counts from that frame.
+        The time is known to a frame, uniformly within it: 1/12 frame^2, or the square of the frames since the last
+        usable one over 12; and the place of the border to `_BORDER_MM`, which takes it as many frames as neighbouring
+        points are apart in time. Both change from one neighbour to the next, as the border crosses several between two
+        frames or one ridge after the other, so errors are taken as independent. A point that touches in the first frame
+        has no onset: its displacement counts from that frame.
         """
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)

@@ -1,6 +1,6 @@
 """What a trial is computed from, opened and checked: frames, background, forces, calibration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -40,6 +40,7 @@ class Inputs:
     device: torch.device
     warnings: list[str]
     engine: Engine = as_it_is
+    _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
 
     @property
     def mm_per_px(self) -> float:
@@ -87,6 +88,11 @@ class Inputs:
         return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
 
     def _still(self, path: Any, view: View) -> Tensor:
+        if (path, view) not in self._stills:
+            self._stills[path, view] = self._read_still(path, view)
+        return self._stills[path, view]
+
+    def _read_still(self, path: Any, view: View) -> Tensor:
         remedy = "record it with the same camera settings"
         with open_recording(path) as still:
             if still.frame_shape != self.recording.frame_shape:

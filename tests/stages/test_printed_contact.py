@@ -18,7 +18,7 @@ def scene(press: Path) -> Scene:
 
 def test_it_runs_only_where_it_is_asked_for(scene: Scene) -> None:
     assert "printed_contact" not in plan(None, scene).names
-    assert plan(["printed_real_contact_area"], scene).names == ("loading", "contact", "printed_contact")
+    assert plan(["printed_real_contact_area"], scene).names == ("loading", "frame_check", "contact", "printed_contact")
 
 
 def test_areas_are_those_of_opencv(scene: Scene) -> None:

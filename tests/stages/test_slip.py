@@ -104,7 +104,7 @@ def test_only_what_is_needed_runs(slip_trials: Path) -> None:
     slip = load_scene(slip_trials / "abrupt" / "scene.toml")
     press = replace(slip, kind="press")
     areas = replace(slip, views=Views({"contact": slip.views.contact}))
-    assert plan(["stuck_ratio"], press).names == ("loading", "contact", "tracking", "slip")
+    assert plan(["stuck_ratio"], press).names == ("loading", "frame_check", "contact", "tracking", "slip")
     assert plan(["load_ratio"], press).names == ("loading",)
     assert "slip" not in plan(None, press).names
     assert "slip" in plan(None, slip).names
