@@ -16,6 +16,7 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
+from fingerflow.untrusted import first_line
 
 
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
@@ -25,11 +26,13 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, by_columns, dtype = read(file)
-        except (ValueError, KeyError) as error:
-            raise FingerflowError(f"{path}: not a NumPy file of plain numbers ({error})") from None
+        except Exception as error:  # the header is Python, and what its tokens raise is no part of NumPy's promise
+            raise FingerflowError(
+                f"{path}: not a NumPy file of plain numbers ({first_line(error)}); copy it again, or save it anew"
+            ) from None
         start = file.tell()
     dtype = grey_dtype(dtype, path)
-    if len(shape) not in (2, 3) or 0 in shape:
+    if len(shape) not in (2, 3) or min(shape) < 1:
         colour = " Colour frames have to be made grey first." if len(shape) == 4 else ""
         raise FingerflowError(f"{path}: its array is {shape}; frames are (N, H, W), or (H, W) for one.{colour}")
     count, height, width = shape if len(shape) == 3 else (1, *shape)

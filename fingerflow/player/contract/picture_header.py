@@ -1,0 +1,47 @@
+"""The size that a picture's header claims, read before a library takes memory for it."""
+
+import struct
+
+MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
+_MOST_PIXELS_A_BYTE = 1032  # deflate's limit; JPEG stays below it
+_ALWAYS = 1 << 20  # pixels
+_NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG: markers without a length
+_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
+
+
+def picture_size(data: bytes) -> tuple[int, int] | None:
+    """(height, width) of a PNG, JPEG or BMP file as its header claims it; None where there is no such header."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return height, width
+    if data[:2] == b"BM" and len(data) >= 26:
+        (header,) = struct.unpack_from("<I", data, 14)
+        width, height = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
+        return abs(height), abs(width)
+    if data[:2] == b"\xff\xd8":
+        return _jpeg_size(data)
+    return None
+
+
+def can_hold(stored: int, height: int, width: int) -> bool:
+    """Whether a picture of so many bytes can have so many pixels."""
+    return 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * stored + _ALWAYS)
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 <= len(data):
+        if data[at] != 0xFF:
+            return None
+        marker = data[at + 1]
+        if marker == 0xFF:  # filled up
+            at += 1
+        elif marker in _SIZES:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return height, width
+        elif marker in _NO_SIZE:
+            at += 2
+        else:
+            (length,) = struct.unpack_from(">H", data, at + 2)
+            at += 2 + max(length, 2)
+    return None
