@@ -32,7 +32,8 @@ def check_file(path: Path) -> int:
         found = path.stat()
         for is_kind, kind in _KINDS:
             if is_kind(found.st_mode):
-                raise FingerflowError(f"{path}: is {kind}, not a file; copy what it holds to a file and name that")
+                remedy = "name a file in it" if kind == _KINDS[0][1] else "copy what it gives to a file and name that"
+                raise FingerflowError(f"{path}: is {kind}, not a file; {remedy}")
         with path.open("rb"):
             return found.st_size
     except FileNotFoundError:

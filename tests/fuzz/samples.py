@@ -168,7 +168,11 @@ def _images(folder: Path) -> list[Sample]:
     found = []
     for suffix, frames in ((".png", GREY8), (".png", GREY16), (".bmp", GREY8), (".jpg", GREY8)):
         files = {f"{n}{suffix}": cv2.imencode(suffix, frame)[1].tobytes() for n, frame in enumerate(frames[:3])}
-        found += [Sample(files, f"0{suffix}", "."), Sample(files, f"1{suffix}", "."), Sample(files, f"2{suffix}", f"2{suffix}")]
+        found += [
+            Sample(files, f"0{suffix}", "."),
+            Sample(files, f"1{suffix}", "."),
+            Sample(files, f"2{suffix}", f"2{suffix}"),
+        ]
     tifffile.imwrite(folder / "0.tif", GREY16[0])
     return [*found, Sample({"0.tif": (folder / "0.tif").read_bytes()}, "0.tif", ".")]
 

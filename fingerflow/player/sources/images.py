@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from ..arrays import Array
+from ..contract.picture_header import can_hold, picture_size
 from ..errors import PlayerError
 from .source import Asked, Source
 
@@ -27,7 +28,7 @@ def open_frames(asked: Asked) -> Source:
         raise PlayerError(
             f"{asked.path}: pictures need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
         ) from None
-    found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES]
+    found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not found:
         raise PlayerError(f"{asked.path}: has no picture; of its files those that end in {', '.join(_SUFFIXES)} count")
     return Pictures(sorted(found, key=_by_numbers), asked.first)
@@ -47,12 +48,24 @@ class Pictures:
         if self._next >= len(self._paths):
             return None
         path = self._paths[self._next]
+        self._check_size(path)
         picture: Array | None = self._cv2.imread(str(path), self._cv2.IMREAD_UNCHANGED)
         if picture is None:
             raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
         self._next += 1
         grey: Array = self._cv2.cvtColor(picture, self._cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
         return grey
+
+    def _check_size(self, path: Path) -> None:
+        """Before memory is taken for what a header claims."""
+        with open(path, "rb") as file:
+            size = picture_size(file.read(65536))
+            stored = file.seek(0, 2)
+        if size is not None and not can_hold(stored, *size):
+            raise PlayerError(
+                f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; copy "
+                "it again, or take it out of the folder"
+            )
 
     def close(self) -> None:
         """Each file is closed when it has been read."""

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
+from fingerflow.untrusted import check_hdf5, reading
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"
@@ -23,14 +25,10 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
         ) from None
-    try:
-        content = read_mat(str(path))
-    except (OSError, ValueError, TypeError, KeyError, NotImplementedError) as error:
-        raise FingerflowError(
-            f"{path}: cannot be read as a MATLAB file, it is of another kind or damaged ({error})"
-        ) from None
+    check_hdf5(path)  # which v7.3 is
     table = Table(path, {})
-    _take(table, content, "")
+    with reading(path, "a MATLAB file"):
+        _take(table, read_mat(str(path)), "")
     return table
 
 
@@ -43,8 +41,19 @@ def _take(table: Table, content: Mapping[str, Any], prefix: str) -> None:
             table.units.update({prefix + column: str(unit) for column, unit in value.items()})
         elif isinstance(value, Mapping):
             _take(table, value, name + ".")
-        elif np.ndim(value) == 0 or np.size(value) == 1:
-            if key in RATE_NAMES and np.asarray(value).dtype.kind in "iuf":
-                table.sample_rate = float(np.asarray(value).reshape(-1)[0])
-        elif np.asarray(value).dtype.kind in "iuf":
-            table.add(name, np.asarray(value))
+        elif (numbers := _numbers(value)) is None:
+            continue
+        elif numbers.size == 1:
+            if key in RATE_NAMES:
+                table.sample_rate = float(numbers.reshape(-1)[0])
+        elif numbers.size:
+            table.add(name, numbers)
+
+
+def _numbers(value: Any) -> NDArray[Any] | None:
+    """None for texts, and for cells, which hold vectors of several lengths."""
+    try:
+        numbers = np.asarray(value)
+    except ValueError:
+        return None
+    return numbers if numbers.dtype.kind in "iuf" else None

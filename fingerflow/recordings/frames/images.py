@@ -32,7 +32,10 @@ def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
 
     Raises FingerflowError for a folder without images, for one with several kinds, and for equal numbers.
     """
-    files, warnings = _in_order(path) if path.is_dir() else ([path], ())
+    files: list[Path | None] = [path]
+    warnings: tuple[str, ...] = ()
+    if path.is_dir():
+        files, warnings = _in_order(path)
     there = [file for file in files if file is not None]
     first = read_image(there[0])
     description = Description(
@@ -91,7 +94,9 @@ def read_image(path: Path, known: tuple[int, int] | None = None) -> Frames:
             # Read through NumPy: cv2.imread fails without a word for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8), stored, known), 1
     except (FingerflowError, OSError) as error:
-        raise DamagedPicture(str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}") from error
+        raise DamagedPicture(
+            str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
+        ) from error
     if pages != 1:
         raise FingerflowError(f"{path}: has {pages} pages; in a folder of images each file is one frame")
     if image.ndim == 3:
@@ -107,8 +112,8 @@ def _decoded(path: Path, data: np.ndarray, stored: int, known: tuple[int, int] |
     size = picture_size(data[:65536].tobytes())
     if size is not None and size != known and not can_hold(stored, *size):
         raise DamagedPicture(
-            f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; copy it "
-            "again"
+            f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; copy "
+            "it again"
         )
     try:
         image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if stored else None

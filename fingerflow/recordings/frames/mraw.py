@@ -49,7 +49,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
     check_file(pixels)
     if check_file(header_path) > MOST_HEADER_BYTES:
         raise FingerflowError(
-            f"{header_path}: has {header_path.stat().st_size} bytes, more than a header of a Photron recording; is it one?"
+            f"{header_path}: has {header_path.stat().st_size} bytes, more than a Photron header; is it one?"
         )
     header = _Header(header_path)
     layout = _layout(header)
@@ -76,6 +76,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
         bit_depth=layout.bit_depth,
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # in recorded frames; the trigger is number 0
+        has_trigger=bool(header.text("Start Frame", " ").strip()),
         warnings=header.warnings + ((missing_frames(count - whole, count),) if whole < count else ()),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
@@ -162,12 +163,16 @@ class _Header:
                 return number
             raise ValueError
         except ValueError:
-            raise FingerflowError(f"{self.path}: {name!r} is {value!r}, which is not a number; correct the header") from None
+            raise FingerflowError(
+                f"{self.path}: {name!r} is {value!r}, which is not a number; correct the header"
+            ) from None
 
     def integer(self, name: str, default: int | None = None) -> int:
         value = self.number(name, default)
         if not (value.is_integer() and abs(value) < 2**53):
-            raise FingerflowError(f"{self.path}: {name!r} is {value:g}, which is not a whole number; correct the header")
+            raise FingerflowError(
+                f"{self.path}: {name!r} is {value:g}, which is not a whole number; correct the header"
+            )
         return int(value)
 
 
@@ -217,8 +222,8 @@ def _layout(header: _Header) -> _Layout:
         for name in ("EffectiveBit Depth", "EffectiveBit Side") if header.warnings else ("EffectiveBit Depth",):
             if not header.text(name, "").strip():
                 raise FingerflowError(
-                    f"{path}: does not state {name!r}, without which 16 bits a pixel say nothing; copy the header again, "
-                    f"or add the line '{name} : ...' as the camera has it"
+                    f"{path}: does not state {name!r}, without which 16 bits a pixel say nothing; copy the header "
+                    f"again, or add the line '{name} : ...' as the camera has it"
                 )
     sensor_bits = header.integer("EffectiveBit Depth", bits)
     depth = min(sensor_bits, bits)

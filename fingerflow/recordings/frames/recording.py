@@ -24,8 +24,9 @@ class Description:
 
     `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
     `first_number`: the number of the first frame where the trigger is number 0, or 0 if the file knows no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced. `lossy`: the codec, where it
-    has changed the pixels. `unreadable`: frames by number that are known to be damaged, and why.
+    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced. `has_trigger`: whether
+    time 0 is the camera's trigger. `lossy`: the codec, where it has changed the pixels. `unreadable`: frames by
+    number that are known to be damaged, and why.
     """
 
     path: Path
@@ -38,6 +39,7 @@ class Description:
     time_stamps: NDArray[np.float64] | None = None
     warnings: tuple[str, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
+    has_trigger: bool = False
     lossy: str | None = None
     unreadable: Mapping[int, str] = field(default_factory=dict)
 
@@ -52,8 +54,8 @@ class Recording(ABC):
     in 0 .. 2**bit_depth - 1: the true depth where the file states it, else that of the container; never guessed from
     the values; None for float); `frame_rate` in Hz, None where nobody states it; `times`, float64, s, one a frame, 0 at
     the trigger where the file has one, else at the first frame, None without a rate; `warnings`, sentences that a
-    user should read; `metadata`, what else the file says (camera, exposure, levels); `lossy`, the codec where it has
-    changed the pixels ("h264", "jpeg"), else None.
+    user should read; `metadata`, what else the file says (camera, exposure, levels); `has_trigger`, whether
+    the file says which frame that is; `lossy`, the codec where it has changed the pixels ("h264", "jpeg"), else None.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class Recording(ABC):
     times: NDArray[np.float64] | None
     warnings: tuple[str, ...]
     metadata: dict[str, Any]
+    has_trigger: bool
     lossy: str | None
 
     @property
@@ -169,6 +172,7 @@ class FileRecording(Recording):
         self.bit_depth = description.bit_depth
         self.warnings = description.warnings + (() if description.lossy is None else (lossy_codec(description.lossy),))
         self.metadata = description.metadata
+        self.has_trigger = description.has_trigger
         self.lossy = description.lossy
         self._unreadable = dict(description.unreadable)
         self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
@@ -215,6 +219,7 @@ class _View(Recording):
         self.bit_depth = file.bit_depth
         self.warnings = file.warnings
         self.metadata = file.metadata
+        self.has_trigger = file.has_trigger
         self.lossy = file.lossy
         self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
         self.frame_rate = _rate_of_view(file.frame_rate, indices)
@@ -278,8 +283,8 @@ def container_bits(dtype: np.dtype[Any]) -> int | None:
 def lossy_codec(name: str) -> str:
     """The sentence that goes into `warnings` of pixels that a codec has changed."""
     return (
-        f"{name} is a lossy codec, which changes fine texture: points are found less exactly than is stated (with H.264 "
-        "to 0.066 px in place of 0.028); record without compression, or with a lossless codec such as FFV1"
+        f"{name} is a lossy codec, which changes fine texture: points are found less exactly than is stated (with "
+        "H.264 to 0.066 px in place of 0.028); record without compression, or with a lossless codec such as FFV1"
     )
 
 
