@@ -9,7 +9,7 @@ import xarray as xr
 
 from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.untrusted import check_file, check_hdf5, first_line, open_hdf5, reading
+from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
 
 MARK = "fingerflow_version"  # the attribute by which a result is known
 
@@ -45,7 +45,7 @@ def is_result(path: Path) -> bool:
 def open_result(path: Path) -> xr.Dataset:
     """As :func:`load_result`, but values are read from the file when they are looked at; close it when done."""
     check_file(path)
-    check_hdf5(path)
+    check_by_walking(path, "hdf5")
     try:
         result = xr.open_dataset(path, engine="h5netcdf")
     except Exception as error:  # whatever the library raises at a damaged file

@@ -105,6 +105,8 @@ def _transform(table: Mapping[str, Any]) -> TransformRows:
     whole = [len(row) for row in matrix] == [3, 3] and all(math.isfinite(one) for row in matrix for one in row)
     if not whole or not can_be_undone(matrix):
         raise ValueError(f"the matrix {[list(row) for row in matrix]} is no 2 x 3 transform that can be undone")
+    if any(len(row) != 2 for row in found.residuals_px):
+        raise ValueError(f"the residuals {[list(row) for row in found.residuals_px]} are no pairs of px")
     return found
 
 

@@ -63,8 +63,8 @@ class Pictures:
             stored = file.seek(0, 2)
         if size is not None and not can_hold(stored, *size):
             raise PlayerError(
-                f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; copy "
-                "it again, or take it out of the folder"
+                f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; "
+                "copy it again, or take it out of the folder"
             )
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted import check_hdf5, reading
+from fingerflow.untrusted import check_by_walking, reading
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"
@@ -25,7 +25,7 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
         ) from None
-    check_hdf5(path)  # which v7.3 is
+    check_by_walking(path, "MATLAB")
     table = Table(path, {})
     with reading(path, "a MATLAB file"):
         _take(table, read_mat(str(path)), "")

@@ -10,7 +10,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted import reading
+from fingerflow.untrusted import check_by_walking, reading
 
 
 def read_table(path: Path) -> Table:
@@ -23,6 +23,7 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
         ) from None
+    check_by_walking(path, "TDMS")
     # Opened, not read: what the file claims to hold is compared with its size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
         table, clocks = _columns(path, file)

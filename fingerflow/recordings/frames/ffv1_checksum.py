@@ -1,8 +1,8 @@
 """Checksums of FFV1 video: FFmpeg sees that one is wrong, fills the place with old pixels, and tells its log only.
 
 Source: RFC 9043, sections 4.4 (slices and their footers) and 4.9.3 (slice_crc_parity): a packet is a row of slices,
-each with a footer of its size in 3 bytes, a byte of status and a CRC that makes that of the whole slice 0. The polynomial is
-that of CRC-32 with the highest bit first: zlib's, of bytes and result with their bits reversed.
+each with a footer of its size in 3 bytes, a byte of status and a CRC that makes that of the whole slice 0. The
+polynomial is that of CRC-32 with the highest bit first: zlib's, of bytes and result with their bits reversed.
 """
 
 from __future__ import annotations

@@ -1,0 +1,138 @@
+"""Goes through files in a process of its own: libraries crash, turn in circles, or take all memory in damaged ones.
+
+Run as a script, with a path and its kind as JSON a line of its input; it answers a line a file. It does with a file
+what readers will do, and looks at everything that they may look at. What merely raises an exception is no matter: the
+reader gets the same exception. What ends this process, by a signal or by its limits, ends no other.
+"""
+
+import importlib
+import json
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+CPU_SECONDS = 10.0  # for one file; a thousand objects take 0.1 s
+MEMORY_BYTES = 1 << 27  # besides the libraries, and what can be unpacked from the file
+MOST_COMPRESSED = 1032  # as in `files`, which this script does not import
+MOST_OBJECTS = 100_000
+MOST_ATTRIBUTE_BYTES = 1 << 26
+
+
+def main() -> None:
+    """Answers until the input ends."""
+    print(json.dumps("ready"), flush=True)
+    for line in sys.stdin:
+        path, kind = json.loads(line)
+        through, libraries = WALKS[kind]
+        for library in libraries:
+            importlib.import_module(library)  # before there is a limit: libraries take room by the number of processors
+        print(json.dumps(_walk(path, through)), flush=True)
+
+
+def _walk(path: str, through: Callable[[str], str]) -> str:
+    """What is wrong with a file, "" for nothing."""
+    _limit_time(CPU_SECONDS)
+    try:
+        _limit_memory(path)
+        return through(path)
+    except MemoryError:
+        return "its header asks for more memory than a file of its size can need"
+    except Exception:
+        return ""
+    finally:
+        _limit_time(0.0)
+
+
+def through_hdf5(path: str) -> str:
+    """Objects, attributes and the index of chunks, but no values."""
+    import h5py
+
+    count = 0
+
+    def visit(_: str, item: Any) -> str | None:
+        nonlocal count
+        count += 1
+        if count > MOST_OBJECTS:
+            return f"it has more than {MOST_OBJECTS} objects"
+        return _attributes(item) or _storage(item)
+
+    with h5py.File(path, "r") as file:
+        return _attributes(file) or file.visititems(visit) or ""
+
+
+def through_matlab(path: str) -> str:
+    """Everything, as it is read: the sizes of arrays stand between them."""
+    from pymatreader import read_mat
+
+    with open(path, "rb") as file:
+        start = file.read(4096)
+    if b"\x89HDF\r\n\x1a\n" in start:
+        wrong = through_hdf5(path)
+        if wrong:
+            return wrong
+    read_mat(path)
+    return ""
+
+
+def through_tdms(path: str) -> str:
+    """The segments and what they say, but no values."""
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(path):
+        return ""
+
+
+WALKS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
+    "hdf5": (through_hdf5, ("h5py",)),
+    "MATLAB": (through_matlab, ("h5py", "scipy.io", "pymatreader")),
+    "TDMS": (through_tdms, ("nptdms",)),
+}
+
+
+def _attributes(item: Any) -> str | None:
+    for name in item.attrs:
+        try:
+            stored = item.attrs.get_id(name)
+            if stored.get_storage_size() > MOST_ATTRIBUTE_BYTES:
+                return f"attribute {name!r} has {stored.get_storage_size()} bytes"
+            item.attrs[name]
+        except MemoryError:
+            raise
+        except Exception:
+            continue
+    return None
+
+
+def _storage(item: Any) -> str | None:
+    if hasattr(item, "shape"):
+        _ = item.shape, item.dtype, item.chunks, item.compression, item.fillvalue, item.is_virtual, item.external
+        if item.chunks is not None:
+            item.id.get_num_chunks()
+    return None
+
+
+def _limit_memory(path: str) -> None:
+    try:
+        import resource
+    except ImportError:  # on Windows, which has no such limits
+        return
+    if not os.path.exists("/proc/self/statm"):
+        return
+    with open("/proc/self/statm") as file:
+        now = int(file.read().split()[0]) * resource.getpagesize()
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY_BYTES + MOST_COMPRESSED * os.path.getsize(path), most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _limit_time(seconds: float) -> None:
+    """Of the processor's time: by a signal that ends the process, wherever it is."""
+    import signal
+
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+if __name__ == "__main__":
+    main()
