@@ -86,7 +86,7 @@ def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] 
 
 @app.command()
 def info(recording: Path, as_json: AsJson = False) -> None:
-    """Say what a recording holds, without reading its frames."""
+    """Say what a recording holds, without reading its frames: damage that only decoding shows is not among it."""
     from fingerflow.recordings import open_recording
 
     found = open_recording(recording)
@@ -99,6 +99,8 @@ def info(recording: Path, as_json: AsJson = False) -> None:
         "dtype": str(found.dtype),
         "frame_rate_hz": found.frame_rate,
         "first_time_s": None if found.times is None or not len(found) else float(found.times[0]),
+        "lossy_codec": found.lossy,
+        "unreadable": {str(index): reason for index, reason in found.unreadable.items()},
         "warnings": list(found.warnings),
     }
     if as_json:
@@ -461,7 +463,10 @@ def _first_frame(path: Path) -> Any:
     with open_recording(path) as recording:
         if not len(recording):
             raise FingerflowError(f"{path} has no frame; one is needed")
-        return recording[0]
+        frame = recording[0]
+        if recording.unreadable:
+            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
+        return frame
 
 
 def _views(

@@ -41,41 +41,52 @@ def main(arguments: list[str] | None = None) -> int:
         return _keep(asked.keep, readers, shares, asked.seed, asked.first)
     print(f"seed {asked.seed}, {asked.count} inputs")
     print(f"{'reader':15}" + "".join(f"{outcome:>11}" for outcome in OUTCOMES))
-    totals: Counter[str] = Counter()
-    for reader, share in zip(readers, shares, strict=True):
-        counts: Counter[str] = Counter()
-        shown: set[str] = set()
-        for number, outcome, said in _run(reader, asked.seed, asked.first, asked.first + share):
-            counts[outcome] += 1
-            place = f"{outcome} {said.split(':')[0:2]}"
-            if outcome not in GOOD and place not in shown:  # one of a kind
-                shown.add(place)
-                print(f"  {reader} {number}: {outcome}: {said}", flush=True)
-        print(f"{reader:15}" + "".join(f"{counts[outcome]:11}" for outcome in OUTCOMES), flush=True)
-        totals += counts
+    counts = {reader: Counter[str]() for reader in readers}
+    shown: set[tuple[str, str, str]] = set()
+    jobs = [(reader, asked.first, asked.first + share) for reader, share in zip(readers, shares, strict=True) if share]
+    for reader, number, outcome, said in _run(asked.seed, jobs):
+        counts[reader][outcome] += 1
+        kind = (reader, outcome, said.partition(":")[0])
+        if outcome not in GOOD and kind not in shown:  # one of a kind
+            shown.add(kind)
+            print(f"  {reader} {number}: {outcome}: {said}", flush=True)
+        if (reader, number + 1) in {(name, end) for name, _, end in jobs}:
+            print(f"{reader:15}" + "".join(f"{counts[reader][outcome]:11}" for outcome in OUTCOMES), flush=True)
+    totals = sum(counts.values(), Counter[str]())
     print(f"{'all':15}" + "".join(f"{totals[outcome]:11}" for outcome in OUTCOMES))
     return 0 if set(totals) <= set(GOOD) else 1
 
 
-def _run(reader: str, seed: int, first: int, end: int) -> Iterator[tuple[int, str, str]]:
-    """(number, outcome, what was said) of each input, whatever becomes of the process that reads."""
-    while first < end:
-        command = [sys.executable, "-m", "tests.fuzz.worker", reader, str(seed), str(first), str(end)]
-        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, bufsize=0) as worker:
+def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int, str, str]]:
+    """(reader, number, outcome, what was said) of each input, whatever becomes of the process that reads."""
+    while jobs:
+        command = [sys.executable, "-m", "tests.fuzz.worker", str(seed), json.dumps(jobs)]
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0) as worker:
             begun = None
             for line in _lines(worker):
                 facts = json.loads(line)
                 begun = facts.get("begun")
                 if begun is None:
-                    yield facts["number"], facts["outcome"], facts.get("said", "")
-                    first = facts["number"] + 1
+                    yield facts["reader"], facts["number"], facts["outcome"], facts.get("said", "")
+                    jobs = _rest(jobs, facts["reader"], facts["number"])
+                else:
+                    reader = facts["reader"]
+            assert worker.stderr is not None
+            complaint = worker.stderr.read().decode(errors="replace")
             status = worker.wait()
         if begun is not None:
             hung = status in (-signal.SIGPROF, -signal.SIGKILL)
-            yield begun, "hang" if hung else "crash", _name(status)
-            first = begun + 1
+            yield reader, begun, "hang" if hung else "crash", _name(status)
+            jobs = _rest(jobs, reader, begun)
         elif status:
-            raise SystemExit(f"the process that reads {reader} ended with {_name(status)} before any damaged input")
+            raise SystemExit(f"the process that reads ended with {_name(status)} before any damaged input\n{complaint}")
+
+
+def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tuple[str, int, int]]:
+    """What is left when an input is done; jobs are done in their order."""
+    (name, _, end), *others = jobs
+    assert name == reader
+    return others if number + 1 == end else [(name, number + 1, end), *others]
 
 
 def _lines(worker: subprocess.Popen[bytes]) -> Iterator[bytes]:

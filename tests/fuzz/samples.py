@@ -245,10 +245,14 @@ def _calibration(folder: Path) -> list[Sample]:
 
 def _scene(folder: Path) -> list[Sample]:
     from fingerflow.scene import scene_text
+    from fingerflow.views import View
 
     (calibration,) = _calibration(folder)
     np.save(folder / "a.npy", GREY8)
-    text = scene_text(frames="a.npy", background="a.npy", frame_rate=300.0, forces="forces.csv", trigger_frame=1)
+    views = {"contact": View((0, 24), (32, 64)), "topography": View((0, 24), (0, 32))}
+    text = scene_text(
+        frames="a.npy", background="a.npy", frame_rate=300.0, forces="forces.csv", trigger_frame=1, **views
+    )
     files = calibration.files | {
         "scene.toml": text.encode(),
         "a.npy": (folder / "a.npy").read_bytes(),

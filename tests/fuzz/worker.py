@@ -24,28 +24,32 @@ GROWTH = 512 * 2**20  # bytes of address space beyond those of the libraries, fo
 RESIDENT = 200 * 2**20  # bytes that were really touched
 
 
-def serve(reader: str, seed: int, numbers: list[int]) -> None:
-    """Writes a line before and after each input; ends without the second where the reader takes the process along."""
+def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
+    """Reads the inputs `first` to before `end` of each (reader, first, end). Writes a line before and after each input;
+    ends without the second where the reader takes the process along.
+    """
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries write of damaged files
-    os.dup2(1, 2)
     warnings.simplefilter("ignore")
-    folder = Path(tempfile.mkdtemp(prefix=f"fuzz-{reader}-"))
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
-        kept = folder / "samples"
-        kept.mkdir()
-        found = samples(reader, kept)
-        read = _readers()[reader]
-        for sample in found:
-            _read_one(read, sample, folder / "whole", sample.files[sample.damaged])
+        found = {}
+        for reader, _, _ in jobs:
+            kept = folder / reader
+            kept.mkdir()
+            found[reader] = samples(reader, kept)
+            for sample in found[reader]:  # which are right, and whose reading loads the libraries
+                _read_one(_READERS[reader], sample, folder / "whole", sample.files[sample.damaged])
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries write of damaged files
+        os.dup2(1, 2)
         _limit_memory()
-        for number in numbers:
-            sample, data = damaged(found, reader, seed, number)
-            print(json.dumps({"begun": number}), file=answers, flush=True)
-            outcome = _outcome(read, sample, folder / "damaged", data)
-            print(json.dumps({"number": number, **outcome}), file=answers, flush=True)
-            if outcome["outcome"] == "memory":
-                break  # its high-water mark stays: the next one needs a new process
+        for reader, first, end in jobs:
+            for number in range(first, end):
+                sample, data = damaged(found[reader], reader, seed, number)
+                print(json.dumps({"reader": reader, "begun": number}), file=answers, flush=True)
+                outcome = _outcome(_READERS[reader], sample, folder / "damaged", data)
+                print(json.dumps({"reader": reader, "number": number, **outcome}), file=answers, flush=True)
+                if outcome["outcome"] == "memory":
+                    return  # its high-water mark stays: the next one needs a new process
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -115,60 +119,87 @@ def _chain(error: BaseException | None) -> list[BaseException]:
 
 
 def _most_resident() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    """Bytes; getrusage would count those of the process that started this one."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024
 
 
 def _read_one(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> None:
     read(write(sample, folder, data))
 
 
-def _readers() -> dict[str, Callable[[Path], Any]]:
+def _frames(path: Path) -> None:
+    from fingerflow.recordings import open_recording
+
+    with open_recording(path) as recording:
+        _ = recording.times, repr(recording), recording.warnings, recording.unreadable
+        for index in sorted({0, len(recording) // 2, len(recording) - 1}):
+            frame = recording[index]
+            assert frame.shape == recording.frame_shape
+            assert frame.dtype == recording.dtype
+
+
+def _forces(path: Path) -> None:
+    from fingerflow.recordings import open_forces
+
+    unstated = path.name in ("old.mat", "new.mat")  # whose formats have no place for units
+    found = open_forces(path, units={"normal": "N", "tangential": "N"} if unstated else None)
+    found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
+
+
+def _calibration(path: Path) -> None:
     from fingerflow.calibration import Calibration
-    from fingerflow.player.bundle import load_bundle
-    from fingerflow.player.results import write_table
-    from fingerflow.player.sources import open_recording as play
-    from fingerflow.recordings import open_forces, open_recording
-    from fingerflow.result import load_result
+
+    Calibration.from_toml(path)
+
+
+def _scene(path: Path) -> None:
     from fingerflow.scene import load_scene
+
+    load_scene(path)
+
+
+def _bundle(path: Path) -> None:
+    from fingerflow.player.bundle import load_bundle
+
+    load_bundle(path)
+
+
+def _result(path: Path) -> None:
+    from fingerflow.result import load_result
+
+    load_result(path)
+
+
+def _stream(path: Path) -> None:
+    from fingerflow.player.results import write_table
     from fingerflow.stream_result import open_stream
 
-    def frames(path: Path) -> None:
-        with open_recording(path) as recording:
-            _ = recording.times, repr(recording), recording.warnings
-            for index in sorted({0, len(recording) // 2, len(recording) - 1}):
-                if index not in getattr(recording, "unreadable", {}):
-                    frame = recording[index]
-                    assert frame.shape == recording.frame_shape
-                    assert frame.dtype == recording.dtype
+    open_stream(path).load()
+    write_table(path, path / "table.csv")
 
-    def forces(path: Path) -> None:
-        unstated = path.name in ("old.mat", "new.mat")  # whose formats have no place for units
-        found = open_forces(path, units={"normal": "N", "tangential": "N"} if unstated else None)
-        found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
 
-    def stream(path: Path) -> None:
-        open_stream(path).load()
-        write_table(path, path / "table.csv")
+def _played(path: Path) -> None:
+    from fingerflow.player.sources import open_recording
 
-    def played(path: Path) -> None:
-        source = play(path, (HEIGHT, WIDTH), "uint8")
-        while source.read() is not None:
-            pass
-        source.close()
+    source = open_recording(path, (HEIGHT, WIDTH), "uint8")
+    while source.read() is not None:
+        pass
+    source.close()
 
-    by_frames = ("npy", "tiff", "hdf5", "cine", "mraw", "video", "images")
-    by_forces = ("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms")
-    return {
-        **dict.fromkeys(by_frames, frames),
-        **dict.fromkeys(by_forces, forces),
-        "calibration": Calibration.from_toml,
-        "scene": load_scene,
-        "bundle": load_bundle,
-        "result": load_result,
-        "stream": stream,
-        "played": played,
-    }
+
+# What is imported in each is what it takes to read: a process reads files of one kind.
+_READERS: dict[str, Callable[[Path], None]] = {
+    **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
+    **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
+    "calibration": _calibration,
+    "scene": _scene,
+    "bundle": _bundle,
+    "result": _result,
+    "stream": _stream,
+    "played": _played,
+}
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], int(sys.argv[2]), list(range(int(sys.argv[3]), int(sys.argv[4]))))
+    serve(int(sys.argv[1]), json.loads(sys.argv[2]))

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from ..arrays import Array
-from ..contract.picture_header import can_hold, picture_size
+from ..contract.claimed_sizes import can_hold, picture_size
 from ..errors import PlayerError
 from .source import Asked, Source
 

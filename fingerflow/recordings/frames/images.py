@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.picture_header import can_hold, picture_size
+from fingerflow.player.contract.claimed_sizes import can_hold, picture_size
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.untrusted import check_file, first_line

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 from fingerflow.recordings.frames.recording import (
     Description,
     FileRecording,
@@ -22,6 +23,10 @@ from fingerflow.untrusted import first_line
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
     """Read the header only. Raises FingerflowError for other shapes and for pixels that are not grey values."""
     with open(path, "rb") as file:
+        length = npy_header_bytes(file.read(12))
+        if length > MOST_NPY_HEADER:
+            raise FingerflowError(f"{path}: its header should have {length} bytes, and no array has; save it anew")
+        file.seek(0)
         try:
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]

@@ -1,7 +1,8 @@
-"""The size that a picture's header claims, read before a library takes memory for it."""
+"""Sizes that the headers of pictures and arrays claim, read before a library takes memory for them."""
 
 import struct
 
+MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
 MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
 _MOST_PIXELS_A_BYTE = 1032  # deflate's limit; JPEG stays below it
 _ALWAYS = 1 << 20  # pixels
@@ -26,6 +27,13 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
 def can_hold(stored: int, height: int, width: int) -> bool:
     """Whether a picture of so many bytes can have so many pixels."""
     return 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * stored + _ALWAYS)
+
+
+def npy_header_bytes(start: bytes) -> int:
+    """Length of the header of a NumPy file by its first 12 bytes; 0 where it is none."""
+    if start[:6] != b"\x93NUMPY" or len(start) < 12:
+        return 0
+    return int.from_bytes(start[8:10] if start[6] == 1 else start[8:12], "little")
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
