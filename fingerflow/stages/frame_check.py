@@ -112,9 +112,7 @@ class FrameCheckStage(Stage):
                     f"(frame_status)"
                 )
         if not self.usable.any():
-            counts = ", ".join(
-                f"{int((status == value).sum())} {said}" for value, said in _SAID.items() if value in status
-            )
+            counts = ", ".join(f"{int((status == value).sum())} {said}" for value, said in _SAID.items() if value in status)
             raise FingerflowError(
                 f"{self.inputs.recording.path}: none of {len(status)} frames is a picture that can be measured: "
                 f"{counts}. Check the recording, [background] and [views.contact] of {self.inputs.scene.path}"
