@@ -52,7 +52,7 @@ def read_results(folder: str | Path) -> StreamResults:
         count = (folder / "records.bin").stat().st_size // dtype.itemsize
         lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
         events = [json.loads(line) for line in lines if line.endswith("\n")]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise PlayerError(f"{folder}: is no results folder of a stream ({first_line(error)}); copy it again") from None
     records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
     return StreamResults(records, header, events)

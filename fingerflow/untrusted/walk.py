@@ -14,6 +14,7 @@ from typing import Any
 
 CPU_SECONDS = 10.0  # for one file; a thousand objects take 0.1 s
 MEMORY_BYTES = 1 << 27  # besides the libraries, and what can be unpacked from the file
+VIDEO_BYTES = 3 << 28  # in place of these: decoders keep frames
 MOST_COMPRESSED = 1032  # as in `files`, which this script does not import
 MOST_OBJECTS = 100_000
 MOST_ATTRIBUTE_BYTES = 1 << 26
@@ -34,7 +35,7 @@ def _walk(path: str, through: Callable[[str], str]) -> str:
     """What is wrong with a file, "" for nothing."""
     _limit_time(CPU_SECONDS)
     try:
-        _limit_memory(path)
+        _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
         return through(path)
     except MemoryError:
         return "its header asks for more memory than a file of its size can need"
@@ -83,10 +84,19 @@ def through_tdms(path: str) -> str:
         return ""
 
 
+def through_video(path: str) -> str:
+    """Header, index where there is one, and the first frames, from which FFmpeg takes what they do not state."""
+    import av
+
+    with av.open(path, metadata_errors="replace"):
+        return ""
+
+
 WALKS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "hdf5": (through_hdf5, ("h5py",)),
     "MATLAB": (through_matlab, ("h5py", "scipy.io", "pymatreader")),
     "TDMS": (through_tdms, ("nptdms",)),
+    "video": (through_video, ("av",)),
 }
 
 
@@ -112,7 +122,7 @@ def _storage(item: Any) -> str | None:
     return None
 
 
-def _limit_memory(path: str) -> None:
+def _limit_memory(path: str, allowed: int) -> None:
     try:
         import resource
     except ImportError:  # on Windows, which has no such limits
@@ -122,7 +132,7 @@ def _limit_memory(path: str) -> None:
     with open("/proc/self/statm") as file:
         now = int(file.read().split()[0]) * resource.getpagesize()
     _, most = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY_BYTES + MOST_COMPRESSED * os.path.getsize(path), most))
+    resource.setrlimit(resource.RLIMIT_AS, (now + allowed + MOST_COMPRESSED * os.path.getsize(path), most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

@@ -20,7 +20,7 @@ from tests.fuzz.damage import damage
 from tests.fuzz.samples import HEIGHT, WIDTH, Sample, samples
 
 CPU_SECONDS = 10.0  # an input; good ones take milliseconds
-GROWTH = 512 * 2**20  # bytes of address space beyond those of the libraries, for files of a few kB
+GROWTH = 2**30  # bytes of address space beyond those of the libraries, for files of a few kB
 RESIDENT = 200 * 2**20  # bytes that were really touched
 
 

@@ -46,8 +46,12 @@ def read_calibration(path: Path) -> CalibrationFile:
     Raises CalibrationError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise OSError(0, "it is no file")
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise CalibrationError(f"{path}: this calibration cannot be read: {error.strerror}. {_REMEDY}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise CalibrationError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
     try:
         transforms = table.get("topography_to_contact", {})

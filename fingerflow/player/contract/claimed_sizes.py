@@ -6,13 +6,28 @@ MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
 MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
 _MOST_PIXELS_A_BYTE = 1032  # deflate's limit; JPEG stays below it
 _ALWAYS = 1 << 20  # pixels
+_PNG = b"\x89PNG\r\n\x1a\n"
 _NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG: markers without a length
 _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
 
 
-def picture_size(data: bytes) -> tuple[int, int] | None:
+def impossible_picture(data: bytes | memoryview) -> str:
+    """Why a PNG, JPEG or BMP file cannot be what its header claims, in words that follow its name; "" for nothing."""
+    height, width = picture_size(data) or (1, 1)
+    if not 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data) + _ALWAYS):
+        return f"its header says {height} x {width} pixels, which a file of {len(data)} bytes cannot hold"
+    at = 8
+    while data[:8] == _PNG and at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        at += 12 + length
+        if at > len(data):
+            return f"a part of it should have {length} bytes, and the file has {len(data)}"
+    return ""
+
+
+def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
     """(height, width) of a PNG, JPEG or BMP file as its header claims it; None where there is no such header."""
-    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
+    if data[:8] == _PNG and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return height, width
     if data[:2] == b"BM" and len(data) >= 26:
@@ -24,11 +39,6 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
-def can_hold(stored: int, height: int, width: int) -> bool:
-    """Whether a picture of so many bytes can have so many pixels."""
-    return 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * stored + _ALWAYS)
-
-
 def npy_header_bytes(start: bytes) -> int:
     """Length of the header of a NumPy file by its first 12 bytes; 0 where it is none."""
     if start[:6] != b"\x93NUMPY" or len(start) < 12:
@@ -36,7 +46,7 @@ def npy_header_bytes(start: bytes) -> int:
     return int.from_bytes(start[8:10] if start[6] == 1 else start[8:12], "little")
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+def _jpeg_size(data: bytes | memoryview) -> tuple[int, int] | None:
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:

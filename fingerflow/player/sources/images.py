@@ -6,8 +6,10 @@ import importlib
 import re
 from pathlib import Path
 
+import numpy as np
+
 from ..arrays import Array
-from ..contract.claimed_sizes import can_hold, picture_size
+from ..contract.claimed_sizes import impossible_picture
 from ..errors import PlayerError
 from .source import Asked, Source
 
@@ -48,24 +50,22 @@ class Pictures:
         if self._next >= len(self._paths):
             return None
         path = self._paths[self._next]
-        self._check_size(path)
-        picture: Array | None = self._cv2.imread(str(path), self._cv2.IMREAD_UNCHANGED)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise PlayerError(f"{path}: cannot be read ({error.strerror}); take it out of the folder") from None
+        wrong = impossible_picture(data)
+        if wrong:
+            raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
+        # An empty one is no picture, and no array to OpenCV.
+        picture: Array | None = None
+        if data:
+            picture = self._cv2.imdecode(np.frombuffer(data, np.uint8), self._cv2.IMREAD_UNCHANGED)
         if picture is None:
             raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
         self._next += 1
         grey: Array = self._cv2.cvtColor(picture, self._cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
         return grey
-
-    def _check_size(self, path: Path) -> None:
-        """Before memory is taken for what a header claims."""
-        with open(path, "rb") as file:
-            size = picture_size(file.read(65536))
-            stored = file.seek(0, 2)
-        if size is not None and not can_hold(stored, *size):
-            raise PlayerError(
-                f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; "
-                "copy it again, or take it out of the folder"
-            )
 
     def close(self) -> None:
         """Each file is closed when it has been read."""

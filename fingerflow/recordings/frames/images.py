@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.claimed_sizes import can_hold, picture_size
+from fingerflow.player.contract.claimed_sizes import impossible_picture
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
 from fingerflow.untrusted import check_file, first_line
@@ -64,7 +64,7 @@ class ImageRecording(FileRecording):
         if file is None:
             return self._no_picture(index, "has no file")
         try:
-            image = read_image(file, self.frame_shape)
+            image = read_image(file)
         except DamagedPicture as error:
             return self._no_picture(index, str(error))
         if image.shape != self.frame_shape or image.dtype != self.dtype:
@@ -75,15 +75,13 @@ class ImageRecording(FileRecording):
         return image
 
 
-def read_image(path: Path, known: tuple[int, int] | None = None) -> Frames:
+def read_image(path: Path) -> Frames:
     """One grey image (H, W). Grey that is stored as three equal channels is kept exactly; colour is refused by name.
-
-    known: the size that it has to have, before memory is taken for another.
 
     Raises DamagedPicture where it cannot be decoded, FingerflowError for colour.
     """
     try:
-        stored = check_file(path)
+        check_file(path)
         if path.suffix.lower() in (".tif", ".tiff"):
             with open_tiff(path, None) as stack:
                 image = stack[0]
@@ -92,7 +90,7 @@ def read_image(path: Path, known: tuple[int, int] | None = None) -> Frames:
                 pages = len(stack)
         else:
             # Read through NumPy: cv2.imread fails without a word for names outside the system's code page.
-            image, pages = _decoded(path, np.fromfile(path, np.uint8), stored, known), 1
+            image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
         raise DamagedPicture(
             str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
@@ -108,15 +106,12 @@ def read_image(path: Path, known: tuple[int, int] | None = None) -> Frames:
     return image
 
 
-def _decoded(path: Path, data: np.ndarray, stored: int, known: tuple[int, int] | None) -> Frames:
-    size = picture_size(data[:65536].tobytes())
-    if size is not None and size != known and not can_hold(stored, *size):
-        raise DamagedPicture(
-            f"{path}: its header says {size[0]} x {size[1]} pixels, which a file of {stored} bytes cannot hold; copy "
-            "it again"
-        )
+def _decoded(path: Path, data: np.ndarray) -> Frames:
+    wrong = impossible_picture(data.data)
+    if wrong:
+        raise DamagedPicture(f"{path}: {wrong}; copy it again")
     try:
-        image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if stored else None
+        image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:
         image = None
     if image is None:

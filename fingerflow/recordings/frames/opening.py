@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -41,7 +42,7 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         )
     file, _, inside = str(path).partition("::")
     location = Path(file)
-    if location.is_dir():
+    if os.path.isdir(location):  # False, not an error, where nobody may look
         reader = "images"
     elif location.suffix.lower() in _READER_OF:
         reader = _READER_OF[location.suffix.lower()]

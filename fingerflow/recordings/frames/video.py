@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
-from fingerflow.untrusted import first_line, reading
+from fingerflow.untrusted import check_by_walking, first_line, reading
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
@@ -37,6 +37,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
     Formats with a full index (AVI, MP4, MOV without reordered frames) give it at once; the packets of the others are
     listed by going through the file.
     """
+    check_by_walking(path, "video")
     with _open(path) as container, reading(path, "video"):
         if not container.streams.video:
             raise FingerflowError(f"{path}: has no video stream; name a video, or record it again")
