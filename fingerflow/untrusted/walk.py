@@ -5,7 +5,9 @@ what readers will do, and looks at everything that they may look at. What merely
 reader gets the same exception. What ends this process, by a signal or by its limits, ends no other.
 """
 
+import base64
 import importlib
+import io
 import json
 import os
 import sys
@@ -31,8 +33,8 @@ def main() -> None:
         print(json.dumps(_walk(path, through)), flush=True)
 
 
-def _walk(path: str, through: Callable[[str], str]) -> str:
-    """What is wrong with a file, "" for nothing."""
+def _walk(path: str, through: Callable[[str], Any]) -> Any:
+    """What is wrong with a file, "" for nothing; or what is in it."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -62,18 +64,45 @@ def through_hdf5(path: str) -> str:
         return _attributes(file) or file.visititems(visit) or ""
 
 
-def through_matlab(path: str) -> str:
-    """Everything, as it is read: the sizes of arrays stand between them."""
+def through_matlab(path: str) -> str | dict[str, Any]:
+    """The numbers and texts themselves, as :func:`as_json` has them: SciPy reads some damaged files from memory that is
+    not its own, so that what went well here would crash elsewhere.
+    """
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4096)
+        wrong = through_hdf5(path) if b"\x89HDF\r\n\x1a\n" in start else ""
+        return wrong or as_json(read_matlab(path))
+    except MemoryError:
+        raise
+    except Exception as error:
+        return f"it cannot be read ({type(error).__name__}: {str(error)[:120]})"
+
+
+def read_matlab(path: str) -> Any:
+    """What is in a MATLAB file, by name; structs are mappings."""
     from pymatreader import read_mat
 
-    with open(path, "rb") as file:
-        start = file.read(4096)
-    if b"\x89HDF\r\n\x1a\n" in start:
-        wrong = through_hdf5(path)
-        if wrong:
-            return wrong
-    read_mat(path)
-    return ""
+    return read_mat(path)
+
+
+def as_json(value: Any) -> Any:
+    """Mappings as they are, arrays of numbers as {".npy": base64}, texts; None for all else."""
+    import numpy as np
+
+    if isinstance(value, dict):
+        return {str(name): as_json(one) for name, one in value.items()}
+    if isinstance(value, str):
+        return value
+    try:
+        numbers = np.asarray(value)
+    except ValueError:  # cells with vectors of several lengths
+        return None
+    if numbers.dtype.kind not in "iuf":
+        return None
+    data = io.BytesIO()
+    np.save(data, numbers, allow_pickle=False)
+    return {".npy": base64.b64encode(data.getvalue()).decode("ascii")}
 
 
 def through_tdms(path: str) -> str:
@@ -92,7 +121,7 @@ def through_video(path: str) -> str:
         return ""
 
 
-WALKS: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
+WALKS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     "hdf5": (through_hdf5, ("h5py",)),
     "MATLAB": (through_matlab, ("h5py", "scipy.io", "pymatreader")),
     "TDMS": (through_tdms, ("nptdms",)),

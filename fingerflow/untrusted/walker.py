@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import atexit
+import base64
+import io
 import json
 import os
 import signal
@@ -13,6 +15,8 @@ import warnings
 from multiprocessing.spawn import get_executable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.untrusted import walk
@@ -28,9 +32,30 @@ def check_by_walking(path: Path, kind: str) -> None:
     Raises FingerflowError where that crashed the library, took more than 10 s of a processor, or more memory than a
     file of its size can need.
     """
-    wrong = _walker.ask(path, kind)
-    if wrong:
-        raise FingerflowError(f"{path}: is damaged ({kind}): {wrong}; copy it again, or export it anew")
+    _sound(path, kind, _walker.ask(path, kind))
+
+
+def read_matlab_apart(path: Path) -> dict[str, Any]:
+    """What is in a MATLAB file, read by that process: structs as mappings, arrays of numbers, texts, None for all else.
+
+    Raises FingerflowError as :func:`check_by_walking`, and where it cannot be read.
+    """
+    found = _walker.ask(path, "MATLAB")
+    _sound(path, "MATLAB", found)
+    return dict(_from_json(found or walk.as_json(walk.read_matlab(str(path)))))
+
+
+def _sound(path: Path, kind: str, answer: Any) -> None:
+    if answer and isinstance(answer, str):
+        raise FingerflowError(f"{path}: is damaged, or no {kind} file: {answer}; copy it again, or export it anew")
+
+
+def _from_json(value: Any) -> Any:
+    if isinstance(value, dict):
+        if ".npy" in value:
+            return np.load(io.BytesIO(base64.b64decode(value[".npy"])), allow_pickle=False)
+        return {name: _from_json(one) for name, one in value.items()}
+    return value
 
 
 class _Walker:
@@ -42,15 +67,15 @@ class _Walker:
         self._owner = 0
         self._cannot_start = False
 
-    def ask(self, path: Path, kind: str) -> str:
-        """What is wrong with the file; "" for nothing."""
+    def ask(self, path: Path, kind: str) -> Any:
+        """What is wrong with the file, "" for nothing or where there is no such process; or what is in it."""
         with self._lock:
             process = self._running()
             if process is None:
                 return ""
             answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
             if answer is not None:
-                return str(answer)
+                return answer
             status = process.wait()
             self._process = None
         return f"the library {_end(status)} while its structure was gone through"

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted import check_by_walking, reading
+from fingerflow.untrusted import read_matlab_apart, reading
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"
@@ -20,15 +19,14 @@ UNITS = "units"
 def read_table(path: Path) -> Table:
     """A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` has the unit of each column by its name."""
     try:
-        from pymatreader import read_mat
+        import pymatreader  # noqa: F401  which another process imports
     except ImportError:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
         ) from None
-    check_by_walking(path, "MATLAB")
     table = Table(path, {})
     with reading(path, "a MATLAB file"):
-        _take(table, read_mat(str(path)), "")
+        _take(table, read_matlab_apart(path), "")
     return table
 
 
@@ -41,19 +39,8 @@ def _take(table: Table, content: Mapping[str, Any], prefix: str) -> None:
             table.units.update({prefix + column: str(unit) for column, unit in value.items()})
         elif isinstance(value, Mapping):
             _take(table, value, name + ".")
-        elif (numbers := _numbers(value)) is None:
-            continue
-        elif numbers.size == 1:
+        elif isinstance(value, np.ndarray) and value.size == 1:
             if key in RATE_NAMES:
-                table.sample_rate = float(numbers.reshape(-1)[0])
-        elif numbers.size:
-            table.add(name, numbers)
-
-
-def _numbers(value: Any) -> NDArray[Any] | None:
-    """None for texts, and for cells, which hold vectors of several lengths."""
-    try:
-        numbers = np.asarray(value)
-    except ValueError:
-        return None
-    return numbers if numbers.dtype.kind in "iuf" else None
+                table.sample_rate = float(value.reshape(-1)[0])
+        elif isinstance(value, np.ndarray) and value.size:
+            table.add(name, value)
