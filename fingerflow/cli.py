@@ -485,18 +485,10 @@ def _views(
     return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}
 
 
-def _process(
-    scene: Any,
-    outputs: list[str] | None,
-    quiet: bool,
-    device: str = "auto",
-    engine: str = "torch",
-    to: Path | None = None,
-    overwrite: bool = False,
-) -> Any:
+def _process(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
     from fingerflow.pipeline import process as run
 
-    return run(scene, outputs, device=device, progress=not quiet, engine=engine, to=to, overwrite=overwrite)
+    return run(scene, outputs, progress=not quiet, **options)
 
 
 def _print_json(facts: Any) -> None:

@@ -73,7 +73,12 @@ class _Walker:
             process = self._running()
             if process is None:
                 return ""
-            answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
+            try:
+                answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
+            except BaseException:  # interrupted: its answer must not become that of the next file
+                process.kill()
+                self._process = None
+                raise
             if answer is not None:
                 return answer
             status = process.wait()
@@ -87,7 +92,7 @@ class _Walker:
         if self._cannot_start:
             return None
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        command = [os.fsdecode(get_executable()), str(Path(walk.__file__))]
+        command = [os.fsdecode(get_executable()), "-P", str(Path(walk.__file__))]
         try:
             process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,

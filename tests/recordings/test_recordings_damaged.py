@@ -415,3 +415,26 @@ def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     assert any(sentence.startswith("truncated") for sentence in open_recording(path).warnings)
+
+
+def test_an_interrupted_look_answers_for_no_other_file(tmp_path, monkeypatch):
+    from fingerflow.untrusted import walker
+
+    for name in ("a.h5", "b.h5"):
+        with h5py.File(tmp_path / name, "w") as file:
+            file["x"] = GREY
+    walks = walker._Walker()
+    assert walks.ask(tmp_path / "a.h5", "hdf5") == ""
+
+    def interrupted(process, line):
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(walks, "_answer", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            walks.ask(tmp_path / "a.h5", "hdf5")
+    (tmp_path / "b.h5").write_bytes(b"x")
+    assert "cannot be read" in walks.ask(tmp_path / "b.h5", "MATLAB")  # its own answer
+    walks.close()
