@@ -1,19 +1,49 @@
-"""Files that appear only when they are complete."""
+"""Files that appear only when they are complete, and never in the place of what is not theirs to replace."""
 
+import contextlib
+import os
+import platform
+import re
 import secrets
+import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
 
+_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # one recording in two files
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
 
 def spare(output: Path, *inputs: Path | None) -> None:
-    """Raises FingerflowError where an output would replace an input, which may name a data set within its file."""
+    """Raises FingerflowError where an output would replace an input, which may name a data set within its file; the
+    other file of a recording in two; or a picture of a folder of frames, among which a new one would be a frame too.
+    """
     for given in inputs:
         file = None if given is None else Path(str(given).split("::")[0])
-        if file is not None and output.exists() and file.exists() and output.samefile(file):
-            raise FingerflowError(f"{output} is an input of this command and would be replaced; give another output")
+        if file is None or not file.exists():
+            continue
+        if file.is_dir():
+            taken = output.suffix.lower() in _PICTURES and output.resolve().parent == file.resolve()
+        else:
+            partners = _PARTNERS.get(file.suffix.lower(), ())
+            beside = [one for one in file.parent.iterdir() if one.stem == file.stem and one.suffix.lower() in partners]
+            taken = output.exists() and any(output.samefile(one) for one in (file, *beside))
+        if taken:
+            raise FingerflowError(
+                f"{output} is an input of this command, or among its frames, and would be replaced; give another output"
+            )
+
+
+def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
+    """Raises FingerflowError where a file is there that the same command has not written, and may not be replaced."""
+    if not overwrite and path.exists() and not path.is_dir() and not is_ours(path):
+        raise FingerflowError(
+            f"{path} exists and was not written by this command; give another name, remove it, or allow it by "
+            "overwrite (--overwrite)"
+        )
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
@@ -21,18 +51,53 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
     Raises FingerflowError where the system does not let it be written.
     """
-    if not path.name or path.is_dir():
-        raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
-    part = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    part: Path | None = None
     try:
+        if not path.name or path.is_dir():
+            raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
         path.parent.mkdir(parents=True, exist_ok=True)
+        part = unfinished(path)
         write(part)
         part.replace(path)
     except BaseException as error:
-        if part.parent.is_dir():
-            part.unlink(missing_ok=True)
+        if part is not None:
+            with contextlib.suppress(OSError):  # of what cannot be removed either; the first error says more
+                part.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise FingerflowError(
                 f"{path} cannot be written ({error.strerror or error}); name another place, or make room there"
             ) from error
         raise
+
+
+def unfinished(path: Path) -> Path:
+    """A hidden path beside a file or folder, for it while it is being written.
+
+    Removes those that killed runs have left there: they name the computer and the process that wrote them, and only
+    those count whose process is no more.
+    """
+    here = f"{zlib.crc32(platform.node().encode()):08x}"
+    stem, suffix = path.stem, path.suffix
+    pattern = re.compile(rf"\.{re.escape(stem)}-{here}-(\d+)-[0-9a-f]{{8}}{re.escape(suffix)}")
+    with contextlib.suppress(OSError):
+        for other in path.parent.iterdir():
+            found = pattern.fullmatch(other.name)
+            if found and not _is_running(int(found[1])):
+                if other.is_dir():
+                    shutil.rmtree(other, ignore_errors=True)
+                else:
+                    other.unlink(missing_ok=True)
+    return path.with_name(f".{stem}-{here}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
+
+
+def _is_running(process: int) -> bool:
+    """True where nobody can tell without harm."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

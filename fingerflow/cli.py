@@ -21,6 +21,9 @@ _DEMO_FILES = {
 }
 _INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")
+]
 PixelRanges = tuple[int, int, int, int]
 Outputs = Annotated[
     list[str] | None, typer.Option("--output", help="A variable that is wanted; may be repeated. Default: all.")
@@ -83,7 +86,7 @@ def init(path: Annotated[Path, typer.Argument(help="The scene file to write.")] 
 
 @app.command()
 def info(recording: Path, as_json: AsJson = False) -> None:
-    """Say what a recording holds, without reading its frames."""
+    """Say what a recording holds, without reading its frames: damage that only decoding shows is not among it."""
     from fingerflow.recordings import open_recording
 
     found = open_recording(recording)
@@ -96,6 +99,8 @@ def info(recording: Path, as_json: AsJson = False) -> None:
         "dtype": str(found.dtype),
         "frame_rate_hz": found.frame_rate,
         "first_time_s": None if found.times is None or not len(found) else float(found.times[0]),
+        "lossy_codec": found.lossy,
+        "unreadable": {str(index): reason for index, reason in found.unreadable.items()},
         "warnings": list(found.warnings),
     }
     if as_json:
@@ -123,11 +128,12 @@ def calibrate(
     output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path(
         "calibration.toml"
     ),
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
     from fingerflow import calibration
-    from fingerflow.atomic_write import spare, write_atomically
+    from fingerflow.atomic_write import keep_others, spare, write_atomically
 
     ring_frame = _first_frame(ring)
     target_frame = None if target is None else _first_frame(target)
@@ -137,6 +143,9 @@ def calibrate(
     picture = output.with_suffix(".png")
     spare(output, ring, target, background)
     spare(picture, ring, target, background)
+    keep_others(output, calibration.is_calibration, overwrite)
+    # The picture has no mark of its own: it is ours where the file beside it is.
+    keep_others(picture, lambda _: output.exists() and calibration.is_calibration(output), overwrite)
 
     def write_both(part: Path) -> None:
         part.write_text(found.to_toml(), encoding="utf-8")
@@ -192,6 +201,7 @@ def process(
     to: Annotated[Path | None, typer.Option(help="Result file; default result.h5 beside the scene.")] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda ...")] = "auto",
     engine: Annotated[str, typer.Option(help="torch, or onnx: the graphs of a bundle, by ONNX Runtime.")] = "torch",
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Compute a scene and save the result."""
@@ -199,7 +209,7 @@ def process(
 
     path = to or scene.parent / "result.h5"
     loaded = load_scene(scene)
-    result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine, to=path)
+    result = _process(loaded, outputs, quiet=as_json, device=device, engine=engine, to=path, overwrite=overwrite)
     if as_json:
         _print_json(
             {
@@ -233,8 +243,9 @@ def report(
             )
         typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
         return
+    loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
     stored = load_result(result or scene.parent / "result.h5")
-    typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
+    typer.echo(f"report: {write_report(stored, loaded, scene.parent)}")
 
 
 @app.command()
@@ -452,7 +463,10 @@ def _first_frame(path: Path) -> Any:
     with open_recording(path) as recording:
         if not len(recording):
             raise FingerflowError(f"{path} has no frame; one is needed")
-        return recording[0]
+        frame = recording[0]
+        if recording.unreadable:
+            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
+        return frame
 
 
 def _views(
@@ -471,17 +485,10 @@ def _views(
     return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}
 
 
-def _process(
-    scene: Any,
-    outputs: list[str] | None,
-    quiet: bool,
-    device: str = "auto",
-    engine: str = "torch",
-    to: Path | None = None,
-) -> Any:
+def _process(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
     from fingerflow.pipeline import process as run
 
-    return run(scene, outputs, device=device, progress=not quiet, engine=engine, to=to)
+    return run(scene, outputs, progress=not quiet, **options)
 
 
 def _print_json(facts: Any) -> None:

@@ -15,10 +15,10 @@ import xarray as xr
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.atomic_write import spare, write_atomically
+from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
-from fingerflow.result import open_result
+from fingerflow.result import is_result, open_result
 from fingerflow.scene import Scene, load_scene
 from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
 from fingerflow.stages.stage import Batch, Stage, Trial
@@ -40,6 +40,7 @@ def process(
     progress: bool = False,
     engine: str = "torch",
     to: str | Path | None = None,
+    overwrite: bool = False,
 ) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
@@ -52,6 +53,7 @@ def process(
             on the processor, from graphs as an exported bundle has them. The results agree to rounding.
         to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
             appears when it is complete. None keeps them in memory.
+        overwrite: let that file replace one that is no result of `process`; never an input.
 
     Returns:
         The data set, with what the stages that ran have given (`fingerflow.player.contract.variables`); of a file, what
@@ -61,6 +63,10 @@ def process(
         FingerflowError: whatever the user can put right, named with its file and value.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
+    if to is not None:
+        to = Path(to)
+        spare(to, *scene.files())
+        keep_others(to, is_result, overwrite)
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     runtime = _onnx_runtime(engine, device)
     inputs = open_inputs(scene, device if runtime is None else "cpu")
@@ -72,9 +78,6 @@ def process(
             store = MemoryStore(VARIABLES, frames)
             _run(wanted, inputs, store, runtime, progress)
             return store.dataset
-
-        to = Path(to)
-        spare(to, *scene.files())
 
         def write(part: Path) -> None:
             with FileStore(VARIABLES, frames, part) as file:

@@ -7,12 +7,19 @@ import numpy as np
 import scipy.io
 import xarray as xr
 
-from fingerflow.atomic_write import write_atomically
+from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
+from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
+
+MARK = "fingerflow_version"  # the attribute by which a result is known
 
 
-def save_result(result: xr.Dataset, path: Path) -> None:
-    """Writes HDF5/NetCDF4; the file appears only when it is complete."""
+def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
+    """Writes HDF5/NetCDF4; the file appears only when it is complete.
+
+    Raises FingerflowError where it cannot be written, and without `overwrite` where a file is there that is no result.
+    """
+    keep_others(path, is_result, overwrite)
     compressed = {name: {"zlib": True, "complevel": 2} for name, values in result.data_vars.items() if values.ndim > 1}
     write_atomically(path, lambda part: result.to_netcdf(part, engine="h5netcdf", encoding=compressed))
 
@@ -22,19 +29,35 @@ def load_result(path: Path) -> xr.Dataset:
 
     Raises FingerflowError where the file is missing or is something else.
     """
-    with open_result(path) as stored:
+    with open_result(path) as stored, reading(path, "a result"):
         return stored.load()
+
+
+def is_result(path: Path) -> bool:
+    """Whether a file is what :func:`save_result` or `process` writes."""
+    try:
+        with open_hdf5(path) as file:
+            return MARK in file.attrs
+    except FingerflowError:
+        return False
 
 
 def open_result(path: Path) -> xr.Dataset:
     """As :func:`load_result`, but values are read from the file when they are looked at; close it when done."""
+    check_file(path)
+    check_by_walking(path, "hdf5")
     try:
         result = xr.open_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise FingerflowError(f"{path} cannot be read as a result ({error}); run `fingerflow process` first") from error
-    if "fingerflow_version" not in result.attrs:
+    except Exception as error:  # whatever the library raises at a damaged file
+        raise FingerflowError(
+            f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"
+        ) from error
+    if MARK not in result.attrs:
         result.close()
-        raise FingerflowError(f"{path} is not a result of fingerflow: it does not state a fingerflow_version")
+        raise FingerflowError(
+            f"{path} is not a result of fingerflow: it does not state a {MARK}; name the file that `fingerflow "
+            "process` wrote"
+        )
     return result
 
 

@@ -77,7 +77,7 @@ def test_init_never_overwrites(
     [
         (("info", "nothing.cine"), "nothing.cine"),
         (("process", "nothing.toml"), "nothing.toml"),
-        (("report", "nothing.toml"), "result.h5"),
+        (("report", "nothing.toml"), "nothing.toml"),
         (("calibrate", "--ring", "nothing.png"), "nothing.png"),
         (("export-table", "nothing.h5", "table.csv"), "nothing.h5"),
         (("simulate", "poke", "folder"), "press, slide"),
@@ -250,7 +250,9 @@ def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, mo
     (tmp_path / "result.h5").write_bytes(b"of before")
     monkeypatch.setattr("fingerflow.store.FileStore.finish", interrupt_after(0))
     arguments = ("process", str(trial / "scene.toml"), "--output", "real_contact_area")
-    assert main_with(monkeypatch, *arguments, "--to", str(tmp_path / "result.h5")) == 130
+    arguments += ("--to", str(tmp_path / "result.h5"))
+    assert main_with(monkeypatch, *arguments) == 2  # it is no result
+    assert main_with(monkeypatch, *arguments, "--overwrite") == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
 
 

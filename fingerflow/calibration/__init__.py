@@ -1,6 +1,6 @@
 """The calibration of a rig from frames of a target with discs and of a ring: scale and view-to-view transform."""
 
-from fingerflow.calibration.calibration import Calibration
+from fingerflow.calibration.calibration import Calibration, is_calibration
 from fingerflow.calibration.discs import find_discs
 from fingerflow.calibration.edge import Disc
 from fingerflow.calibration.from_frames import calibrate
@@ -18,5 +18,6 @@ __all__ = [
     "find_hole",
     "fit_affine",
     "fit_similarity",
+    "is_calibration",
     "match_discs",
 ]

@@ -80,6 +80,15 @@ class Calibration:
         )
 
 
+def is_calibration(path: Path) -> bool:
+    """Whether a file is what `to_toml` writes."""
+    try:
+        read_calibration(path)
+    except CalibrationError:
+        return False
+    return True
+
+
 def _section(title: str, values: Mapping[str, Any]) -> list[str]:
     return ["", title, *(f"{name} = {_written(value)}" for name, value in values.items())]
 

@@ -8,7 +8,6 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
-import secrets
 import shutil
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -17,6 +16,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
+from fingerflow.atomic_write import unfinished
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
@@ -51,7 +51,7 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
     need_packages()
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; name another folder or remove it")
-    part = folder.with_name(f".{folder.name}-{secrets.token_hex(4)}")
+    part = unfinished(folder)
     try:
         part.mkdir(parents=True)
         graphs = build(recipe)

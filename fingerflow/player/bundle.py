@@ -59,7 +59,7 @@ def load_bundle(folder: Path) -> Bundle:
         raise PlayerError(
             f"{path}: cannot be read ({error.strerror}); name the folder that `fingerflow export` wrote"
         ) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise PlayerError(f"{path}: is no JSON ({error}); {again}") from None
     if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
         found = facts.get("format") if isinstance(facts, dict) else facts
@@ -77,7 +77,7 @@ def load_bundle(folder: Path) -> Bundle:
             files={name: folder / graphs[name]["file"] for name in names},
         )
         _ = bundle.height, bundle.width, bundle.dtype
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"
         ) from None

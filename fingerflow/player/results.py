@@ -16,7 +16,7 @@ import numpy as np
 
 from .arrays import Array
 from .contract.variables import FRAME, LABELS
-from .errors import PlayerError
+from .errors import PlayerError, first_line
 
 RESULTS_FORMAT = 2
 
@@ -44,14 +44,16 @@ def read_results(folder: str | Path) -> StreamResults:
                 "of the bundle that wrote them"
             )
         dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
+        for field in header["fields"]:
+            tuple(map(str, field["dims"])), str(field["unit"])
         lacking = {"frame", "time"} - set(dtype.names or ())
         if lacking:
             raise ValueError(f"its records have no {' and no '.join(sorted(lacking))}")
         count = (folder / "records.bin").stat().st_size // dtype.itemsize
         lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
         events = [json.loads(line) for line in lines if line.endswith("\n")]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise PlayerError(f"{folder}: is no results folder of a stream ({error})") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise PlayerError(f"{folder}: is no results folder of a stream ({first_line(error)}); copy it again") from None
     records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
     return StreamResults(records, header, events)
 

@@ -107,7 +107,12 @@ class Inputs:
                 )
             if not len(still):
                 raise FingerflowError(f"{path}: the background has no frame; {remedy}")
-            mean = view.crop(read_frames(still[:_REFERENCE_FRAMES])).mean(axis=0, dtype=np.float64)
+            part = still[:_REFERENCE_FRAMES]
+            pictures = view.crop(read_frames(part))
+            whole = [place for place in range(len(part)) if place not in part.unreadable]
+            if not whole:
+                raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
+            mean = (pictures if len(whole) == len(part) else pictures[whole]).mean(axis=0, dtype=np.float64)
         return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
 
 

@@ -1,12 +1,18 @@
 """Forces at the times of the frames."""
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.variables import LOADING
-from fingerflow.recordings import open_forces
+from fingerflow.recordings import Forces, open_forces
 from fingerflow.stages.stage import Stage, Trial
 
+_LEAST_OFFSET = 0.2  # N, of a sensor at rest that is worth a word
+_OFFSET_SHARE = 0.05  # of the largest force
 _LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: a quotient by less says nothing
 Series = NDArray[np.float64]
 
@@ -34,6 +40,11 @@ class LoadingStage(Stage):
         names = {"normal_force": settings.normal}
         if settings.tangential is not None:
             names["tangential_force"] = settings.tangential
+        if settings.trigger is not None and settings.trigger in (settings.normal, settings.tangential):
+            raise FingerflowError(
+                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
+                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
+            )
         forces = open_forces(
             settings.file,
             channels=names,
@@ -43,6 +54,12 @@ class LoadingStage(Stage):
         )
         if settings.trigger is not None and settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
+            if inputs.scene.recording.trigger_frame is None and not inputs.recording.has_trigger:
+                inputs.warnings.append(
+                    f"forces are aligned to the trigger {settings.trigger!r}, and nothing says in which frame it came: "
+                    "frame 0 is taken; give [recording] trigger_frame"
+                )
+        _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
         # Forces are resampled in the order of time, whatever part of the recording was chosen.
         values = forces.resample(inputs.times)
         inputs.warnings.extend(forces.warnings)
@@ -68,3 +85,36 @@ class LoadingStage(Stage):
             return None
         pressed = self.normal > _LEAST_NORMAL
         return np.where(pressed, self.tangential / np.where(pressed, self.normal, 1), np.nan)
+
+
+def _check(file: Path, forces: Forces, names: Mapping[str, str], rests: bool) -> None:
+    """Whether channels are forces of a finger that presses: in N, positive, and 0 where it `rests` beside the glass.
+
+    Raises FingerflowError for volts and for a normal force with the wrong sign; warns of an offset.
+    """
+    for name, column in names.items():
+        if forces.units[name] != "N":
+            raise FingerflowError(
+                f"{file}: column {column!r} of the {name.replace('_', ' ')} is in {forces.units[name]}, not in N; "
+                "multiply it by the sensor's sensitivity and write its unit in the heading"
+            )
+    if forces.trigger is not None and forces.units[forces.trigger] == "N":
+        forces.warnings.append(
+            f"{file}: the trigger {forces.trigger!r} is in N, as a force is; is it the right channel?"
+        )
+    normal = forces.channels["normal_force"]
+    normal = normal[np.isfinite(normal)]
+    if not normal.size:
+        return
+    # A hundredth at either end may be noise or a blow.
+    lowest, highest = np.quantile(normal, (0.01, 0.99))
+    if -lowest > max(_LEAST_OFFSET, 3 * highest):
+        raise FingerflowError(
+            f"{file}: the normal force {names['normal_force']!r} lies between {lowest:.3g} and {highest:.3g} N: "
+            "pressing must be positive; change its sign in the file"
+        )
+    if rests and lowest > max(_LEAST_OFFSET, _OFFSET_SHARE * highest):
+        forces.warnings.append(
+            f"{file}: the normal force {names['normal_force']!r} is never below {lowest:.3g} N; if the finger was off "
+            "the glass at some time, that is the sensor's offset: take it off in the file"
+        )

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import secrets
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,6 +12,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from fingerflow.atomic_write import unfinished as hidden
 from fingerflow.errors import FingerflowError
 from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
@@ -50,7 +50,7 @@ def write_recording(folder: Path, scene: Scene) -> None:
     folder = Path(folder)
     if folder.exists():
         raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
-    unfinished = folder.with_name(f".{folder.name}-{secrets.token_hex(4)}")
+    unfinished = hidden(folder)
     try:
         _make(unfinished)
         _write_frames(unfinished / "frames.npy", scene)

@@ -97,15 +97,53 @@ def test_without_a_heading_columns_have_numbers(tmp_path):
     check(open_forces(path, ["column_2", "column_3"], units, time="column_1"), "column_2", "column_3")
 
 
-def test_a_sample_rate_replaces_the_times(tmp_path):
-    path = text(tmp_path, CSV["comma"])
-    forces = open_forces(path, sample_rate=500)
-    np.testing.assert_allclose(forces.times, np.arange(50) / 500)
+def test_a_sample_rate_replaces_times_of_too_few_digits(tmp_path):
+    rounded = "".join(f"{time:.2f},{force}\n" for time, force in zip(TIMES, NORMAL, strict=True))
+    path = text(tmp_path, "time (s),normal (N)\n" + rounded)
+    with pytest.raises(FingerflowError, match=r"same time.*pass sample_rate="):
+        open_forces(path)
+    forces = open_forces(path, sample_rate=1000)
+    np.testing.assert_allclose(forces.times, TIMES)
     assert "time" not in forces.channels
+
+
+def test_a_sample_rate_that_the_times_contradict_is_refused(tmp_path):
+    path = text(tmp_path, CSV["comma"])
+    np.testing.assert_allclose(open_forces(path, sample_rate=1000).times, TIMES)
+    with pytest.raises(FingerflowError, match=r"sample_rate=500 Hz, but its column 'time' in s says 1000 Hz. Leave"):
+        open_forces(path, sample_rate=500)
+    milliseconds = text(tmp_path, "time,normal (N)\n" + "".join(f"{n},{n}\n" for n in range(9)), "ms.csv")
+    with pytest.raises(FingerflowError, match=r"says 1 Hz.*'time \(ms\)'"):
+        open_forces(milliseconds, sample_rate=1000)
     with pytest.raises(FingerflowError, match="not both"):
         open_forces(path, sample_rate=500, time="time")
     with pytest.raises(FingerflowError, match="sample_rate=-1"):
         open_forces(path, sample_rate=-1)
+
+
+def test_a_rate_in_the_file_beside_its_times_is_said(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"], file["normal"] = TIMES, NORMAL
+        file["normal"].attrs["units"] = "N"
+        file.attrs["sample_rate"] = 500.0
+    forces = open_forces(tmp_path / "a.h5")
+    np.testing.assert_allclose(forces.times, TIMES)
+    assert forces.warnings == [
+        f"{tmp_path / 'a.h5'}: states 500 Hz, and its times 'time' are 1000 Hz apart; the times count"
+    ]
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path):
+    lines = "".join(f"{time:.3f},{force:.2f}\n".replace(".", ",") for time, force in zip(TIMES, NORMAL, strict=True))
+    with pytest.raises(FingerflowError, match=r"'0,000,0,00' has 4 cells below 2 names .*semicolons"):
+        open_forces(text(tmp_path, "time (s),normal (N)\n" + lines))
+
+
+def test_a_line_that_is_cut_off_does_not_count(tmp_path):
+    path = text(tmp_path, CSV["comma"][:-3])
+    forces = open_forces(path)
+    np.testing.assert_allclose(forces.times, TIMES[:-1])
+    assert forces.warnings == [f"{path}: ends within a line, which is left out; copy the file again if it was longer"]
 
 
 @pytest.mark.parametrize(
@@ -140,7 +178,7 @@ def test_refused_by_name(tmp_path, content, options, named):
 def test_wrong_paths(tmp_path):
     with pytest.raises(FingerflowError, match="no such file"):
         open_forces(tmp_path / "missing.csv")
-    with pytest.raises(FingerflowError, match="no such file"):
+    with pytest.raises(FingerflowError, match="is a folder, not a file; name a file in it"):
         open_forces(tmp_path)
     with pytest.raises(FingerflowError, match=r"\.docx.*\.csv"):
         open_forces(text(tmp_path, "x", "a.docx"))

@@ -184,7 +184,7 @@ def test_forces_of_nan_are_said(changed: Change, press: Path, tmp_path: Path) ->
     cells = [line.split(",") for line in lines[1:]]
     for row in cells:
         row[1] = "nan"
-    (tmp_path / "nan.csv").write_text("\n".join([lines[0], *map(",".join, cells)]))
+    (tmp_path / "nan.csv").write_text("\n".join([lines[0], *map(",".join, cells)]) + "\n")
     result = process(changed({(press / "forces.csv").as_posix(): "nan.csv"}), ["normal_force", "gross_contact_area"])
     assert np.isnan(result["normal_force"].values).all()
     assert np.isfinite(result["tangential_force"].values[1:]).all()

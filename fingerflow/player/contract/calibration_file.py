@@ -46,8 +46,12 @@ def read_calibration(path: Path) -> CalibrationFile:
     Raises CalibrationError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise OSError(0, "it is no file")
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise CalibrationError(f"{path}: this calibration cannot be read: {error.strerror}. {_REMEDY}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise CalibrationError(f"{path}: this calibration cannot be read: {error}. {_REMEDY}") from None
     try:
         transforms = table.get("topography_to_contact", {})
@@ -105,6 +109,8 @@ def _transform(table: Mapping[str, Any]) -> TransformRows:
     whole = [len(row) for row in matrix] == [3, 3] and all(math.isfinite(one) for row in matrix for one in row)
     if not whole or not can_be_undone(matrix):
         raise ValueError(f"the matrix {[list(row) for row in matrix]} is no 2 x 3 transform that can be undone")
+    if any(len(row) != 2 for row in found.residuals_px):
+        raise ValueError(f"the residuals {[list(row) for row in found.residuals_px]} are no pairs of px")
     return found
 
 

@@ -145,8 +145,12 @@ class _Check:
     def _path(self, file: File, value: Any) -> Path:
         if not isinstance(value, str):
             raise WrongValue("that is no path of a file; it should be in quotes, relative to the scene file")
-        path = (self._folder / value).resolve()
-        if self._reader in file.there_for and not Path(str(path).split("::")[0]).exists():
+        try:
+            path = (self._folder / value).resolve()
+            there = Path(str(path).split("::")[0]).exists()
+        except (OSError, ValueError) as error:  # a name that no file can have, or a folder that nobody may look into
+            raise WrongValue(f"that is no path that can be looked up ({error}); correct it") from None
+        if self._reader in file.there_for and not there:
             raise WrongValue(f"{path} does not exist; paths are relative to the folder of the scene file")
         if file.calibration:
             try:

@@ -19,6 +19,8 @@ def read_scene(path: Path, reader: Reader) -> Checked:
     keys do not go together, or a file that the reader needs is missing.
     """
     path = path.resolve()
+    if path.exists() and not path.is_file():
+        raise SceneError(f"{path}: is no file; name a scene file, which `fingerflow init` writes")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -27,7 +29,7 @@ def read_scene(path: Path, reader: Reader) -> Checked:
         raise SceneError(f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8") from None
     try:
         written = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SceneError(f"{path}: is not valid TOML: {error}; correct it there") from None
     found, problems = check_scene(written, path.parent, reader)
     if problems:

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from ..errors import PlayerError
+from ..errors import PlayerError, first_line
 from . import video
 from .source import Asked, Source
 
@@ -46,5 +46,9 @@ def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first:
         raise PlayerError(f"{path}: is no file; give {kinds()}, or `synthetic`")
     try:
         return video.Video(path, first) if reader is None else reader.open_frames(asked)
-    except (ValueError, TypeError) as error:
-        raise PlayerError(f"{path}: cannot be read as frames ({error})") from None
+    except PlayerError:
+        raise
+    except Exception as error:  # what a library raises at a damaged file is no promise of its own
+        raise PlayerError(
+            f"{path}: cannot be read as frames ({first_line(error)}); copy it again, or save it anew"
+        ) from error

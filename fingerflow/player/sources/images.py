@@ -6,7 +6,10 @@ import importlib
 import re
 from pathlib import Path
 
+import numpy as np
+
 from ..arrays import Array
+from ..contract.claimed_sizes import impossible_picture
 from ..errors import PlayerError
 from .source import Asked, Source
 
@@ -27,7 +30,7 @@ def open_frames(asked: Asked) -> Source:
         raise PlayerError(
             f"{asked.path}: pictures need OpenCV: `pip install opencv-python-headless`, or give frames as .npy"
         ) from None
-    found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES]
+    found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not found:
         raise PlayerError(f"{asked.path}: has no picture; of its files those that end in {', '.join(_SUFFIXES)} count")
     return Pictures(sorted(found, key=_by_numbers), asked.first)
@@ -47,7 +50,17 @@ class Pictures:
         if self._next >= len(self._paths):
             return None
         path = self._paths[self._next]
-        picture: Array | None = self._cv2.imread(str(path), self._cv2.IMREAD_UNCHANGED)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise PlayerError(f"{path}: cannot be read ({error.strerror}); take it out of the folder") from None
+        wrong = impossible_picture(data)
+        if wrong:
+            raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
+        # An empty one is no picture, and no array to OpenCV.
+        picture: Array | None = None
+        if data:
+            picture = self._cv2.imdecode(np.frombuffer(data, np.uint8), self._cv2.IMREAD_UNCHANGED)
         if picture is None:
             raise PlayerError(f"{path}: OpenCV cannot read this picture; save it again, or take it out of the folder")
         self._next += 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table, split_unit
+from fingerflow.untrusted import first_line
 
 COMMENTS = ("#", "%", "//")
 
@@ -26,6 +27,7 @@ def read_table(path: Path) -> Table:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
+    table = Table(path, {})
     lines = (line for line in re.finditer(r"[^\r\n]+", text) if _is_read(line.group()))
     first = next(lines, None)
     if first is None:
@@ -35,17 +37,20 @@ def read_table(path: Path) -> Table:
     if separator is None:
         heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit separates no columns
     split = [cell.strip().strip('"').strip() for cell in heading.split(separator)]
-    units: dict[str, str] = {}
     sample: re.Match[str] | None = first
     if _is_numeric(split, separator):
         names = [f"column_{number + 1}" for number in range(len(split))]
     else:
         sample = next(lines, None)
-        names, units, has_units = _heading(path, split, "" if sample is None else sample.group(), separator)
+        names, table.units, has_units = _heading(path, split, "" if sample is None else sample.group(), separator)
         sample = next(lines, None) if has_units else sample
     if sample is None:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = text[sample.start() :]
+    if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
+        # Programs end their last line too: of one that does not, the last number may be cut as well.
+        body = "\n".join(body.splitlines()[:-1])
+        table.warnings.append(f"{path}: ends within a line, which is left out; copy the file again if it was longer")
     if separator != ",":
         body = body.replace(",", ".")
     try:
@@ -55,10 +60,16 @@ def read_table(path: Path) -> Table:
         try:
             numbers = _numbers("\n".join(filter(_is_read, body.splitlines())), separator, len(names))
         except ValueError as error:
+            cells = sample.group().rstrip(", ;\t").count(separator or " ") + 1
+            if separator == "," and cells > len(names):
+                raise FingerflowError(
+                    f"{path}: {sample.group().strip()!r} has {cells} cells below {len(names)} names {names}. If the "
+                    "comma is a decimal one, separate the columns by semicolons or tabs; else name every column"
+                ) from None
             raise FingerflowError(
-                f"{path}: below the heading {split} there is something besides numbers: {error}"
+                f"{path}: below the heading {split} there is something besides numbers ({first_line(error)}); leave "
+                "numbers and comments only"
             ) from None
-    table = Table(path, {}, units)
     for name, column in zip(names, numbers.T, strict=True):
         table.columns[name] = np.ascontiguousarray(column)
     return table
@@ -70,7 +81,13 @@ def _is_read(line: str) -> bool:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    return np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None, usecols=range(columns))
+    """Raises ValueError where a line has another number of cells; empty ones behind the last do not count."""
+    if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
+        body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
+    numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
+    if numbers.shape[1] != columns:
+        raise ValueError(f"{numbers.shape[1]} cells a line")
+    return numbers
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:

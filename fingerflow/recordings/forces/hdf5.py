@@ -9,6 +9,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
+from fingerflow.untrusted import open_hdf5, reading, stored_whole
 
 
 def read_table(path: Path) -> Table:
@@ -17,22 +18,20 @@ def read_table(path: Path) -> Table:
     """
     table = Table(path, {})
     rates: set[float] = set()
-    try:
-        with h5py.File(path, "r") as file:
-            _take_rate(file, rates)
+    with open_hdf5(path) as file, reading(path, "HDF5"):
+        _take_rate(path, file, rates)
 
-            def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
-                _take_rate(item, rates)
-                if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
-                    table.add(name, item[()])
-                    unit = item.attrs.get("units", item.attrs.get("unit"))
-                    if unit is not None:
-                        units = unit.decode() if isinstance(unit, bytes) else str(unit)
-                        table.units.update({column: units for column in table.columns if column.split("[")[0] == name})
+        def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
+            _take_rate(path, item, rates)
+            if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim in (1, 2):
+                stored_whole(item, path)
+                table.add(name, item[()])
+                unit = item.attrs.get("units", item.attrs.get("unit"))
+                if unit is not None:
+                    units = unit.decode("latin-1") if isinstance(unit, bytes) else str(unit)
+                    table.units.update({column: units for column in table.columns if column.split("[")[0] == name})
 
-            file.visititems(take)
-    except OSError as error:
-        raise FingerflowError(f"{path}: cannot be opened as HDF5, it is of another kind or damaged ({error})") from None
+        file.visititems(take)
     if len(rates) > 1:
         raise FingerflowError(
             f"{path}: states several sample rates ({', '.join(map(str, sorted(rates)))} Hz); pass sample_rate="
@@ -41,6 +40,9 @@ def read_table(path: Path) -> Table:
     return table
 
 
-def _take_rate(item: h5py.Group | h5py.Dataset, rates: set[float]) -> None:
+def _take_rate(path: Path, item: h5py.Group | h5py.Dataset, rates: set[float]) -> None:
     if "sample_rate" in item.attrs:
-        rates.add(float(np.asarray(item.attrs["sample_rate"]).reshape(-1)[0]))
+        value = np.asarray(item.attrs["sample_rate"])
+        if value.size != 1 or value.dtype.kind not in "iuf":
+            raise FingerflowError(f"{path}: attribute sample_rate is {value!r}; it should be one number, in Hz")
+        rates.add(float(value.reshape(-1)[0]))

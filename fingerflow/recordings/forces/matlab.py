@@ -10,6 +10,7 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
+from fingerflow.untrusted import read_matlab_apart, reading
 
 RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"
@@ -18,19 +19,14 @@ UNITS = "units"
 def read_table(path: Path) -> Table:
     """A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` has the unit of each column by its name."""
     try:
-        from pymatreader import read_mat
+        import pymatreader  # noqa: F401  which another process imports
     except ImportError:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
         ) from None
-    try:
-        content = read_mat(str(path))
-    except (OSError, ValueError, TypeError, KeyError, NotImplementedError) as error:
-        raise FingerflowError(
-            f"{path}: cannot be read as a MATLAB file, it is of another kind or damaged ({error})"
-        ) from None
     table = Table(path, {})
-    _take(table, content, "")
+    with reading(path, "a MATLAB file"):
+        _take(table, read_matlab_apart(path), "")
     return table
 
 
@@ -43,8 +39,8 @@ def _take(table: Table, content: Mapping[str, Any], prefix: str) -> None:
             table.units.update({prefix + column: str(unit) for column, unit in value.items()})
         elif isinstance(value, Mapping):
             _take(table, value, name + ".")
-        elif np.ndim(value) == 0 or np.size(value) == 1:
-            if key in RATE_NAMES and np.asarray(value).dtype.kind in "iuf":
-                table.sample_rate = float(np.asarray(value).reshape(-1)[0])
-        elif np.asarray(value).dtype.kind in "iuf":
-            table.add(name, np.asarray(value))
+        elif isinstance(value, np.ndarray) and value.size == 1:
+            if key in RATE_NAMES:
+                table.sample_rate = float(value.reshape(-1)[0])
+        elif isinstance(value, np.ndarray) and value.size:
+            table.add(name, value)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
 from fingerflow.recordings.forces.table import Table
+from fingerflow.untrusted import check_file, reading
 
 READER_OF = {
     ".csv": "delimited_text",
@@ -29,6 +30,7 @@ TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
+SAME_RATE = 0.01  # relative difference up to which two clocks say the same
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
 
@@ -49,22 +51,24 @@ def open_forces(
     units: unit of a column by its name in the file; goes before what the file says. Forces in N, mN, kN or uN become N;
         V and mV become V; a time column may be in s, ms, us or min (s if nobody says).
     time: name of the time column. By default one called time, t or timestamp, in any case of letters.
-    sample_rate: Hz, for a file without times; goes before the rate that the file states.
+    sample_rate: Hz, for a file without times, or with times of too few digits; goes before the rate that the file
+        states. Times that increase and tell another rate are not overruled.
     trigger: name of the column that carries the trigger; kept besides `channels`. Its unit may be missing.
     lengths: columns by their names in the file that hold lengths, not forces; m, mm, um and nm become m.
 
-    Raises FingerflowError for a missing file or column, an unknown or missing unit, and times that do not increase.
+    Raises FingerflowError for a missing file or column, an unknown or missing unit, times that do not increase, and
+    times that contradict `sample_rate`.
     """
     location = Path(path)
-    if not location.is_file():
-        raise FingerflowError(f"{location}: there is no such file (looked in {Path.cwd()})")
+    check_file(location)
     reader = READER_OF.get(location.suffix.lower())
     if reader is None:
         raise FingerflowError(
             f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
             f"{', '.join(READER_OF)}"
         )
-    table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
+    with reading(location, f"forces ({reader})"):
+        table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:
         raise FingerflowError(f"{location}: has no column of numbers")
     table.units.update(units or {})
@@ -85,7 +89,7 @@ def open_forces(
             )
         factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
         values[name] = data * factor
-    return Forces(location, times, values, canonical, trigger=_name_of(wanted, trigger))
+    return Forces(location, times, values, canonical, trigger=_name_of(wanted, trigger), warnings=table.warnings)
 
 
 def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
@@ -95,6 +99,7 @@ def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[N
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
         if not (math.isfinite(sample_rate) and sample_rate > 0):
             raise FingerflowError(f"{table.path}: sample_rate={sample_rate} is not a positive number of Hz")
+        _contradicted(table, sample_rate)
         return np.empty(0), None
     if time is None:
         candidates = [name for name in table.columns if _is_time(name)]
@@ -113,7 +118,32 @@ def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[N
     unit = table.units.get(time, "s")
     if unit not in TO_SECONDS:
         raise FingerflowError(f"{table.path}: time column {time!r} is in {unit!r}; known are {', '.join(TO_SECONDS)}")
-    return _column(table, time) * TO_SECONDS[unit], time
+    times = _column(table, time) * TO_SECONDS[unit]
+    stated, measured = table.sample_rate, _rate(times)
+    if stated is not None and measured is not None and abs(measured / stated - 1) > SAME_RATE:
+        table.warnings.append(
+            f"{table.path}: states {stated:g} Hz, and its times {time!r} are {measured:g} Hz apart; the times count"
+        )
+    return times, time
+
+
+def _contradicted(table: Table, sample_rate: float) -> None:
+    """Raises FingerflowError where a column of times, of one clear rate, has another one."""
+    for name in filter(_is_time, table.columns):
+        unit = table.units.get(name, "s")
+        measured = _rate(table.columns[name] * TO_SECONDS.get(unit, 1.0))
+        if measured is not None and abs(measured / sample_rate - 1) > SAME_RATE:
+            raise FingerflowError(
+                f"{table.path}: sample_rate={sample_rate:g} Hz, but its column {name!r} in {unit} says {measured:g} "
+                f"Hz. Leave sample_rate out; if the column is in another unit, write it in its heading, '{name} (ms)'; "
+                "if it is no time, rename it"
+            )
+
+
+def _rate(times: NDArray[np.float64]) -> float | None:
+    """Median rate, Hz; None for what is no clock: numbers that do not increase throughout."""
+    steps = np.diff(times)
+    return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
 
 def _wanted(

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 
 @dataclass
 class Table:
-    """`units` by column, where the file states them; `sample_rate` (Hz) and `start` (s) where it states a rate."""
+    """`units` by column, where the file states them; `sample_rate` (Hz) and `start` (s) where it states a rate;
+    `warnings`: what a user should read.
+    """
 
     path: Path
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str] = field(default_factory=dict)
     sample_rate: float | None = None
     start: float = 0.0
+    warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64]) -> None:
         """Take one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]."""

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
+from fingerflow.untrusted import check_by_walking, reading
 
 
 def read_table(path: Path) -> Table:
@@ -19,27 +23,12 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
         ) from None
-    try:
-        file = TdmsFile.read(path)
-    except (ValueError, OSError, KeyError, EOFError) as error:
-        raise FingerflowError(f"{path}: cannot be read as TDMS, it is of another kind or damaged ({error})") from None
-    channels = [channel for group in file.groups() for channel in group.channels()]
-    shared = Counter(channel.name for channel in channels)
-    table = Table(path, {})
-    clocks = set()
-    for channel in channels:
-        values = channel[:]
-        if len(values) < 2 or values.dtype.kind not in "iuf":
-            continue
-        name = channel.name if shared[channel.name] == 1 else f"{channel.group_name}/{channel.name}"
-        table.add(name, values)
-        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-        if unit:
-            table.units[name] = {"Newtons": "N", "Volts": "V"}.get(str(unit), str(unit))
-        if channel.properties.get("wf_increment"):
-            clocks.add(
-                (float(channel.properties["wf_increment"]), float(channel.properties.get("wf_start_offset", 0.0)))
-            )
+    check_by_walking(path, "TDMS")
+    # Opened, not read: what the file claims to hold is compared with its size first.
+    with reading(path, "TDMS"), TdmsFile.open(path) as file:
+        table, clocks = _columns(path, file)
+        if file.file_status.incomplete_final_segment:
+            table.warnings.append(f"{path}: its last segment is cut short; the samples that are there are read")
     if len(clocks) > 1:
         steps = ", ".join(f"{step:g} s from {start:g} s" for step, start in sorted(clocks))
         raise FingerflowError(
@@ -49,3 +38,32 @@ def read_table(path: Path) -> Table:
         increment, table.start = clocks.pop()
         table.sample_rate = 1.0 / increment
     return table
+
+
+def _columns(path: Path, file: Any) -> tuple[Table, set[tuple[float, float]]]:
+    """The channels of numbers, and the (step, start) of their clocks in s."""
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    shared = Counter(channel.name for channel in channels)
+    table = Table(path, {})
+    clocks: set[tuple[float, float]] = set()
+    size = path.stat().st_size
+    for channel in channels:
+        if len(channel) < 2 or channel.dtype is None or np.dtype(channel.dtype).kind not in "iuf":
+            continue
+        if len(channel) > size:  # a sample takes a byte at least
+            raise FingerflowError(
+                f"{path}: channel {channel.name!r} should have {len(channel)} samples, which a file of {size} bytes "
+                "cannot hold; copy it again"
+            )
+        values = channel[:]
+        if values.dtype.kind not in "iuf":
+            continue
+        name = channel.name if shared[channel.name] == 1 else f"{channel.group_name}/{channel.name}"
+        table.add(name, values)
+        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
+        if unit:
+            table.units[name] = {"Newtons": "N", "Volts": "V"}.get(str(unit), str(unit))
+        if channel.properties.get("wf_increment"):
+            clock = channel.properties["wf_increment"], channel.properties.get("wf_start_offset", 0.0)
+            clocks.add((float(clock[0]), float(clock[1])))
+    return table, clocks

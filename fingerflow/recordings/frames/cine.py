@@ -89,6 +89,7 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
         bit_depth=layout.bit_depth,
         frame_rate=rate,
         first_number=start,
+        has_trigger=True,
         time_stamps=times,
         warnings=(*warnings, *complaints),
         metadata=_metadata(setup, layout, first_number, blocks.get(EXPOSURE_ONLY)),

@@ -9,42 +9,62 @@ import h5py
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
+from fingerflow.recordings.frames.recording import (
+    Description,
+    FileRecording,
+    Frames,
+    container_bits,
+    grey_dtype,
+    missing_frames,
+)
+from fingerflow.untrusted import first_line, open_hdf5, reading, stored_whole
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames; it should be unpacked once, not once a frame
+NEVER_WRITTEN = "was never written"
 
 
 def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5Recording:
     """Open the only data set of three dimensions, or the one that `dataset` names.
 
-    The attributes are looked for at the data set, then at the groups around it. Raises FingerflowError, naming the data
-    sets there are, if the choice is not clear.
+    The attributes are looked for at the data set, then at the groups around it. Frames of which a chunk was never
+    written, where HDF5 gives its fill value, are unreadable, and missing where none follows that was.
+
+    Raises FingerflowError, naming the data sets there are, if the choice is not clear; and where the frames are in
+    other files that are not there, or cannot be in this one by its size.
     """
+    file = open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES)
     try:
-        file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES)
-    except OSError as error:
-        raise FingerflowError(f"{path}: cannot be opened as HDF5, it is of another kind or damaged ({error})") from None
-    try:
-        frames = _chosen(path, file, dataset)
-        rate, depth = _attribute(frames, "frame_rate"), _attribute(frames, "bit_depth")
-        dtype = grey_dtype(frames.dtype, path)
-        if rate is not None and not (np.isfinite(rate) and rate > 0):
-            raise FingerflowError(f"{path}: attribute frame_rate is {rate}; it must be positive, or pass frame_rate=")
-        if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
-            raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
+        with reading(path, "HDF5"):
+            description, frames = _describe(path, file, dataset)
     except FingerflowError:
         file.close()
         raise
+    return Hdf5Recording(description, frame_rate, frames)
+
+
+def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h5py.Dataset]:
+    frames = _chosen(path, file, dataset)
+    stored_whole(frames, path)
+    rate, depth = _attribute(path, frames, "frame_rate"), _attribute(path, frames, "bit_depth")
+    dtype = grey_dtype(frames.dtype, path)
+    if rate is not None and not (np.isfinite(rate) and rate > 0):
+        raise FingerflowError(f"{path}: attribute frame_rate is {rate}; it must be positive, or pass frame_rate=")
+    if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
+        raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
+    lacking = _lacking(path, frames)
+    count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last frame that was written
     description = Description(
         path=path,
-        count=frames.shape[0],
+        count=count,
         frame_shape=frames.shape[1:],
         dtype=dtype,
         bit_depth=int(depth) if depth is not None and dtype.kind == "u" else container_bits(dtype),
         frame_rate=rate,
         metadata={"dataset": frames.name},
+        warnings=(missing_frames(len(lacking) - count, len(lacking)),) if count < len(lacking) else (),
+        unreadable={int(index): NEVER_WRITTEN for index in np.flatnonzero(lacking[:count])},
     )
-    return Hdf5Recording(description, frame_rate, frames)
+    return description, frames
 
 
 class Hdf5Recording(FileRecording):
@@ -55,10 +75,18 @@ class Hdf5Recording(FileRecording):
         self._frames = frames
 
     def _read_frame(self, index: int) -> Frames:
-        return np.asarray(self._frames[index], self.dtype)
+        if index in self.unreadable:
+            return self._no_picture(index, "")
+        if not self._frames:
+            raise FingerflowError(f"{self.path}: the file is closed; open it again")
+        try:
+            return np.asarray(self._frames[index], self.dtype)
+        except Exception as error:  # whatever the filters of a damaged chunk raise
+            return self._no_picture(index, f"cannot be unpacked ({first_line(error)})")
 
     def close(self) -> None:
-        self._frames.file.close()
+        if self._frames:
+            self._frames.file.close()
 
 
 def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
@@ -66,9 +94,11 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     file.visititems(lambda key, item: found.update({f"/{key}": item}) if isinstance(item, h5py.Dataset) else None)
     listing = ", ".join(f"{key} {item.shape} {item.dtype}" for key, item in found.items()) or "none"
     if name:
-        if "/" + name.strip("/") not in found:
+        # A link has a name that going through the file does not show.
+        item = file.get("/" + name.strip("/"))
+        if not isinstance(item, h5py.Dataset):
             raise FingerflowError(f"{path}: has no data set {name!r}; its data sets are {listing}")
-        found = {name: found["/" + name.strip("/")]}
+        found = {name: item}
     stacks = [item for item in found.values() if item.ndim == 3 and item.dtype.kind in "uif" and 0 not in item.shape]
     if len(stacks) == 1:
         return stacks[0]
@@ -83,11 +113,36 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     )
 
 
-def _attribute(item: h5py.Dataset, name: str) -> float | None:
+def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Which frames lack a chunk; `stored_whole` has seen to it that the claimed number of frames can be there."""
+    lacking = np.zeros(frames.shape[0], bool)
+    if frames.chunks is None or frames.is_virtual:
+        return lacking
+    grid = [-(-length // chunk) for length, chunk in zip(frames.shape, frames.chunks, strict=True)]
+    if frames.id.get_num_chunks() == np.prod(grid, dtype=object):
+        return lacking
+    written = np.zeros(grid[0], np.int64)
+    step, size = frames.chunks[0], path.stat().st_size
+
+    def count(chunk: Any) -> None:
+        if 0 <= chunk.chunk_offset[0] < frames.shape[0] and chunk.byte_offset + chunk.size <= size:
+            written[chunk.chunk_offset[0] // step] += 1
+
+    frames.id.chunk_iter(count)
+    lacking[:] = np.repeat(written < grid[1] * grid[2], step)[: len(lacking)]
+    if lacking.all():
+        raise FingerflowError(f"{path}: not one frame of {frames.name} {frames.shape} was written whole; copy it again")
+    return lacking
+
+
+def _attribute(path: Path, item: h5py.Dataset, name: str) -> float | None:
     place: Any = item
     while True:
         if name in place.attrs:
-            return float(np.asarray(place.attrs[name]).reshape(-1)[0])
+            value = np.asarray(place.attrs[name])
+            if value.size != 1 or value.dtype.kind not in "iuf":
+                raise FingerflowError(f"{path}: attribute {name} of {place.name} is {value!r}; it should be one number")
+            return float(value.reshape(-1)[0])
         if place.name == "/":
             return None
         place = place.parent

@@ -10,59 +10,93 @@ import cv2
 import numpy as np
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.claimed_sizes import impossible_picture
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
+from fingerflow.untrusted import check_file, first_line
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+LOSSY = (".jpg", ".jpeg")
+
+
+class DamagedPicture(FingerflowError):
+    """One image of many that cannot be decoded."""
 
 
 def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
     """Open all images of a folder, or the image `path`.
 
     The first image is read for its size; the others are read when they are asked for, and an image of another size or
-    with real colour is refused then. Raises FingerflowError for a folder without images and for one with several kinds.
+    with real colour is refused then. Where a number is missing in otherwise even numbers of names, its frame is among
+    `unreadable`, so that the frames behind it keep their times; where most are missing, a warning says so.
+
+    Raises FingerflowError for a folder without images, for one with several kinds, and for equal numbers.
     """
-    files = _images_in(path) if path.is_dir() else [path]
-    first = read_image(files[0])
+    files: list[Path | None] = [path]
+    warnings: tuple[str, ...] = ()
+    if path.is_dir():
+        files, warnings = _in_order(path)
+    there = [file for file in files if file is not None]
+    first = read_image(there[0])
     description = Description(
         path=path,
         count=len(files),
         frame_shape=(first.shape[0], first.shape[1]),
         dtype=first.dtype,
         bit_depth=container_bits(first.dtype),
-        metadata={"first_file": files[0].name, "last_file": files[-1].name},
+        lossy="jpeg" if there[0].suffix.lower() in LOSSY else None,
+        warnings=warnings,
+        unreadable={place: "has no file" for place, file in enumerate(files) if file is None},
+        metadata={"first_file": there[0].name, "last_file": there[-1].name},
     )
     return ImageRecording(description, frame_rate, files)
 
 
 class ImageRecording(FileRecording):
-    """One file a frame."""
+    """One file a frame; None where a number is missing."""
 
-    def __init__(self, description: Description, frame_rate: float | None, files: list[Path]) -> None:
+    def __init__(self, description: Description, frame_rate: float | None, files: list[Path | None]) -> None:
         super().__init__(description, frame_rate)
         self._files = files
 
     def _read_frame(self, index: int) -> Frames:
-        image = read_image(self._files[index])
+        file = self._files[index]
+        if file is None:
+            return self._no_picture(index, "has no file")
+        try:
+            image = read_image(file)
+        except DamagedPicture as error:
+            return self._no_picture(index, str(error))
         if image.shape != self.frame_shape or image.dtype != self.dtype:
             raise FingerflowError(
-                f"{self._files[index]}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
-                f"{self._files[0].name}, is {self.frame_shape[0]} x {self.frame_shape[1]} {self.dtype}"
+                f"{file}: is {image.shape[0]} x {image.shape[1]} {image.dtype}, but the first image, "
+                f"{self.metadata['first_file']}, is {self.frame_shape[0]} x {self.frame_shape[1]} {self.dtype}"
             )
         return image
 
 
 def read_image(path: Path) -> Frames:
-    """One grey image (H, W). Grey that is stored as three equal channels is kept exactly; colour is refused by name."""
-    if path.suffix.lower() in (".tif", ".tiff"):
-        with open_tiff(path, None) as stack:
-            if len(stack) != 1:
-                raise FingerflowError(f"{path}: has {len(stack)} pages; in a folder of images each file is one frame")
-            return stack[0]
-    # Read through NumPy: cv2.imread fails without a word for names outside the system's code page.
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
-    if image is None:
-        raise FingerflowError(f"{path}: cannot be read as an image; it is of another kind or damaged")
+    """One grey image (H, W). Grey that is stored as three equal channels is kept exactly; colour is refused by name.
+
+    Raises DamagedPicture where it cannot be decoded, FingerflowError for colour.
+    """
+    try:
+        check_file(path)
+        if path.suffix.lower() in (".tif", ".tiff"):
+            with open_tiff(path, None) as stack:
+                image = stack[0]
+                if stack.unreadable:
+                    raise DamagedPicture(f"{path}: {stack.unreadable[0]}")
+                pages = len(stack)
+        else:
+            # Read through NumPy: cv2.imread fails without a word for names outside the system's code page.
+            image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
+    except (FingerflowError, OSError) as error:
+        raise DamagedPicture(
+            str(error) if isinstance(error, FingerflowError) else f"{path}: {first_line(error)}"
+        ) from error
+    if pages != 1:
+        raise FingerflowError(f"{path}: has {pages} pages; in a folder of images each file is one frame")
     if image.ndim == 3:
         opaque = image.shape[2] < 4 or bool(np.all(image[..., 3] == (255 if image.dtype == np.uint8 else 65535)))
         if not opaque or np.any(image[..., 1:3] != image[..., :1]):
@@ -72,11 +106,66 @@ def read_image(path: Path) -> Frames:
     return image
 
 
+def _decoded(path: Path, data: np.ndarray) -> Frames:
+    wrong = impossible_picture(data.data)
+    if wrong:
+        raise DamagedPicture(f"{path}: {wrong}; copy it again")
+    try:
+        image: Frames | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise DamagedPicture(f"{path}: cannot be read as an image; it is of another kind or damaged; copy it again")
+    return image
+
+
+def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
+    """Files by their numbers, None for one that is missing among them; and what is odd about the numbers."""
+    files = _images_in(folder)
+    numbers = _numbers([file.name for file in files])
+    if len(numbers) < 2:
+        return list(files), ()
+    steps = np.diff(numbers)
+    if not steps.all():
+        same = int(np.argmin(steps))
+        raise FingerflowError(
+            f"{folder}: {files[same].name} and {files[same + 1].name} have the same number; leave one of them in it"
+        )
+    step = int(steps.min())
+    missing = (numbers[-1] - numbers[0]) // step + 1 - len(numbers)
+    uneven = bool((steps % step).any())
+    if not (missing or uneven):
+        return list(files), ()
+    gap = int(np.argmax(steps > step))
+    where = f"the first between {files[gap].name} and {files[gap + 1].name}"
+    if uneven or missing > len(files):
+        return list(files), (f"the numbers of the images have gaps, {where}; they are read as consecutive frames",)
+    placed: list[Path | None] = [None] * (len(files) + missing)
+    for number, file in zip(numbers, files, strict=True):
+        placed[(number - numbers[0]) // step] = file
+    return placed, (f"{missing} of {len(placed)} images are missing by their numbers, {where}: no frames there",)
+
+
+def _numbers(names: list[str]) -> list[int]:
+    """The one number in which all names differ; none where they differ in more than that."""
+    parts = [re.split(r"(\d+)", name) for name in names]
+    if len({(len(one), tuple(one[::2])) for one in parts}) > 1:
+        return []
+    varying = [place for place in range(1, len(parts[0]), 2) if len({int(one[place]) for one in parts}) > 1]
+    if len(varying) > 1 or (not varying and len(names) < 2):
+        return []
+    place = varying[0] if varying else len(parts[0]) - 2
+    return [int(one[place]) for one in parts] if place > 0 else []
+
+
 def _images_in(folder: Path) -> list[Path]:
     kinds: dict[str, list[Path]] = defaultdict(list)
-    for file in folder.iterdir():
-        if file.is_file() and file.suffix.lower() in SUFFIXES and not file.name.startswith("."):
-            kinds[file.suffix.lower()].append(file)
+    try:
+        for file in folder.iterdir():
+            if file.is_file() and file.suffix.lower() in SUFFIXES and not file.name.startswith("."):
+                kinds[file.suffix.lower()].append(file)
+    except OSError as error:
+        raise FingerflowError(f"{folder}: cannot be listed ({first_line(error)}); make it readable") from None
     if not kinds:
         raise FingerflowError(f"{folder}: the folder has no images; looked for {', '.join(SUFFIXES)}")
     if len(kinds) > 1:
@@ -89,4 +178,4 @@ def _images_in(folder: Path) -> list[Path]:
 def _natural(file: Path) -> list[tuple[int, str]]:
     """frame_2 before frame_10: runs of digits compare as numbers."""
     parts = re.split(r"(\d+)", file.name)
-    return [(int(part), part) if part.isdigit() else (-1, part) for part in parts]
+    return [(int(part), part) if part.isdecimal() else (-1, part) for part in parts]

@@ -5,6 +5,7 @@ Source: the headers that Photron FASTCAM Viewer writes, keys quoted as they stan
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack_12bit
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.untrusted import check_file
 
 HEADERS = (".cihx", ".cih")
+MOST_HEADER_BYTES = 1 << 24  # those of cameras have 10 kB, with a small picture 1 MB
 
 # The same entries under their names in the text header and at their place in the XML header.
 XML_PLACES = {
@@ -43,6 +46,11 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
     else:
         pixels, header_path = _beside(path, (".mraw",), "its pixels, a .mraw file"), path
+    check_file(pixels)
+    if check_file(header_path) > MOST_HEADER_BYTES:
+        raise FingerflowError(
+            f"{header_path}: has {header_path.stat().st_size} bytes, more than a Photron header; is it one?"
+        )
     header = _Header(header_path)
     layout = _layout(header)
     count = header.integer("Total Frame")
@@ -54,6 +62,8 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
         )
     # One recorded frame in "Save Step" was kept, so that is how much slower the stored frames are than "Record Rate".
     step = header.integer("Save Step", 1) or 1
+    if step < 1 or count < 1:
+        raise FingerflowError(f"{header_path}: 'Save Step' is {step} and 'Total Frame' {count}; correct the header")
     rate = header.number("Record Rate(fps)") / step
     if rate <= 0:
         raise FingerflowError(f"{header_path}: 'Record Rate(fps)' is {rate * step:g}; correct the header")
@@ -66,7 +76,8 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
         bit_depth=layout.bit_depth,
         frame_rate=rate,
         first_number=header.integer("Start Frame", 0) / step,  # in recorded frames; the trigger is number 0
-        warnings=(missing_frames(count - whole, count),) if whole < count else (),
+        has_trigger=bool(header.text("Start Frame", " ").strip()),
+        warnings=header.warnings + ((missing_frames(count - whole, count),) if whole < count else ()),
         metadata={
             "camera": header.text("Camera Type", "Photron"),
             "record_rate_hz": rate * step,
@@ -128,33 +139,56 @@ class _Header:
     def __init__(self, path: Path) -> None:
         self.path = path
         data = path.read_bytes()
-        self._entries = _xml_entries(path, data) if path.suffix.lower() == ".cihx" else _text_entries(data)
+        self.warnings: tuple[str, ...] = ()
+        if path.suffix.lower() == ".cihx":
+            self._entries = _xml_entries(path, data)
+        else:
+            self._entries, whole = _text_entries(data)
+            if not whole:
+                self.warnings = (f"the header {path.name} has no line END: it was cut, or written by another program",)
 
     def text(self, name: str, default: str | None = None) -> str:
         value = self._entries.get(name) or default
         if value is None:
-            raise FingerflowError(f"{self.path}: has no entry {name!r}; is it the header of a Photron recording?")
+            raise FingerflowError(
+                f"{self.path}: has no entry {name!r}; is it the header of a Photron recording? Copy it again"
+            )
         return value
 
     def number(self, name: str, default: float | None = None) -> float:
         value = self.text(name, None if default is None else str(default))
         try:
-            return float(value)
+            number = float(value)
+            if math.isfinite(number):
+                return number
+            raise ValueError
         except ValueError:
-            raise FingerflowError(f"{self.path}: {name!r} is {value!r}, which is not a number") from None
+            raise FingerflowError(
+                f"{self.path}: {name!r} is {value!r}, which is not a number; correct the header"
+            ) from None
 
     def integer(self, name: str, default: int | None = None) -> int:
-        return int(self.number(name, default))
+        value = self.number(name, default)
+        if not (value.is_integer() and abs(value) < 2**53):
+            raise FingerflowError(
+                f"{self.path}: {name!r} is {value:g}, which is not a whole number; correct the header"
+            )
+        return int(value)
 
 
-def _text_entries(data: bytes) -> dict[str, str]:
+def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
+    """Entries, and whether the line that ends them is there."""
     entries: dict[str, str] = {}
     # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
-    for line in data.decode("latin-1").splitlines():
+    lines = data.decode("latin-1").splitlines(keepends=True)
+    whole = any(line.strip() == "END" for line in lines)
+    if not whole and lines and not lines[-1].endswith(("\r", "\n")):
+        lines.pop()  # "Depth : 1" may have been 12
+    for line in lines:
         name, colon, value = line.partition(":")
         if colon:
             entries.setdefault(name.strip(), value.strip())  # later sections tell of other programs
-    return entries
+    return entries, whole
 
 
 def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
@@ -183,6 +217,14 @@ def _layout(header: _Header) -> _Layout:
             "known is MRaw of 8, 12 or 16 bits"
         )
     width, height = header.integer("Image Width"), header.integer("Image Height")
+    if bits == 16:
+        # A guess would make light 16 times too bright or too dark.
+        for name in ("EffectiveBit Depth", "EffectiveBit Side") if header.warnings else ("EffectiveBit Depth",):
+            if not header.text(name, "").strip():
+                raise FingerflowError(
+                    f"{path}: does not state {name!r}, without which 16 bits a pixel say nothing; copy the header "
+                    f"again, or add the line '{name} : ...' as the camera has it"
+                )
     sensor_bits = header.integer("EffectiveBit Depth", bits)
     depth = min(sensor_bits, bits)
     if depth < 1 or width < 1 or height < 1:

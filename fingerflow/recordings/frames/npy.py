@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 from fingerflow.recordings.frames.recording import (
     Description,
     FileRecording,
@@ -16,20 +17,27 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
+from fingerflow.untrusted import first_line
 
 
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
     """Read the header only. Raises FingerflowError for other shapes and for pixels that are not grey values."""
     with open(path, "rb") as file:
+        length = npy_header_bytes(file.read(12))
+        if length > MOST_NPY_HEADER:
+            raise FingerflowError(f"{path}: its header should have {length} bytes, and no array has; save it anew")
+        file.seek(0)
         try:
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, by_columns, dtype = read(file)
-        except (ValueError, KeyError) as error:
-            raise FingerflowError(f"{path}: not a NumPy file of plain numbers ({error})") from None
+        except Exception as error:  # the header is Python, and what its tokens raise is no part of NumPy's promise
+            raise FingerflowError(
+                f"{path}: not a NumPy file of plain numbers ({first_line(error)}); copy it again, or save it anew"
+            ) from None
         start = file.tell()
     dtype = grey_dtype(dtype, path)
-    if len(shape) not in (2, 3) or 0 in shape:
+    if len(shape) not in (2, 3) or min(shape) < 1:
         colour = " Colour frames have to be made grey first." if len(shape) == 4 else ""
         raise FingerflowError(f"{path}: its array is {shape}; frames are (N, H, W), or (H, W) for one.{colour}")
     count, height, width = shape if len(shape) == 3 else (1, *shape)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Recording
+from fingerflow.untrusted import check_file, reading
 
 # Readers are imported when they are needed: video and HDF5 libraries take a second to load.
 READERS = {
@@ -31,7 +33,8 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
     frame_rate: Hz; replaces the rate and the time stamps of the file. Without it, a file that states no rate has none.
 
     Raises FingerflowError for a file that is missing, of an unknown kind, damaged beyond its header, or in colour. A
-    file that merely ends too early opens with the frames that are whole and a sentence in `warnings`.
+    file that merely ends too early opens with the frames that are whole and a sentence in `warnings`; a frame that is
+    damaged by itself is among `unreadable`.
     """
     if frame_rate is not None and not (math.isfinite(frame_rate) and frame_rate > 0):
         raise FingerflowError(
@@ -39,19 +42,21 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         )
     file, _, inside = str(path).partition("::")
     location = Path(file)
-    if not location.exists():
-        raise FingerflowError(f"{location}: there is no such file or folder (looked in {Path.cwd()})")
-    if location.is_dir():
+    if os.path.isdir(location):  # False, not an error, where nobody may look
         reader = "images"
     elif location.suffix.lower() in _READER_OF:
         reader = _READER_OF[location.suffix.lower()]
     else:
+        check_file(location)
         raise FingerflowError(
             f"{location}: {location.suffix or 'a file without suffix'} is not a recording. Known are a folder of "
             f"images and {', '.join(_READER_OF)}"
         )
     if inside and reader != "hdf5":
         raise FingerflowError(f"{path}: only an HDF5 file has something after '::'")
+    if reader != "images":
+        check_file(location)
     module = import_module(f"fingerflow.recordings.frames.{reader}")
-    recording: Recording = module.open_frames(location, frame_rate, **({"dataset": inside} if inside else {}))
+    with reading(location, f"a recording ({reader})"):
+        recording: Recording = module.open_frames(location, frame_rate, **({"dataset": inside} if inside else {}))
     return recording

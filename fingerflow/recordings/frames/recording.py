@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, overload
 
 import numpy as np
@@ -23,7 +24,9 @@ class Description:
 
     `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
     `first_number`: the number of the first frame where the trigger is number 0, or 0 if the file knows no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced.
+    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced. `has_trigger`: whether
+    time 0 is the camera's trigger. `lossy`: the codec, where it has changed the pixels. `unreadable`: frames by
+    number that are known to be damaged, and why.
     """
 
     path: Path
@@ -36,6 +39,9 @@ class Description:
     time_stamps: NDArray[np.float64] | None = None
     warnings: tuple[str, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
+    has_trigger: bool = False
+    lossy: str | None = None
+    unreadable: Mapping[int, str] = field(default_factory=dict)
 
 
 class Recording(ABC):
@@ -48,7 +54,8 @@ class Recording(ABC):
     in 0 .. 2**bit_depth - 1: the true depth where the file states it, else that of the container; never guessed from
     the values; None for float); `frame_rate` in Hz, None where nobody states it; `times`, float64, s, one a frame, 0 at
     the trigger where the file has one, else at the first frame, None without a rate; `warnings`, sentences that a
-    user should read; `metadata`, what else the file says (camera, exposure, levels).
+    user should read; `metadata`, what else the file says (camera, exposure, levels); `has_trigger`, whether
+    the file says which frame that is; `lossy`, the codec where it has changed the pixels ("h264", "jpeg"), else None.
     """
 
     path: Path
@@ -59,6 +66,18 @@ class Recording(ABC):
     times: NDArray[np.float64] | None
     warnings: tuple[str, ...]
     metadata: dict[str, Any]
+    has_trigger: bool
+    lossy: str | None
+
+    @property
+    @abstractmethod
+    def unreadable(self) -> Mapping[int, str]:
+        """Frames of this recording that are damaged, by index, and why, in words that follow "frame 12".
+
+        Such a frame is read as NaN, or as 0 where pixels are whole numbers: it is no picture, and nothing may be
+        computed from it. What a header does not tell is known only when the frame has been read (videos, compressed
+        pages), so look again after reading.
+        """
 
     @abstractmethod
     def __len__(self) -> int:
@@ -151,8 +170,11 @@ class FileRecording(Recording):
         self.frame_shape = description.frame_shape
         self.dtype = description.dtype.newbyteorder("=")
         self.bit_depth = description.bit_depth
-        self.warnings = description.warnings
+        self.warnings = description.warnings + (() if description.lossy is None else (lossy_codec(description.lossy),))
         self.metadata = description.metadata
+        self.has_trigger = description.has_trigger
+        self.lossy = description.lossy
+        self._unreadable = dict(description.unreadable)
         self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
         self._count = description.count
         # Rows of a frame in one piece and numbers as this processor has them, or a copy would be needed after all.
@@ -167,6 +189,15 @@ class FileRecording(Recording):
 
     def __len__(self) -> int:
         return self._count
+
+    @property
+    def unreadable(self) -> Mapping[int, str]:
+        return MappingProxyType(self._unreadable)
+
+    def _no_picture(self, index: int, reason: str) -> Frames:
+        """What a reader gives in place of a frame that it cannot read; from now on the frame is among `unreadable`."""
+        self._unreadable.setdefault(index, reason)
+        return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
     def _memory_map(self) -> Frames | None:
         return self._map
@@ -188,11 +219,18 @@ class _View(Recording):
         self.bit_depth = file.bit_depth
         self.warnings = file.warnings
         self.metadata = file.metadata
+        self.has_trigger = file.has_trigger
+        self.lossy = file.lossy
         self.times = None if file.times is None else file.times[np.asarray(indices, dtype=np.intp)]
         self.frame_rate = _rate_of_view(file.frame_rate, indices)
 
     def __len__(self) -> int:
         return len(self._indices)
+
+    @property
+    def unreadable(self) -> Mapping[int, str]:
+        known = self._file.unreadable
+        return {place: known[index] for place, index in enumerate(self._indices) if index in known} if known else {}
 
     def _read_frame(self, index: int) -> Frames:
         return self._file._read_frame(self._indices[index])
@@ -240,6 +278,14 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
 def container_bits(dtype: np.dtype[Any]) -> int | None:
     """Bit depth where the file states none: that of the container. A guess from the values would change with them."""
     return None if dtype.kind == "f" else 8 * dtype.itemsize
+
+
+def lossy_codec(name: str) -> str:
+    """The sentence that goes into `warnings` of pixels that a codec has changed."""
+    return (
+        f"{name} is a lossy codec, which changes fine texture: points are found less exactly than is stated (with "
+        "H.264 to 0.066 px in place of 0.028); record without compression, or with a lossless codec such as FFV1"
+    )
 
 
 def missing_frames(missing: int, expected: int) -> str:

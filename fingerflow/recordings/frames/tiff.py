@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
+from fingerflow.untrusted import first_line, plausible_size, reading
 
+LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # of tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
@@ -25,19 +28,18 @@ def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
     complaints = _Complaints()
     logger = logging.getLogger("tifffile")
     logger.addFilter(complaints)
+    file: tifffile.TiffFile | None = None
     try:
-        file = tifffile.TiffFile(path)
-        series = file.series
-    except (tifffile.TiffFileError, ValueError, IndexError, OSError) as error:
-        raise FingerflowError(f"{path}: cannot be read as TIFF, it is of another kind or damaged ({error})") from None
+        with reading(path, "TIFF"):
+            file = tifffile.TiffFile(path)
+            description, stack = _describe(path, file, file.series, complaints.messages)
+            return TiffRecording(description, frame_rate, file, stack)
+    except FingerflowError:
+        if file is not None:
+            file.close()
+        raise
     finally:
         logger.removeFilter(complaints)
-    try:
-        description, stack = _describe(path, file, series, complaints.messages)
-    except FingerflowError:
-        file.close()
-        raise
-    return TiffRecording(description, frame_rate, file, stack)
 
 
 class TiffRecording(FileRecording):
@@ -51,26 +53,28 @@ class TiffRecording(FileRecording):
         self._stack = stack
 
     def _read_frame(self, index: int) -> Frames:
-        return np.array(self._stack[index], self.dtype).reshape(self.frame_shape)
+        if index in self.unreadable:
+            return self._no_picture(index, "")
+        if isinstance(self._stack, np.ndarray):
+            return np.array(self._stack[index], self.dtype)
+        if self._stack is None:
+            raise FingerflowError(f"{self.path}: the file is closed; open it again")
+        try:
+            image = np.asarray(self._stack[index].asarray())
+        except Exception as error:  # whatever the codec of a damaged page raises
+            return self._no_picture(index, f"cannot be decoded ({first_line(error)})")
+        if image.size != self.frame_shape[0] * self.frame_shape[1]:
+            return self._no_picture(index, f"is {image.shape} and not {self.frame_shape}")
+        return image.astype(self.dtype).reshape(self.frame_shape)
 
     def close(self) -> None:
         super().close()
-        self._stack = []
+        self._stack = None
         self._file.close()
 
 
-class _Pages:
-    """Pages behind an index, each decoded when it is asked for."""
-
-    def __init__(self, pages: Any) -> None:
-        self._pages = pages
-
-    def __getitem__(self, index: int) -> Frames:
-        image: Frames = self._pages[index].asarray()
-        return image
-
-
-_Stack = _Pages | np.ndarray[Any, Any] | list[Frames]
+_Stack = Sequence[Any] | np.ndarray[Any, Any] | None
+"""Pages, each decoded when it is asked for; or a map of all; None when closed."""
 
 
 class _Complaints(logging.Filter):
@@ -88,31 +92,44 @@ class _Complaints(logging.Filter):
 def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]) -> tuple[Description, _Stack]:
     if not series:
         raise FingerflowError(f"{path}: has no readable page; it ends after {path.stat().st_size} bytes")
-    if len(series) > 1:
+    kinds = {(one.shape, one.axes, str(one.dtype), one.keyframe.photometric) for one in series}
+    if len(kinds) > 1:
         shapes = ", ".join(f"{len(one.pages)} of {one.shape}" for one in series[:4])
         raise FingerflowError(f"{path}: its pages differ ({shapes}); all frames have one size and kind")
     stack, page = series[0], series[0].keyframe
     if page.photometric not in GREY or page.samplesperpixel != 1:
         kind = f"{getattr(page.photometric, 'name', page.photometric)}, {page.samplesperpixel} samples a pixel"
         raise FingerflowError(f"{path}: a colour file ({kind}); convert it to grey first")
-    *leading, height, width = stack.shape
-    if sum(length > 1 for length in leading) > 1 or stack.axes[-2:] != "YX" or page.imagedepth > 1:
+    *leading, height, width = stack.shape if len(stack.shape) > 1 else (0, 0)
+    # A program that writes page by page may close a series with each: then the pages of all are the frames.
+    alone = len(series) == 1
+    if sum(length > 1 for length in (*leading, *([] if alone else [len(series)]))) > 1 or (
+        stack.axes[-2:] != "YX" or page.imagedepth > 1
+    ):
         raise FingerflowError(f"{path}: its axes {stack.axes} are {stack.shape}; frames have one axis before YX")
     dtype = grey_dtype(np.dtype(stack.dtype), path)
+    if min(height, width) < 1:
+        raise FingerflowError(f"{path}: frames of {height} x {width} pixels cannot be; copy the file again")
     imagej = file.imagej_metadata or {}
-    count = math.prod(leading)
-    if count == 1 and stack.dataoffset is not None:
+    count = math.prod(leading) * len(series)
+    one_piece = alone and stack.dataoffset is not None
+    if count == 1 and one_piece:
         # ImageJ keeps the pixels in one piece and the list of pages behind them; cut off there, the count survives.
         count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
-    frames: _Stack
-    if stack.dataoffset is not None:
+    frames: _Stack = None
+    damaged: dict[int, str] = {}
+    if one_piece:
         whole = min(count, (size - stack.dataoffset) // (height * width * dtype.itemsize))
         shape = (max(whole, 0), height, width)
-        frames = np.memmap(path, dtype.newbyteorder(file.byteorder), "r", stack.dataoffset, shape) if whole > 0 else []
+        if whole > 0:
+            frames = np.memmap(path, dtype.newbyteorder(file.byteorder), "r", stack.dataoffset, shape)
     else:
-        whole = sum(_is_whole(one, size) for one in stack.pages)
-        frames = _Pages(stack.pages)
+        frames = [one for each in series for one in each.pages]
+        states = [_damage(one, size, height * width * dtype.itemsize) for one in frames]
+        whole = max((number + 1 for number, state in enumerate(states) if not state), default=0)
+        frames = frames[:whole]
+        damaged = {number: state for number, state in enumerate(states[:whole]) if state}
     if whole <= 0:
         raise FingerflowError(f"{path}: not one of its {count} frames is there whole; copy the file again")
     warnings = []
@@ -132,6 +149,8 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
             dtype=dtype,
             bit_depth=None if dtype.kind == "f" else page.bitspersample,
             frame_rate=_rate(imagej),
+            lossy=page.compression.name.lower() if page.compression.name in LOSSY else None,
+            unreadable=damaged,
             warnings=tuple(warnings),
             metadata={"axes": stack.axes, **{key: imagej[key] for key in ("finterval", "unit") if key in imagej}},
         ),
@@ -139,9 +158,20 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
     )
 
 
-def _is_whole(page: Any, size: int) -> bool:
-    pieces = zip(page.dataoffsets, page.databytecounts, strict=False)
-    return all(offset + length <= size for offset, length in pieces)
+def _damage(page: Any, size: int, frame_bytes: int) -> str:
+    """Why a page of so many bytes of pixels cannot be read whole, as far as its header tells; "" for nothing."""
+    if page is None:
+        return "has no readable header"
+    pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))
+    if len(pieces) != math.prod(page.chunked):  # of which the library goes through as many as the header says
+        return f"has {len(pieces)} of {math.prod(page.chunked)} pieces"
+    if not all(offset > 0 and length > 0 for offset, length in pieces):
+        return "was never written"  # where the library gives zeros
+    if not all(offset + length <= size for offset, length in pieces):
+        return "ends beyond the file"
+    if not plausible_size(frame_bytes, sum(length for _, length in pieces)):
+        return "has fewer bytes than a frame of its size"
+    return ""
 
 
 def _rate(imagej: dict[str, Any]) -> float | None:

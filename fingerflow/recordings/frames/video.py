@@ -11,6 +11,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
+from fingerflow.untrusted import check_by_walking, first_line, reading
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
+MOST_PIXELS = 1 << 28  # of a frame
+CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # a decoder would else fill damaged parts with old pixels
 
 
 def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
@@ -32,23 +37,28 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
     Formats with a full index (AVI, MP4, MOV without reordered frames) give it at once; the packets of the others are
     listed by going through the file.
     """
-    container = _open(path)
-    with container:
+    check_by_walking(path, "video")
+    with _open(path) as container, reading(path, "video"):
         if not container.streams.video:
-            raise FingerflowError(f"{path}: has no video stream")
+            raise FingerflowError(f"{path}: has no video stream; name a video, or record it again")
         stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise FingerflowError(f"{path}: its codec is not known; convert it, for example to FFV1 in .mkv")
         pixels = _pixels(path, stream.codec_context.pix_fmt, stream.codec_context.height, stream.codec_context.width)
         promised, rate, tick = stream.frames, stream.average_rate, stream.time_base
         luma_range = LUMA_RANGE.get(int(stream.codec_context.color_range), "not stated")
-        codec = stream.codec_context.name
+        codec, lossy = stream.codec_context.name, _lossy(stream.codec_context)
         container_seconds = (container.duration or 0) / av.time_base
         index = _index(path, container, stream)
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = [missing_frames(promised - index.count, promised)] if promised > index.count else []
+    # MKV states no number of frames but how long they last, in ticks; and how many bytes it has.
     lasting = container_seconds * float(rate or 0)
-    if not promised and lasting - index.count > 1.5:  # MKV states no number of frames but how long they last
+    if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
         warnings.append(missing_frames(round(lasting) - index.count, round(lasting)))
+    elif not promised and (cut := unfinished(path)):
+        warnings.append(f"truncated: {cut}; frames may be missing at the end")
     if pixels.is_luma:
         warnings.append(
             f"a colour video ({pixels.name}): its brightness (luma) is used as stored, range {luma_range}; "
@@ -71,6 +81,8 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
         frame_rate=hertz,
         time_stamps=stamps if hertz is not None else None,
         warnings=tuple(warnings),
+        lossy=lossy,
+        unreadable=index.damaged,
         metadata={"codec": codec, "pixel_format": pixels.name, "luma_range": luma_range},
     )
     return VideoRecording(description, frame_rate, pixels, index)
@@ -87,13 +99,16 @@ class VideoRecording(FileRecording):
         self._index = index
         self._container: Any = None
         self._decoded: Iterator[tuple[int, Any]] = iter(())
+        self._has_checksums = description.metadata["codec"] == "ffv1" and _has_checksums(description.path)
         self._next = -1  # the frame that the decoder is about to give; -1 for none
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
     def _read_frame(self, index: int) -> Frames:
-        if index not in self._cache:
+        if index not in self._cache and index not in self.unreadable:
             self._decode_to(index)
+        if index in self.unreadable:
+            return self._no_picture(index, "")
         return self._cache[index].copy()
 
     def _decode_to(self, wanted: int) -> None:
@@ -105,42 +120,76 @@ class VideoRecording(FileRecording):
             return
         self._start_at(0)  # a container whose seeking misses its key frames still decodes from the start
         if not self._run_to(wanted):
-            raise FingerflowError(f"{self.path}: frame {wanted} cannot be decoded; the file is damaged there")
+            self._damaged(wanted, "gives no picture")
 
     def _run_to(self, wanted: int) -> bool:
-        try:
-            for number, frame in self._decoded:
-                if number > wanted:
-                    return False
-                self._next = number + 1
+        for number, frame in self._decoded:
+            if number > wanted:
+                return False
+            self._next = number + 1
+            if frame.is_corrupt:
+                self._damaged(number, "is marked as corrupt by the decoder")
+            if not self._pixels.fit(frame):
+                self._damaged(number, f"is {frame.height} x {frame.width} {frame.format.name}, not as the header says")
+            if number not in self.unreadable:
                 self._cache[number] = self._pixels.of(frame, self.path, number)
-                while len(self._cache) > self._cached_at_most:
-                    self._cache.popitem(last=False)
-                if number == wanted:
-                    return True
-        except av.FFmpegError as error:
-            raise FingerflowError(f"{self.path}: frame {self._next} cannot be decoded ({error})") from None
+            while len(self._cache) > self._cached_at_most:
+                self._cache.popitem(last=False)
+            if number == wanted:
+                return True
         return False
+
+    def _damaged(self, number: int, reason: str) -> None:
+        """The frame, and those behind it that are made from it: up to the next key frame."""
+        self._unreadable.setdefault(number, reason)
+        keys = self._index.keys
+        place = bisect_right(keys, number)
+        end = keys[place] if place < len(keys) else len(self)
+        for later in range(number + 1, end):
+            self._unreadable.setdefault(later, f"is made from frame {number}, which {reason}")
+            self._cache.pop(later, None)
 
     def _start_at(self, key: int) -> None:
         if self._container is None or key == 0:
             self.close()
             self._container = _open(self.path)
         stream = self._container.streams.video[0]
+        stream.codec_context.options = CHECKS
         if key > 0 and self._index.stamps is not None:
             self._container.seek(int(self._index.stamps[key]), stream=stream)
         self._next = key
-        self._decoded = self._numbered(self._container.decode(stream), key)
+        self._decoded = self._numbered(stream, key)
 
-    def _numbered(self, frames: Iterator[Any], key: int) -> Iterator[tuple[int, Any]]:
+    def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
         """Frames with their number, from key frame `key` on: those shown before it lack what they refer to."""
-        if self._index.stamps is None:
-            yield from enumerate(frames)
-            return
-        for frame in frames:
-            number = self._index.numbers.get(frame.pts)
-            if number is not None and number >= key:
-                yield number, frame
+        count = 0
+        packets = self._container.demux(stream)
+        while True:
+            number = None
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+                number = self._index.numbers.get(packet.pts)
+                if self._has_checksums and number is not None and not slices_are_whole(bytes(packet)):
+                    self._damaged(number, "has a wrong checksum")
+                frames = packet.decode()
+            except (av.FFmpegError, ValueError, MemoryError) as error:
+                if self._index.stamps is None:
+                    raise FingerflowError(
+                        f"{self.path}: frame {count} cannot be decoded ({first_line(error)}), and without time stamps "
+                        "those behind it have no number; copy the file again"
+                    ) from error
+                if number is None:  # not of one packet: the file cannot be read on
+                    return
+                if number >= key:
+                    self._damaged(number, f"cannot be decoded ({first_line(error)})")
+                continue
+            for frame in frames:
+                of_frame = self._index.numbers.get(frame.pts) if self._index.stamps is not None else count
+                count += 1
+                if of_frame is not None and of_frame >= key:
+                    yield of_frame, frame
 
     def close(self) -> None:
         if self._container is not None:
@@ -152,13 +201,15 @@ class VideoRecording(FileRecording):
 @dataclass(frozen=True)
 class _Index:
     """`stamps`: ticks in the order in which frames are shown, None if the file has no useful ones (then decoding always
-    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order.
+    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order. `damaged`: frames
+    that the container marks, and why.
     """
 
     count: int
     stamps: NDArray[np.int64] | None
     keys: list[int]
     numbers: dict[int, int]
+    damaged: dict[int, str]
 
 
 @dataclass(frozen=True)
@@ -174,12 +225,10 @@ class _Pixels:
     is_rgb: bool
     is_luma: bool
 
+    def fit(self, frame: Any) -> bool:
+        return (frame.height, frame.width) == self.shape and frame.format.name == self.name
+
     def of(self, frame: Any, path: Path, number: int) -> Frames:
-        if (frame.height, frame.width) != self.shape or frame.format.name != self.name:
-            raise FingerflowError(
-                f"{path}: frame {number} is {frame.height} x {frame.width} {frame.format.name}, the header says "
-                f"{self.shape[0]} x {self.shape[1]} {self.name}"
-            )
         if self.is_rgb:
             rgb = frame.to_ndarray(format="rgb24")
             if np.any(rgb[..., 1:] != rgb[..., :1]):
@@ -194,15 +243,58 @@ class _Pixels:
 
 
 def _open(path: Path) -> Any:
-    try:
-        return av.open(str(path))
-    except (av.FFmpegError, OSError) as error:
-        raise FingerflowError(f"{path}: cannot be read as video, it is of another kind or damaged ({error})") from None
+    with reading(path, "video"):
+        return av.open(str(path), metadata_errors="replace")
+
+
+def _has_checksums(path: Path) -> bool:
+    """Whether those of one of the first frames are there and right; the stream's header has it where nobody can see."""
+    with _open(path) as container, reading(path, "video"):
+        return any(slices_are_whole(bytes(packet)) for packet in islice(container.demux(video=0), 5))
+
+
+def _lossy(codec: Any) -> str | None:
+    """The name of a codec that has changed pixels. H.264 without loss has a profile of its own."""
+    if codec.codec.lossless and not codec.codec.lossy:
+        return None
+    lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)
+    return None if lossless else str(codec.name)
+
+
+def unfinished(path: Path) -> str:
+    """Whether a Matroska file (MKV, WebM) ends before its segment, whose length its program writes when it is done: in
+    words, "" where not. Source: RFC 9559 (Matroska) and RFC 8794 (EBML), variable-size integers.
+    """
+    with path.open("rb") as file:
+        start, size = file.read(256), path.stat().st_size
+    if start[:4] != b"\x1aE\xdf\xa3":
+        return ""
+    header, at = _variable_integer(start, 4)
+    at += header or 0
+    if start[at : at + 4] != b"\x18S\x80g":
+        return ""
+    length, begin = _variable_integer(start, at + 4)
+    if length is None:
+        return "the file was never finished"
+    return f"the file has {size} of {begin + length} bytes" if begin + length > size else ""
+
+
+def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
+    """The number and where it ends; None where all its bits are set, which means that nobody knows."""
+    first = data[at] if at < len(data) else 0
+    width = 9 - first.bit_length()
+    if width > 8:
+        return None, at
+    mask = (1 << 7 * width) - 1
+    value = int.from_bytes(data[at : at + width], "big") & mask
+    return (None if value == mask else value), at + width
 
 
 def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
-    if name is None or height == 0 or width == 0:
-        raise FingerflowError(f"{path}: its header is damaged: no pixel format or size can be found")
+    if name is None or height <= 0 or width <= 0 or height * width > MOST_PIXELS:
+        raise FingerflowError(
+            f"{path}: its header is damaged: frames of {height} x {width} pixels, format {name}; copy the file again"
+        )
     layout = av.VideoFormat(name)
     bits = [component.bits for component in layout.components]
     is_rgb = layout.is_rgb or layout.has_palette
@@ -230,22 +322,33 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
     size = path.stat().st_size
     entries = list(stream.index_entries)
     if entries and len(entries) == stream.frames and not stream.codec_context.has_b_frames:
-        packets = [(entry.timestamp, entry.is_keyframe) for entry in entries if entry.pos + entry.size <= size]
+        packets = [(entry.timestamp, entry.is_keyframe, False) for entry in entries if entry.pos + entry.size <= size]
     else:
-        try:
-            packets = [
-                (packet.pts, packet.is_keyframe)
-                for packet in container.demux(stream)
-                if packet.size and not packet.is_discard and not packet.is_corrupt
-            ]
-        except av.FFmpegError as error:
-            raise FingerflowError(f"{path}: cannot be read to its end ({error})") from None
-    stamps = [stamp for stamp, _ in packets]
+        packets = _packets(container, stream)
+        while packets and packets[-1][2]:
+            packets.pop()  # cut off within it
+    stamps = [stamp for stamp, *_ in packets]
     # AVI has no order of display: what FFmpeg makes up for reordered frames is not what the decoder gives later.
     unordered = container.format.name == "avi" and stream.codec_context.has_b_frames
     if unordered or None in stamps or len(set(stamps)) < len(stamps):
-        return _Index(len(packets), None, [0], {})
+        return _Index(len(packets), None, [0], {}, {})
     packets.sort()
-    keys = [number for number, (_, is_key) in enumerate(packets) if is_key]
-    numbers = {stamp: number for number, (stamp, _) in enumerate(packets)}
-    return _Index(len(packets), np.array(sorted(stamps), np.int64), sorted({0, *keys}), numbers)
+    keys = [number for number, (_, is_key, _) in enumerate(packets) if is_key]
+    numbers = {stamp: number for number, (stamp, *_) in enumerate(packets)}
+    damaged = {number: "is marked as corrupt by the file" for number, packet in enumerate(packets) if packet[2]}
+    return _Index(len(packets), np.array(sorted(stamps), np.int64), sorted({0, *keys}), numbers, damaged)
+
+
+def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
+    """Time stamp, whether decoding can start there, and whether it is damaged, of each packet, up to where the file
+    cannot be read on.
+    """
+    found: list[tuple[Any, bool, bool]] = []
+    try:
+        for packet in container.demux(stream):
+            if packet.size and not packet.is_discard:
+                found.append((packet.pts, packet.is_keyframe, packet.is_corrupt))
+    except av.FFmpegError:
+        if not found:
+            raise
+    return found

@@ -1,0 +1,65 @@
+"""Sizes that the headers of pictures and arrays claim, read before a library takes memory for them."""
+
+import struct
+
+MOST_NPY_HEADER = 1 << 16  # bytes; NumPy itself reads no more than 10,000
+MOST_PIXELS = 1 << 28  # 16384 x 16384; the largest sensors of cameras have 250 million
+_MOST_PIXELS_A_BYTE = 1032  # deflate's limit; JPEG stays below it
+_ALWAYS = 1 << 20  # pixels
+_PNG = b"\x89PNG\r\n\x1a\n"
+_NO_SIZE = {0x01, *range(0xD0, 0xDA)}  # JPEG: markers without a length
+_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
+
+
+def impossible_picture(data: bytes | memoryview) -> str:
+    """Why a PNG, JPEG or BMP file cannot be what its header claims, in words that follow its name; "" for nothing."""
+    height, width = picture_size(data) or (1, 1)
+    if not 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data) + _ALWAYS):
+        return f"its header says {height} x {width} pixels, which a file of {len(data)} bytes cannot hold"
+    at = 8
+    while data[:8] == _PNG and at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        at += 12 + length
+        if at > len(data):
+            return f"a part of it should have {length} bytes, and the file has {len(data)}"
+    return ""
+
+
+def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
+    """(height, width) of a PNG, JPEG or BMP file as its header claims it; None where there is no such header."""
+    if data[:8] == _PNG and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return height, width
+    if data[:2] == b"BM" and len(data) >= 26:
+        (header,) = struct.unpack_from("<I", data, 14)
+        width, height = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
+        return abs(height), abs(width)
+    if data[:2] == b"\xff\xd8":
+        return _jpeg_size(data)
+    return None
+
+
+def npy_header_bytes(start: bytes) -> int:
+    """Length of the header of a NumPy file by its first 12 bytes; 0 where it is none."""
+    if start[:6] != b"\x93NUMPY" or len(start) < 12:
+        return 0
+    return int.from_bytes(start[8:10] if start[6] == 1 else start[8:12], "little")
+
+
+def _jpeg_size(data: bytes | memoryview) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 <= len(data):
+        if data[at] != 0xFF:
+            return None
+        marker = data[at + 1]
+        if marker == 0xFF:  # filled up
+            at += 1
+        elif marker in _SIZES:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return height, width
+        elif marker in _NO_SIZE:
+            at += 2
+        else:
+            (length,) = struct.unpack_from(">H", data, at + 2)
+            at += 2 + max(length, 2)
+    return None

@@ -1,0 +1,177 @@
+"""Goes through files in a process of its own: libraries crash, turn in circles, or take all memory in damaged ones.
+
+Run as a script, with a path and its kind as JSON a line of its input; it answers a line a file. It does with a file
+what readers will do, and looks at everything that they may look at. What merely raises an exception is no matter: the
+reader gets the same exception. What ends this process, by a signal or by its limits, ends no other.
+"""
+
+import base64
+import importlib
+import io
+import json
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+CPU_SECONDS = 10.0  # for one file; a thousand objects take 0.1 s
+MEMORY_BYTES = 1 << 27  # besides the libraries, and what can be unpacked from the file
+VIDEO_BYTES = 3 << 28  # in place of these: decoders keep frames
+MOST_COMPRESSED = 1032  # as in `files`, which this script does not import
+MOST_OBJECTS = 100_000
+MOST_ATTRIBUTE_BYTES = 1 << 26
+
+
+def main() -> None:
+    """Answers until the input ends."""
+    print(json.dumps("ready"), flush=True)
+    for line in sys.stdin:
+        path, kind = json.loads(line)
+        through, libraries = WALKS[kind]
+        for library in libraries:
+            importlib.import_module(library)  # before there is a limit: libraries take room by the number of processors
+        print(json.dumps(_walk(path, through)), flush=True)
+
+
+def _walk(path: str, through: Callable[[str], Any]) -> Any:
+    """What is wrong with a file, "" for nothing; or what is in it."""
+    _limit_time(CPU_SECONDS)
+    try:
+        _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
+        return through(path)
+    except MemoryError:
+        return "its header asks for more memory than a file of its size can need"
+    except Exception:
+        return ""
+    finally:
+        _limit_time(0.0)
+
+
+def through_hdf5(path: str) -> str:
+    """Objects, attributes and the index of chunks, but no values."""
+    import h5py
+
+    count = 0
+
+    def visit(_: str, item: Any) -> str | None:
+        nonlocal count
+        count += 1
+        if count > MOST_OBJECTS:
+            return f"it has more than {MOST_OBJECTS} objects"
+        return _attributes(item) or _storage(item)
+
+    with h5py.File(path, "r") as file:
+        return _attributes(file) or file.visititems(visit) or ""
+
+
+def through_matlab(path: str) -> str | dict[str, Any]:
+    """The numbers and texts themselves, as :func:`as_json` has them: SciPy reads some damaged files from memory that is
+    not its own, so that what went well here would crash elsewhere.
+    """
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4096)
+        wrong = through_hdf5(path) if b"\x89HDF\r\n\x1a\n" in start else ""
+        return wrong or as_json(read_matlab(path))
+    except MemoryError:
+        raise
+    except Exception as error:
+        return f"it cannot be read ({type(error).__name__}: {str(error)[:120]})"
+
+
+def read_matlab(path: str) -> Any:
+    """What is in a MATLAB file, by name; structs are mappings."""
+    from pymatreader import read_mat
+
+    return read_mat(path)
+
+
+def as_json(value: Any) -> Any:
+    """Mappings as they are, arrays of numbers as {".npy": base64}, texts; None for all else."""
+    import numpy as np
+
+    if isinstance(value, dict):
+        return {str(name): as_json(one) for name, one in value.items()}
+    if isinstance(value, str):
+        return value
+    try:
+        numbers = np.asarray(value)
+    except ValueError:  # cells with vectors of several lengths
+        return None
+    if numbers.dtype.kind not in "iuf":
+        return None
+    data = io.BytesIO()
+    np.save(data, numbers, allow_pickle=False)
+    return {".npy": base64.b64encode(data.getvalue()).decode("ascii")}
+
+
+def through_tdms(path: str) -> str:
+    """The segments and what they say, but no values."""
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(path):
+        return ""
+
+
+def through_video(path: str) -> str:
+    """Header, index where there is one, and the first frames, from which FFmpeg takes what they do not state."""
+    import av
+
+    with av.open(path, metadata_errors="replace"):
+        return ""
+
+
+WALKS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
+    "hdf5": (through_hdf5, ("h5py",)),
+    "MATLAB": (through_matlab, ("h5py", "scipy.io", "pymatreader")),
+    "TDMS": (through_tdms, ("nptdms",)),
+    "video": (through_video, ("av",)),
+}
+
+
+def _attributes(item: Any) -> str | None:
+    for name in item.attrs:
+        try:
+            stored = item.attrs.get_id(name)
+            if stored.get_storage_size() > MOST_ATTRIBUTE_BYTES:
+                return f"attribute {name!r} has {stored.get_storage_size()} bytes"
+            item.attrs[name]
+        except MemoryError:
+            raise
+        except Exception:
+            continue
+    return None
+
+
+def _storage(item: Any) -> str | None:
+    if hasattr(item, "shape"):
+        _ = item.shape, item.dtype, item.chunks, item.compression, item.fillvalue, item.is_virtual, item.external
+        if item.chunks is not None:
+            item.id.get_num_chunks()
+    return None
+
+
+def _limit_memory(path: str, allowed: int) -> None:
+    try:
+        import resource
+    except ImportError:  # on Windows, which has no such limits
+        return
+    if not os.path.exists("/proc/self/statm"):
+        return
+    with open("/proc/self/statm") as file:
+        now = int(file.read().split()[0]) * resource.getpagesize()
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (now + allowed + MOST_COMPRESSED * os.path.getsize(path), most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _limit_time(seconds: float) -> None:
+    """Of the processor's time: by a signal that ends the process, wherever it is."""
+    import signal
+
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""`python -m tests.fuzz`: reads damaged files by every reader and counts how that ends.
+
+Each input is made from a small real file by a seeded generator and read in a process with a limit of memory and of
+processor time. `read` and `own error`, which names the file, are right; everything else is printed with the number that
+makes it again: `python -m tests.fuzz --reader tiff --seed 16 --first 4711 --count 1 --keep folder`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.fuzz.samples import READERS, samples
+from tests.fuzz.worker import damaged, write
+
+OUTCOMES = ("read", "own error", "unnamed", "traceback", "memory", "hang", "crash")
+GOOD = ("read", "own error")
+ROOT = Path(__file__).resolve().parents[2]
+SILENCE = 120.0  # s on the wall without a word: the reader waits for something
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description="Reads damaged files by every reader.")
+    parser.add_argument("--count", type=int, default=300, help="inputs, of all readers together (300)")
+    parser.add_argument("--reader", choices=READERS, action="append", help="only this one; may be repeated")
+    parser.add_argument("--seed", type=int, default=16)
+    parser.add_argument("--first", type=int, default=0, help="number of the first input of each reader")
+    parser.add_argument("--keep", type=Path, help="a folder: write the inputs there and read none")
+    asked = parser.parse_args(arguments)
+    readers = asked.reader or list(READERS)
+    shares = [asked.count // len(readers) + (n < asked.count % len(readers)) for n in range(len(readers))]
+    if asked.keep is not None:
+        return _keep(asked.keep, readers, shares, asked.seed, asked.first)
+    print(f"seed {asked.seed}, {asked.count} inputs")
+    print(f"{'reader':15}" + "".join(f"{outcome:>11}" for outcome in OUTCOMES))
+    counts = {reader: Counter[str]() for reader in readers}
+    shown: set[tuple[str, str, str]] = set()
+    jobs = [(reader, asked.first, asked.first + share) for reader, share in zip(readers, shares, strict=True) if share]
+    for reader, number, outcome, said in _run(asked.seed, jobs):
+        counts[reader][outcome] += 1
+        kind = (reader, outcome, said.partition(":")[0])
+        if outcome not in GOOD and kind not in shown:  # one of a kind
+            shown.add(kind)
+            print(f"  {reader} {number}: {outcome}: {said}", flush=True)
+        if (reader, number + 1) in {(name, end) for name, _, end in jobs}:
+            print(f"{reader:15}" + "".join(f"{counts[reader][outcome]:11}" for outcome in OUTCOMES), flush=True)
+    totals = sum(counts.values(), Counter[str]())
+    print(f"{'all':15}" + "".join(f"{totals[outcome]:11}" for outcome in OUTCOMES))
+    return 0 if set(totals) <= set(GOOD) else 1
+
+
+def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int, str, str]]:
+    """(reader, number, outcome, what was said) of each input, whatever becomes of the process that reads."""
+    while jobs:
+        command = [sys.executable, "-m", "tests.fuzz.worker", str(seed), json.dumps(jobs)]
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0) as worker:
+            begun = None
+            for line in _lines(worker):
+                facts = json.loads(line)
+                begun = facts.get("begun")
+                if begun is None:
+                    yield facts["reader"], facts["number"], facts["outcome"], facts.get("said", "")
+                    jobs = _rest(jobs, facts["reader"], facts["number"])
+                else:
+                    reader = facts["reader"]
+            assert worker.stderr is not None
+            complaint = worker.stderr.read().decode(errors="replace")
+            status = worker.wait()
+        if begun is not None:
+            hung = status in (-signal.SIGPROF, -signal.SIGKILL)
+            yield reader, begun, "hang" if hung else "crash", _name(status)
+            jobs = _rest(jobs, reader, begun)
+        elif status:
+            raise SystemExit(f"the process that reads ended with {_name(status)} before any damaged input\n{complaint}")
+
+
+def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tuple[str, int, int]]:
+    """What is left when an input is done; jobs are done in their order."""
+    (name, _, end), *others = jobs
+    assert name == reader
+    return others if number + 1 == end else [(name, number + 1, end), *others]
+
+
+def _lines(worker: subprocess.Popen[bytes]) -> Iterator[bytes]:
+    assert worker.stdout is not None
+    rest = b""
+    while True:
+        if not select.select([worker.stdout], [], [], SILENCE)[0]:
+            worker.kill()
+            return
+        piece = worker.stdout.read(65536)
+        if not piece:
+            return
+        *lines, rest = (rest + piece).split(b"\n")
+        yield from lines
+
+
+def _name(status: int) -> str:
+    return signal.Signals(-status).name if status < 0 else f"status {status}"
+
+
+def _keep(folder: Path, readers: list[str], shares: list[int], seed: int, first: int) -> int:
+    for reader, share in zip(readers, shares, strict=True):
+        with tempfile.TemporaryDirectory() as made:
+            found = samples(reader, Path(made))
+        for number in range(first, first + share):
+            sample, data = damaged(found, reader, seed, number)
+            print(write(sample, folder / reader / str(number), data))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+"""Reads damaged files under limits, one after another; the process that watches it sees how each ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tests.fuzz.damage import damage
+from tests.fuzz.samples import HEIGHT, WIDTH, Sample, samples
+
+CPU_SECONDS = 10.0  # an input; good ones take milliseconds
+GROWTH = 2**30  # bytes of address space beyond those of the libraries, for files of a few kB
+RESIDENT = 200 * 2**20  # bytes that were really touched
+
+
+def serve(seed: int, jobs: list[tuple[str, int, int]]) -> None:
+    """Reads the inputs `first` to before `end` of each (reader, first, end). Writes a line before and after each input;
+    ends without the second where the reader takes the process along.
+    """
+    answers = os.fdopen(os.dup(1), "w")
+    warnings.simplefilter("ignore")
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    try:
+        found = {}
+        for reader, _, _ in jobs:
+            kept = folder / reader
+            kept.mkdir()
+            found[reader] = samples(reader, kept)
+            for sample in found[reader]:  # which are right, and whose reading loads the libraries
+                _read_one(_READERS[reader], sample, folder / "whole", sample.files[sample.damaged])
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries write of damaged files
+        os.dup2(1, 2)
+        _limit_memory()
+        for reader, first, end in jobs:
+            for number in range(first, end):
+                sample, data = damaged(found[reader], reader, seed, number)
+                print(json.dumps({"reader": reader, "begun": number}), file=answers, flush=True)
+                outcome = _outcome(_READERS[reader], sample, folder / "damaged", data)
+                print(json.dumps({"reader": reader, "number": number, **outcome}), file=answers, flush=True)
+                if outcome["outcome"] == "memory":
+                    return  # its high-water mark stays: the next one needs a new process
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def damaged(found: list[Sample], reader: str, seed: int, number: int) -> tuple[Sample, bytes]:
+    """The input of this number: which sample, and its bytes."""
+    rng = random.Random(f"{seed} {reader} {number}")
+    sample, other = rng.choice(found), rng.choice(found)
+    return sample, damage(sample.files[sample.damaged], other.files[other.damaged], rng)
+
+
+def write(sample: Sample, folder: Path, data: bytes) -> Path:
+    """The files of a sample, one of them as `data`; returns what the reader is given."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name, content in sample.files.items():
+        (folder / name).write_bytes(data if name == sample.damaged else content)
+    return folder / sample.opened
+
+
+def _limit_memory() -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    size = pages * resource.getpagesize() + GROWTH
+    resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _outcome(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
+    from fingerflow.errors import FingerflowError
+    from fingerflow.player.errors import PlayerError
+
+    before = _most_resident()
+    # Of the processor's time, by a signal that ends the process: loops in C are seen too, and a busy machine is not.
+    signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
+    try:
+        _read_one(read, sample, folder, data)
+        outcome = {"outcome": "read"}
+    except (FingerflowError, PlayerError) as error:
+        text = str(error)
+        causes = _chain(error)
+        if any(isinstance(cause, MemoryError) for cause in causes):
+            outcome = {"outcome": "memory", "said": text}
+        elif str(folder) not in text:
+            outcome = {"outcome": "unnamed", "said": text}
+        else:
+            outcome = {"outcome": "own error", "said": text}
+    except BaseException as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        own = [frame for frame in traceback.extract_tb(error.__traceback__) if "/fingerflow/" in frame.filename]
+        place = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
+        kind = "memory" if isinstance(error, MemoryError) else "traceback"
+        said = f"{type(error).__name__} at {place} (in {Path(last.filename).name}:{last.lineno}): {error}"[:300]
+        outcome = {"outcome": kind, "said": said}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    if _most_resident() - before > RESIDENT:
+        outcome = {"outcome": "memory", "said": f"{(_most_resident() - before) >> 20} MiB touched, then {outcome}"}
+    return outcome
+
+
+def _chain(error: BaseException | None) -> list[BaseException]:
+    found = []
+    while error is not None and error not in found:
+        found.append(error)
+        error = error.__cause__ or error.__context__
+    return found
+
+
+def _most_resident() -> int:
+    """Bytes; getrusage would count those of the process that started this one."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024
+
+
+def _read_one(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> None:
+    read(write(sample, folder, data))
+
+
+def _frames(path: Path) -> None:
+    from fingerflow.recordings import open_recording
+
+    with open_recording(path) as recording:
+        _ = recording.times, repr(recording), recording.warnings, recording.unreadable
+        for index in sorted({0, len(recording) // 2, len(recording) - 1}):
+            frame = recording[index]
+            assert frame.shape == recording.frame_shape
+            assert frame.dtype == recording.dtype
+
+
+def _forces(path: Path) -> None:
+    from fingerflow.recordings import open_forces
+
+    unstated = path.name in ("old.mat", "new.mat")  # whose formats have no place for units
+    found = open_forces(path, units={"normal": "N", "tangential": "N"} if unstated else None)
+    found.resample(found.times[0] + [0.0, 1 / 300, 2 / 300])
+
+
+def _calibration(path: Path) -> None:
+    from fingerflow.calibration import Calibration
+
+    Calibration.from_toml(path)
+
+
+def _scene(path: Path) -> None:
+    from fingerflow.scene import load_scene
+
+    load_scene(path)
+
+
+def _bundle(path: Path) -> None:
+    from fingerflow.player.bundle import load_bundle
+
+    load_bundle(path)
+
+
+def _result(path: Path) -> None:
+    from fingerflow.result import load_result
+
+    load_result(path)
+
+
+def _stream(path: Path) -> None:
+    from fingerflow.player.results import write_table
+    from fingerflow.stream_result import open_stream
+
+    open_stream(path).load()
+    write_table(path, path / "table.csv")
+
+
+def _played(path: Path) -> None:
+    from fingerflow.player.sources import open_recording
+
+    source = open_recording(path, (HEIGHT, WIDTH), "uint8")
+    while source.read() is not None:
+        pass
+    source.close()
+
+
+# What is imported in each is what it takes to read: a process reads files of one kind.
+_READERS: dict[str, Callable[[Path], None]] = {
+    **dict.fromkeys(("npy", "tiff", "hdf5", "cine", "mraw", "video", "images"), _frames),
+    **dict.fromkeys(("forces_text", "forces_hdf5", "forces_matlab", "forces_tdms"), _forces),
+    "calibration": _calibration,
+    "scene": _scene,
+    "bundle": _bundle,
+    "result": _result,
+    "stream": _stream,
+    "played": _played,
+}
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]), json.loads(sys.argv[2]))

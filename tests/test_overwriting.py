@@ -1,0 +1,187 @@
+"""Outputs replace nothing but what the same command wrote, and leave nothing behind."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow.atomic_write import keep_others, spare, unfinished, write_atomically
+from fingerflow.errors import FingerflowError
+from fingerflow.result import is_result, load_result, save_result
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def result(value: float = 1.0) -> xr.Dataset:
+    return xr.Dataset({"area": ("frame", np.full(3, value))}, attrs={"fingerflow_version": "0"})
+
+
+@pytest.mark.parametrize(
+    ("given", "output"),
+    [
+        ("a.mraw", "a.cih"),
+        ("a.cih", "a.mraw"),
+        ("a.mraw", "a.CIHX"),
+        ("a.mraw", "a.mraw"),
+        ("frames", "frames/1.png"),
+        ("frames", "frames/new.png"),
+        ("frames", "frames/../frames/2.TIF"),
+        ("rec.h5::/cam/frames", "rec.h5"),
+    ],
+)
+def test_inputs_and_what_belongs_to_them_are_spared(tmp_path: Path, given: str, output: str) -> None:
+    (tmp_path / "frames").mkdir()
+    for name in ("a.mraw", "a.cih", "a.CIHX", "rec.h5", "frames/1.png"):
+        (tmp_path / name).write_bytes(b"an input")
+    with pytest.raises(FingerflowError, match="would be replaced; give another output"):
+        spare(tmp_path / output, tmp_path / given)
+
+
+@pytest.mark.parametrize(
+    ("given", "output"),
+    [("a.mraw", "a.h5"), ("a.mraw", "b.cih"), ("frames", "frames/result.h5"), ("frames", "1.png"), ("gone", "a.h5")],
+)
+def test_what_lies_beside_an_input_is_no_input(tmp_path: Path, given: str, output: str) -> None:
+    (tmp_path / "frames").mkdir()
+    for name in ("a.mraw", "a.cih", "b.cih", "frames/1.png", "1.png"):
+        (tmp_path / name).write_bytes(b"something")
+    spare(tmp_path / output, tmp_path / given)
+
+
+def test_a_result_replaces_results_alone(tmp_path: Path) -> None:
+    path = tmp_path / "result.h5"
+    save_result(result(1.0), path)
+    assert is_result(path)
+    save_result(result(2.0), path)
+    assert load_result(path)["area"][0] == 2.0
+    for content in (b"years of work", b"", b"\x89HDF\r\n\x1a\n and no more"):
+        path.write_bytes(content)
+        assert not is_result(path)
+        with pytest.raises(
+            FingerflowError, match=r"result\.h5 exists and was not written by this command; .*--overwrite"
+        ):
+            save_result(result(), path)
+        assert path.read_bytes() == content
+    save_result(result(3.0), path, overwrite=True)
+    assert load_result(path)["area"][0] == 3.0
+
+
+def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fingerflow import load_scene, process
+    from fingerflow.synthetic import Press, write_recording
+
+    write_recording(tmp_path / "press", Press(n_frames=2, frames_before_trigger=1, frame_shape=(96, 240)))
+    scene = load_scene(tmp_path / "press" / "scene.toml")
+    (tmp_path / "notes.h5").write_bytes(b"years of work")
+    monkeypatch.setattr("fingerflow.pipeline._run", lambda *_: pytest.fail("frames were read"))
+    for output in (tmp_path / "notes.h5", tmp_path / "press" / "forces.csv", tmp_path / "press" / "frames.npy"):
+        before = output.read_bytes()
+        with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):
+            process(scene, to=output)
+        assert output.read_bytes() == before
+    with pytest.raises(FingerflowError, match="would be replaced"):  # an input is never replaced
+        process(scene, to=tmp_path / "press" / "frames.npy", overwrite=True)
+
+
+def test_a_calibration_replaces_calibrations_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fingerflow import cli
+
+    def calibrated(*more: str) -> int:
+        monkeypatch.setattr(
+            sys, "argv", ["fingerflow", "calibrate", "--ring", str(ring), "--output", str(output), *more]
+        )
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        assert isinstance(stop.value.code, int)
+        return stop.value.code
+
+    picture = np.full((120, 160), 200, np.uint8)
+    cv2.circle(picture, (80, 60), 30, 30, -1)
+    ring, output = tmp_path / "ring.png", tmp_path / "rig.toml"
+    cv2.imwrite(str(ring), picture)
+    (tmp_path / "rig.png").write_bytes(b"a picture of the rig")
+    assert calibrated() == 2
+    assert "rig.png exists and was not written by this command" in capsys.readouterr().err
+    assert (tmp_path / "rig.png").read_bytes() == b"a picture of the rig"
+    (tmp_path / "rig.png").unlink()
+    assert calibrated() == 0
+    assert calibrated() == 0  # its own
+    output.write_text("[notes]\nof = 'the rig'\n")
+    assert calibrated() == 2
+    assert calibrated("--overwrite") == 0
+
+
+KILLED = """
+import os, sys, time
+from pathlib import Path
+from fingerflow.atomic_write import write_atomically
+
+def write(part):
+    part.write_text("half")
+    print(part.name, flush=True)
+    time.sleep(600)
+
+write_atomically(Path(sys.argv[1]), write)
+"""
+
+
+def test_what_a_killed_run_left_goes_with_the_next_of_its_kind(tmp_path: Path) -> None:
+    path = tmp_path / "result.h5"
+    left = []
+    for name in ("result.h5", "result.h5", "other.h5"):
+        command = [sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path / name)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as run:
+            assert run.stdout is not None
+            left.append(run.stdout.readline().strip())
+            if name == "other.h5":  # of another output: none of our business, and it is alive
+                write_atomically(tmp_path / "other.h5", lambda part: part.write_text("whole"))
+                assert (tmp_path / left[-1]).exists()
+            run.send_signal(signal.SIGKILL)
+    mine = unfinished(path)
+    mine.write_text("of this process, which lives")
+    assert {entry.name for entry in tmp_path.iterdir()} >= {left[2], mine.name, "other.h5"}
+    write_atomically(path, lambda part: part.write_text("whole"))
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted([left[2], mine.name, "other.h5", "result.h5"])
+    (tmp_path / f"{left[0][: left[0].index('-')]}-user-notes.h5").write_text("a hidden file of the user's")
+    write_atomically(tmp_path / "other.h5", lambda part: part.write_text("whole"))
+    assert not (tmp_path / left[2]).exists()
+    assert len(list(tmp_path.glob(".result-user-notes.h5"))) == 1
+
+
+def test_folders_that_a_killed_run_left_go_too(tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left = unfinished(tmp_path / "press")
+    left = left.with_name(left.name.replace(f"-{os.getpid()}-", f"-{gone.pid}-"))
+    (left / "within").mkdir(parents=True)
+    unfinished(tmp_path / "press")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_system_that_takes_nothing_is_said_and_not_how_cleaning_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    monkeypatch.setattr(Path, "write_text", refuse)
+    with pytest.raises(
+        FingerflowError, match=r"a\.txt cannot be written \(Read-only file system\); name another place"
+    ):
+        write_atomically(tmp_path / "a.txt", lambda part: part.write_text("x"))
+
+
+def test_a_folder_is_no_file_to_keep(tmp_path: Path) -> None:
+    keep_others(tmp_path, lambda _: False, overwrite=False)  # what writes says that it is a folder
+    keep_others(tmp_path / "new.h5", lambda _: False, overwrite=False)

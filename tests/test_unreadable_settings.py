@@ -1,0 +1,58 @@
+"""Scenes, calibrations, bundles and stream folders whose files no reader can take: a sentence each, and no waiting."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fingerflow.calibration import Calibration
+from fingerflow.errors import FingerflowError
+from fingerflow.player.bundle import load_bundle
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.results import read_results
+from fingerflow.scene import load_scene
+
+DEEP = "[" * 200_000
+
+
+@pytest.mark.parametrize("read", [load_scene, Calibration.from_toml])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, read: Callable[[Path], Any]) -> None:
+    os.mkfifo(tmp_path / "a.toml")
+    with pytest.raises(FingerflowError, match=r"a\.toml: .*is no file.*`fingerflow (init|calibrate)`"):
+        read(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("read", [load_scene, Calibration.from_toml])
+def test_nesting_beyond_all_measure(tmp_path: Path, read: Callable[[Path], Any]) -> None:
+    (tmp_path / "a.toml").write_text(f"a = {DEEP}")
+    with pytest.raises(FingerflowError, match=r"a\.toml: .*recursion"):
+        read(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(("read", "name"), [(load_bundle, "bundle.json"), (read_results, "header.json")])
+def test_nesting_in_what_the_player_reads(tmp_path: Path, read: Callable[[Path], Any], name: str) -> None:
+    (tmp_path / name).write_text(DEEP)
+    with pytest.raises(PlayerError, match=r"recursion.*copy"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a\\u0000b", "x" * 5000])
+def test_a_name_that_no_file_can_have(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.toml").write_text(f'[recording]\nframes = "{name}"\n')
+    with pytest.raises(FingerflowError, match=r"a\.toml, line 2: recording\.frames is .*cannot? be looked up|no path"):
+        load_scene(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("residuals", ["[[0.1, 0.0], [0.1]]", "[[0.1, 0.0, 1.0]]"])
+def test_residuals_that_are_no_pairs(tmp_path: Path, residuals: str) -> None:
+    from tests.fuzz.samples import samples
+
+    (sample,) = samples("calibration", tmp_path)
+    text = sample.files["calibration.toml"].decode()
+    (tmp_path / "calibration.toml").write_text(text)
+    Calibration.from_toml(tmp_path / "calibration.toml")
+    (tmp_path / "calibration.toml").write_text(text.replace("[[0.1, 0.0], [0.0, 0.1], [0.1, 0.1]]", residuals))
+    with pytest.raises(FingerflowError, match=r"calibration\.toml: .*are no pairs of px.*fingerflow calibrate"):
+        Calibration.from_toml(tmp_path / "calibration.toml")
