@@ -161,7 +161,10 @@ def calibrate(
 
 @app.command()
 def simulate(
-    kind: Annotated[str, typer.Argument(help="press, slide or partial-slip")],
+    kind: Annotated[
+        str,
+        typer.Argument(help="press, chain-press (skin moves as a skin chain under friction), slide or partial-slip"),
+    ],
     folder: Path,
     skin: Annotated[
         str | None,
@@ -179,9 +182,10 @@ def simulate(
         ),
     ] = None,
     dpi: Annotated[float | None, typer.Option(help="Pixels an inch of that picture. Default: 500.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of a chain-press. Default: 0.2.")] = None,
 ) -> None:
     """Write a synthetic recording with known truth, and a scene file for it."""
-    _simulate(kind, folder, skin, picture, dpi)
+    _simulate(kind, folder, skin, picture, dpi, friction)
     typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
 
 
@@ -420,9 +424,17 @@ def main() -> None:
 
 
 def _simulate(
-    kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
+    kind: str,
+    folder: Path,
+    skin: str | None = None,
+    picture: Path | None = None,
+    dpi: float | None = None,
+    friction: float | None = None,
 ) -> None:
+    from dataclasses import replace
+
     from fingerflow.synthetic import (
+        ChainPress,
         FingerprintTexture,
         PartialSlip,
         Press,
@@ -432,7 +444,12 @@ def _simulate(
         write_recording,
     )
 
-    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide, "partial-slip": PartialSlip}
+    kinds: dict[str, type[Scene]] = {
+        "press": Press,
+        "chain-press": ChainPress,
+        "slide": Slide,
+        "partial-slip": PartialSlip,
+    }
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:
@@ -443,6 +460,12 @@ def _simulate(
         scene = scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
     else:
         scene = kinds[kind]() if skin is None else kinds[kind](texture=FingerprintTexture(pattern=skin))
+    if friction is not None:
+        if not isinstance(scene, ChainPress):
+            raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
+        if not 0 <= friction < float("inf"):
+            raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
+        scene = replace(scene, friction=friction)
     write_recording(folder, scene)
 
 
