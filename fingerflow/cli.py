@@ -222,9 +222,18 @@ def process(
 def report(
     scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
     result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
+    friction: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="A coefficient of friction at which the skin chain is pressed with the measured force and drawn "
+            "beside the measured contact area and divergence; may be repeated."
+        ),
+    ] = None,
+    chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
 ) -> None:
     """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
+    from fingerflow.report.beside_chain import compare_with_chain
     from fingerflow.result import load_result
     from fingerflow.scene import load_scene
 
@@ -235,10 +244,13 @@ def report(
             raise FingerflowError(
                 f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
             )
+        if friction:
+            raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
         typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
         return
     stored = load_result(result or scene.parent / "result.h5")
-    typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent)}")
+    beside = compare_with_chain(stored, friction, chain) if friction else None
+    typer.echo(f"report: {write_report(stored, load_scene(scene), scene.parent, chain=beside)}")
 
 
 @app.command()

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from bench.rows import Row
 from bench.suites.pipeline import write_quietly
 from fingerflow import load_scene, process
+from fingerflow.report.beside_chain import INNER
+from fingerflow.report.beside_chain import inner_divergence as measured_inner
 from fingerflow.synthetic import ChainPress
 
-INNER = 0.6  # of the radius of the contact
 FRICTIONS = (0.05, 0.2, 1.0)
 PRESS = ChainPress(n_frames=96, frame_rate=100.0, frames_before_trigger=4)
 QUICK_PRESS = ChainPress(n_frames=60, frame_rate=60.0, frames_before_trigger=3, frame_shape=(288, 576))
@@ -44,14 +45,8 @@ def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Arra
     where the contact is under 5 mm², and as the chain has it.
     """
     chain = 1e3 * press.chain_at(press.chain_since_onset.mean_within(INNER))
-    measured = np.full(press.n_frames, np.nan)
-    for frame in range(press.n_frames):
-        axes = result["ellipse_semi_axes"].values[frame]
-        if np.prod(axes) * np.pi > 5:
-            away = result["position"].values[frame] - result["ellipse_center"].values[frame]
-            inside = np.hypot(*away.T) < INNER * np.sqrt(axes.prod())
-            measured[frame] = 1e3 * np.nanmean(result["divergence"].values[frame][inside])
-    return measured, chain
+    large = np.nan_to_num(result["gross_contact_area"].values) > 5
+    return np.where(large, measured_inner(result), np.nan), chain
 
 
 def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Array]:
