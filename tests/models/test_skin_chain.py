@@ -98,6 +98,19 @@ def test_parameter_sets_in_a_batch() -> None:
     torch.testing.assert_close(found.position[1, 1], alone.position, rtol=1e-6, atol=1e-12)
 
 
+def test_forces_balance_in_every_member_of_a_batch() -> None:
+    """11 members, so the last lanes are half empty: each to 1e-6 of its own load, and what presses the elements is that
+    load, though loads differ by 30 and stiffnesses by 4."""
+    load = torch.logspace(-1, 0.5, 11, dtype=torch.float64)
+    tissue = LAB.tissue_stiffness * torch.linspace(0.5, 2, 11, dtype=torch.float64)
+    skin = replace(LAB, tissue_stiffness=tissue, contact_stiffness=100 * tissue)
+    found = press(torch.linspace(0, 1.2, 11, dtype=torch.float64), skin, load, elements=101)
+    assert found.balance.shape == (11,)
+    assert (found.balance < 1e-6 * load).all()
+    torch.testing.assert_close(found.normal_force.sum(-1), load, rtol=1e-6, atol=0)
+    assert (found.friction_force.sum(-1).abs() < 1e-6 * load).all()
+
+
 def test_converges_with_the_number_of_elements() -> None:
     """To 1601 elements at the places of 101: errors fall with an order near 2 (contact begins between elements)."""
     counts = (101, 201, 401, 801)
