@@ -122,13 +122,12 @@ class RadialMotion:
         table = self.share.to(x.dtype)
         start, across = _place(radius / self.side, columns - 3)
         if progress.numel() == 1:  # of a picture: one row for all pixels
-            row = sum(weight.reshape(()) * table[int(first) + k] for k, weight in enumerate(weights))
-            spread = _line(row, start, across)
+            four = torch.stack([weight.reshape(()) for weight in weights])
+            spread = _line(four @ table[int(first) : int(first) + 4], start, across)
         else:
-            flat = table.flatten()
-            spread = sum(
-                weight * _line(flat, (first + k) * columns + start, across) for k, weight in enumerate(weights)
-            )
+            flat, spread = table.flatten(), torch.zeros_like(radius)
+            for k, weight in enumerate(weights):
+                spread = spread + weight * _line(flat, (first + k) * columns + start, across)
         return x - spread * right, y - spread * down
 
     def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
