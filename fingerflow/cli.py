@@ -170,7 +170,10 @@ def calibrate(
 
 @app.command()
 def simulate(
-    kind: Annotated[str, typer.Argument(help="press, slide or partial-slip")],
+    kind: Annotated[
+        str,
+        typer.Argument(help="press, chain-press (skin moves as a skin chain under friction), slide or partial-slip"),
+    ],
     folder: Path,
     skin: Annotated[
         str | None,
@@ -188,9 +191,10 @@ def simulate(
         ),
     ] = None,
     dpi: Annotated[float | None, typer.Option(help="Pixels an inch of that picture. Default: 500.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of a chain-press. Default: 0.2.")] = None,
 ) -> None:
     """Write a synthetic recording with known truth, and a scene file for it."""
-    _simulate(kind, folder, skin, picture, dpi)
+    _simulate(kind, folder, skin, picture, dpi, friction)
     typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
 
 
@@ -228,9 +232,18 @@ def process(
 def report(
     scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
     result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
+    friction: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="A coefficient of friction at which the skin chain is pressed with the measured force and drawn "
+            "beside the measured contact area and divergence; may be repeated."
+        ),
+    ] = None,
+    chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
 ) -> None:
     """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
+    from fingerflow.report.beside_chain import compare_with_chain
     from fingerflow.result import load_result
     from fingerflow.scene import load_scene
 
@@ -241,11 +254,14 @@ def report(
             raise FingerflowError(
                 f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
             )
+        if friction:
+            raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
         typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
         return
     loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
     stored = load_result(result or scene.parent / "result.h5")
-    typer.echo(f"report: {write_report(stored, loaded, scene.parent)}")
+    beside = compare_with_chain(stored, friction, chain) if friction else None
+    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside)}")
 
 
 @app.command()
@@ -431,9 +447,17 @@ def main() -> None:
 
 
 def _simulate(
-    kind: str, folder: Path, skin: str | None = None, picture: Path | None = None, dpi: float | None = None
+    kind: str,
+    folder: Path,
+    skin: str | None = None,
+    picture: Path | None = None,
+    dpi: float | None = None,
+    friction: float | None = None,
 ) -> None:
+    from dataclasses import replace
+
     from fingerflow.synthetic import (
+        ChainPress,
         FingerprintTexture,
         PartialSlip,
         Press,
@@ -443,7 +467,12 @@ def _simulate(
         write_recording,
     )
 
-    kinds: dict[str, type[Scene]] = {"press": Press, "slide": Slide, "partial-slip": PartialSlip}
+    kinds: dict[str, type[Scene]] = {
+        "press": Press,
+        "chain-press": ChainPress,
+        "slide": Slide,
+        "partial-slip": PartialSlip,
+    }
     if kind not in kinds:
         raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
     if skin is not None and picture is not None:
@@ -454,6 +483,12 @@ def _simulate(
         scene = scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
     else:
         scene = kinds[kind]() if skin is None else kinds[kind](texture=FingerprintTexture(pattern=skin))
+    if friction is not None:
+        if not isinstance(scene, ChainPress):
+            raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
+        if not 0 <= friction < float("inf"):
+            raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
+        scene = replace(scene, friction=friction)
     write_recording(folder, scene)
 
 

@@ -31,7 +31,7 @@ from bench.opencv_pipeline import Measured, Rig
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow import load_scene, process
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import Press, Scene, write_recording
 
 PRESS = Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3)
 QUICK_PRESS = Press(
@@ -85,10 +85,10 @@ def run(quick: bool) -> list[Row]:
     ]
 
 
-def write_quietly(folder: Path, press: Press) -> None:
+def write_quietly(folder: Path, scene: Scene) -> None:
     """Writes the recording without a progress bar between the tables."""
     with contextlib.redirect_stderr(io.StringIO()):
-        write_recording(folder, press)
+        write_recording(folder, scene)
 
 
 def _with_opencv(recording: Path, press: Press) -> Measured:

@@ -4,11 +4,13 @@
 `models.skin_chain`, compiled and portable, at several tolerances in m; the published algorithm, fourth-order
 Runge-Kutta of `models.skin_explicit`, in NumPy with all elements at once, at 0.8 of its largest stable step, run once;
 one press and 100 values of friction together, to rest; and one press to rest with the gradient of its divergence (in
-friction, and with it all stiffnesses). `time_to_peer` is the time over that of one press to rest.
+friction, and with it all stiffnesses). `time_to_peer` is the time over that of one press to rest. What runs once is CPU
+time of its process.
 
 - The published script runs element by element in MATLAB, this transcription is faster than that.
-- Integrators of other packages were measured elsewhere and are not run here: numba's Runge-Kutta 1.3 s at 2 us, CVODE's
-  BDF with matrix-free GMRES 0.43 s, both for geometry rebuilt element by element.
+- numba: the same Runge-Kutta element by element, compiled; CVODE: SUNDIALS' BDF with matrix-free GMRES on the same
+  right-hand side in NumPy, by scikit-sundae, at two tolerances. Each where it is installed, see `bench.chain_peers`;
+  where it is not, its row says so.
 """
 
 import time
@@ -20,11 +22,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.rows import Row
+from bench.chain_peers import cvode, numba_runge_kutta
+from bench.rows import Row, Skipped
 from bench.timing import time_in_turns
 from fingerflow import kernels
 from fingerflow.models.skin_chain import follow, press
 from fingerflow.models.skin_explicit import largest_step, march
+from fingerflow.models.skin_forces import Array, Chain
 from fingerflow.models.skin_implicit import Load, State
 from fingerflow.models.skin_motion import Chains
 from fingerflow.models.skin_parameters import PARAMETERS
@@ -60,10 +64,18 @@ def run(quick: bool) -> list[Row]:
     for name, once in (
         (f"portable, {TOLERANCES[1]:g}", partial(_portable, partial(moved, TOLERANCES[1]))),
         ("published Runge-Kutta, NumPy", partial(_published, elements, duration)),
+        ("published Runge-Kutta, numba", partial(_by_numba, elements, duration)),
+        *((f"CVODE, GMRES, {rtol:g}", partial(_by_cvode, elements, duration, rtol)) for rtol in (1e-5, 1e-6)),
     ):
-        start = time.perf_counter()
-        place = once()
-        ms = 1e3 * (time.perf_counter() - start)
+        try:
+            if "numba" in name:
+                _by_numba(elements, 1e-5)  # compiles
+            start = time.process_time()
+            place = once()
+        except Skipped as reason:
+            rows.append({"way": name, "left_out": str(reason)})
+            continue
+        ms = 1e3 * (time.process_time() - start)
         error = 1e6 * (place - exact).abs().max().item()
         rows.append({"way": name, "ms": ms, "time_to_peer": ms / peer_ms, "error_um": error})
     return rows
@@ -75,12 +87,25 @@ def _portable(call: Callable[[], Tensor]) -> Tensor:
 
 
 def _published(elements: int, duration: float) -> Tensor:
+    chain, state, mu, load = _begun(elements)
+    march(chain, state, mu, load, duration, 0.8 * largest_step(chain))
+    return torch.from_numpy(state.place)
+
+
+def _by_numba(elements: int, duration: float) -> Tensor:
+    begun = _begun(elements)
+    return torch.from_numpy(numba_runge_kutta(*begun, duration, 0.8 * largest_step(begun[0])))
+
+
+def _by_cvode(elements: int, duration: float, rtol: float) -> Tensor:
+    return torch.from_numpy(cvode(*_begun(elements), duration, rtol))
+
+
+def _begun(elements: int) -> tuple[Chain, State, Array, Load]:
     chain = Chains.of(PARAMETERS["lab"], elements, torch.Size(())).single(0)
     state = State(chain.reference.copy(), np.zeros(2), np.zeros(elements))
     force = np.array([0.0, -LOAD_N])
-    load = Load(force, force, np.zeros(2, dtype=bool))
-    march(chain, state, np.full(elements, FRICTION), load, duration, 0.8 * largest_step(chain))
-    return torch.from_numpy(state.place)
+    return chain, state, np.full(elements, FRICTION), Load(force, force, np.zeros(2, dtype=bool))
 
 
 def _gradient(elements: int) -> tuple[Tensor, ...]:

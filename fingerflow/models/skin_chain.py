@@ -253,7 +253,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
         coefficient=coefficient,
         strain=torch.where(touching, slope, torch.nan),
         divergence_field=torch.where(touching, slope + hoop, torch.nan),
-        divergence=_weighted_median(slope + hoop, weight),
+        divergence=weighted_median(slope + hoop, weight),
         contact_length=on_plate.sum(-1),
         bone=at.bone,
         balance=chains.unbalanced(at, load, held),
@@ -284,7 +284,7 @@ def _between_neighbours(values: Tensor) -> Tensor:
     return torch.cat((ends[0], inside, ends[1]), -1)
 
 
-def _weighted_median(values: Tensor, weights: Tensor) -> Tensor:
+def weighted_median(values: Tensor, weights: Tensor) -> Tensor:
     """(...) where half of the weight lies below, linear between values; NaN without weight."""
     order = torch.where(weights > 0, values, torch.inf).argsort(-1)
     values, weights = values.gather(-1, order), weights.gather(-1, order)

@@ -15,17 +15,25 @@ from jinja2 import Environment
 from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report import figures
+from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.views import ViewPainter
 from fingerflow.scene import Scene
 
 
-def write_report(result: xr.Dataset, scene: Scene | None, folder: Path, comparison: Sequence[Any] = ()) -> Path:
+def write_report(
+    result: xr.Dataset,
+    scene: Scene | None,
+    folder: Path,
+    comparison: Sequence[Any] = (),
+    chain: BesideChain | None = None,
+) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
 
     Without a scene, as of a stream, whose frames are gone, there is neither picture nor video.
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
+    ``chain``: predictions of the skin chain, drawn beside what was measured.
     """
     frame = _most_contact(result)
     sections: list[tuple[str, bytes]] = []
@@ -45,6 +53,10 @@ def write_report(result: xr.Dataset, scene: Scene | None, folder: Path, comparis
         sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
     if "tracked_share" in result and "position_std_px" in result:
         sections.append(("Quality", figures.quality(result)))
+    notes = {}
+    if chain is not None:
+        sections.append(("Beside the skin chain", draw(chain)))
+        notes["Beside the skin chain"] = chain.notes()
     seconds = json.loads(result.attrs["stage_seconds"])
     count = result.sizes["frame"]
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
@@ -55,7 +67,7 @@ def write_report(result: xr.Dataset, scene: Scene | None, folder: Path, comparis
         },
         warnings=json.loads(result.attrs["warnings"]),
         comparison=comparison,
-        sections=[(title, base64.b64encode(data).decode("ascii")) for title, data in sections],
+        sections=[(title, base64.b64encode(data).decode("ascii"), notes.get(title, ())) for title, data in sections],
         stages=[(name, value, 1000 * value / count) for name, value in seconds.items()],
         sizes=dict(result.sizes),
     )

@@ -80,7 +80,7 @@ class FrameCheckStage(Stage):
     def finish(self) -> None:
         """Names what was found in warnings. Raises FingerflowError where no frame is usable."""
         status = self._status
-        reasons = getattr(self.inputs.recording, "unreadable", {})
+        reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
         sound = status == _USABLE
         status[sound & (self._light < _DARK * self._glass)] = _DARK_FRAME

@@ -1,6 +1,7 @@
 """Scenes of a finger on glass with exactly known motion, contact and forces: for the demo, the tests and the bench."""
 
 from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.partial_slip import PartialSlip
@@ -15,6 +16,7 @@ from fingerflow.synthetic.writer import rebuild_scene, write_recording
 __all__ = [
     "Bump",
     "Camera",
+    "ChainPress",
     "Ellipse",
     "FingerprintTexture",
     "Forces",

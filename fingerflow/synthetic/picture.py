@@ -14,6 +14,7 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.spline import cubic_weights
 
 Plane = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=Scene)
@@ -219,8 +220,8 @@ def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, 
     flat = coefficients.to(column.dtype).flatten()
     column, row = column.clamp(1, columns - 2 - 1e-3), row.clamp(1, rows - 2 - 1e-3)
     left, top = torch.floor(column), torch.floor(row)
-    across, across_slope = _weights(column - left)
-    down, down_slope = _weights(row - top)
+    across, across_slope = cubic_weights(column - left)
+    down, down_slope = cubic_weights(row - top)
     start = (top.long() - 1) * columns + left.long() - 1
     value, by_column, by_row = torch.zeros_like(column), torch.zeros_like(column), torch.zeros_like(column)
     for i in range(4):
@@ -232,11 +233,3 @@ def _spline(coefficients: Tensor, column: Tensor, row: Tensor) -> tuple[Tensor, 
         by_column.addcmul_(slope, down[i])
         by_row.addcmul_(line, down_slope[i])
     return value, by_column, by_row
-
-
-def _weights(t: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-    """The four cubic B-splines over a position between two pixels, t of the way, and their derivatives."""
-    s = 1 - t
-    values = s**3 / 6, 2 / 3 - t * t * (1 + s) / 2, 2 / 3 - s * s * (1 + t) / 2, t**3 / 6
-    slopes = -s * s / 2, t * (3 * t - 4) / 2, s * (4 - 3 * s) / 2, t * t / 2
-    return values, slopes

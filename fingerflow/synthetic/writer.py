@@ -16,6 +16,7 @@ from fingerflow.atomic_write import unfinished as hidden
 from fingerflow.errors import FingerflowError
 from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
+from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
 from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
@@ -29,7 +30,7 @@ from fingerflow.views import View
 #: What the settings of a scene are made of.
 KINDS = {
     kind.__name__: kind
-    for kind in (Press, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
+    for kind in (Press, ChainPress, Slide, PartialSlip, RidgeTexture, FingerprintTexture, PictureTexture, Camera, Bump)
 }
 FILE = "File"
 REFERENCE_PICTURES = 8
@@ -81,7 +82,8 @@ def rebuild_scene(folder: Path) -> Scene:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
     if not isinstance(scene, Scene):
         raise FingerflowError(
-            f"{path} describes a {type(scene).__name__}, where a Press, a Slide or a PartialSlip is needed"
+            f"{path} describes a {type(scene).__name__}, where a Press, a ChainPress, a Slide or a PartialSlip is "
+            "needed"
         )
     return scene
 

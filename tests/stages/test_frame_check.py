@@ -15,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import FRAME_STATUS
 from fingerflow.scene import Scene
-from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
@@ -127,7 +127,9 @@ def test_what_a_bad_frame_gives_is_nan_and_the_rest_stays(clean: Clean, kind: st
     )
     # On a slide of some px a frame, points at the edge of the view are found again elsewhere, or later.
     assert np.quantile(far, 0.99) < 1.5
-    for name in ("median_divergence", "median_curl", "strain_energy"):
+    # In a slide skin that enters is strained against skin that touched before: that energy follows any single point.
+    entering = isinstance(rebuild_scene(clean.scene.path.parent), Slide)
+    for name in ("median_divergence", "median_curl", *(() if entering else ("strain_energy",))):
         value, deviation = (clean.result[one].values[good] for one in (name, f"{name}_std"))
         off = np.abs(result[name].values[good] - value)
         known = np.isfinite(off)

@@ -1,0 +1,91 @@
+"""From friction to pictures and back: what `process` finds of the divergence that the skin chain gave the pictures.
+
+A press of 5 N to a contact of 30 mm², the paper's chain turned about its axis, 96 frames of two 512 x 640 px views at
+100 a second (60 of 288 x 288 px with --quick), noise of 2 grey levels, default settings (gauge length 1.6 mm). All
+divergences are those of the displacement since each point's onset, du/dxi + u/xi, in um/mm; those of the chain are
+differences between its elements (`models.skin_onset`), without splines or pictures.
+
+- inner: mean over the disc of 0.6 of the contact's radius, as measured in the last frame; inner_chain: the chain's;
+  inner_rms, inner_worst: error over the frames from 5 mm² on;
+- median, median_chain, median_rms, median_worst: the same of `median_divergence`, over the area of the gross contact,
+  from 3 mm² on. The median lies where the field falls steeply: what the edge is off weighs in it.
+- radial_um: largest error of a radial displacement, mean over rings of an eighth of the radius. At mu = 0.05 the field
+  changes by 40 um/mm within a mm: windows of 0.8 mm and a gauge of 1.6 mm do not follow that.
+"""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bench.rows import Row
+from bench.suites.pipeline import write_quietly
+from fingerflow import load_scene, process
+from fingerflow.report.beside_chain import INNER
+from fingerflow.report.beside_chain import inner_divergence as measured_inner
+from fingerflow.synthetic import ChainPress
+
+FRICTIONS = (0.05, 0.2, 1.0)
+PRESS = ChainPress(n_frames=96, frame_rate=100.0, frames_before_trigger=4)
+QUICK_PRESS = ChainPress(n_frames=60, frame_rate=60.0, frames_before_trigger=3, frame_shape=(288, 576))
+
+Array = NDArray[np.float64]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a friction."""
+    return [_row(replace(QUICK_PRESS if quick else PRESS, friction=friction)) for friction in FRICTIONS]
+
+
+def inner_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Array]:
+    """Mean divergence over the disc of 0.6 of the contact's radius (frames,), um/mm: as measured at the points, NaN
+    where the contact is under 5 mm², and as the chain has it.
+    """
+    chain = 1e3 * press.chain_at(press.chain_since_onset.mean_within(INNER))
+    large = np.nan_to_num(result["gross_contact_area"].values) > 5
+    return np.where(large, measured_inner(result), np.nan), chain
+
+
+def median_divergence(press: ChainPress, result: xr.Dataset) -> tuple[Array, Array]:
+    """Median divergence over the contact (frames,), um/mm: as measured, NaN where it is under 3 mm², and as the
+    chain has it.
+    """
+    seen = press.chain_since_onset
+    large = press.chain_at(seen.contact_area) > 3e-6
+    return np.where(large, 1e3 * result["median_divergence"].values, np.nan), 1e3 * press.chain_at(seen.area_median)
+
+
+def _row(press: ChainPress) -> Row:
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "press"
+        write_quietly(recording, press)
+        result = process(load_scene(recording / "scene.toml"), progress=False)
+    row: dict[str, float] = {"friction": press.friction}
+    for name, (measured, chain) in (
+        ("inner", inner_divergence(press, result)),
+        ("median", median_divergence(press, result)),
+    ):
+        error = measured - chain
+        row |= {
+            name: float(measured[-1]),
+            f"{name}_chain": float(chain[-1]),
+            f"{name}_rms": float(np.sqrt(np.nanmean(error**2))),
+            f"{name}_worst": float(np.nanmax(np.abs(error))),
+        }
+    return row | {"radial_um": _radial_error(press, result)}
+
+
+def _radial_error(press: ChainPress, result: xr.Dataset) -> float:
+    truth, last = press.truth, press.n_frames - 1
+    material = truth.material(truth.topography_positions(result["position_px"].values[0]), 0)
+    outward = material - press.contact_centre
+    radius = np.hypot(*outward.T)
+    off = result["position"].values[last] - truth.positions(material, last)
+    error = 1e3 * (off * outward).sum(-1) / radius
+    ellipse = truth.ellipse(last)
+    assert ellipse is not None
+    ring = np.floor(8 * radius / ellipse.semi_axes[0])
+    return max(abs(float(np.nanmean(error[ring == k]))) for k in range(8))

@@ -1,0 +1,98 @@
+"""What a camera under the glass sees of a pressed skin chain: displacement and divergence since each point's contact.
+
+A recording knows skin from its first contact on, so displacement counts from there: u = x(t) - xi, with xi the place
+where the edge of the contact passed the point. With the chain as the section of a finger of revolution the divergence
+is du/dxi + u/xi. `Press.divergence` counts from the undeformed chain and is no number that a camera could find.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fingerflow.models.skin_chain import Press, weighted_median
+
+_SYMMETRY = 1e-6  # of the radius of the contact, by which a press of its own symmetry may miss it
+
+
+@dataclass(frozen=True)
+class SinceOnset:
+    """T times of chains (...), at elements from the axis outward (M); lengths in m, NaN outside of the contact."""
+
+    radius: Tensor  # (T, ..., M) distance from the axis now
+    displacement: Tensor  # (T, ..., M) outward since the onset
+    divergence_field: Tensor  # (T, ..., M) without unit
+    area_median: Tensor  # (T, ...) half of the contact's area lies below: what a median over a picture gives
+    line_median: Tensor  # (T, ...) half of the contact's radius lies below
+    contact_area: Tensor  # (T, ...) m², of the disc
+
+    def mean_within(self, share: float) -> Tensor:
+        """(T, ...) mean divergence by area over the disc of that share of the contact's radius; NaN without contact.
+
+        What leaves a disc says how much spreads in it: unlike a median it asks little of the edge of the contact.
+        """
+        edge = share * (self.contact_area / torch.pi).sqrt()[..., None]
+        ring = torch.where(self.radius < edge, self.radius.clamp_min(0.0), 0.0)
+        return (ring * self.divergence_field.nan_to_num(0.0)).sum(-1) / ring.sum(-1)
+
+
+def since_onset(press: Press) -> SinceOnset:
+    """Of presses at T times, as `follow` gives them, fine enough that the edge of the contact moves evenly between two.
+
+    A median by area is small: divergence falls from the middle outward and is negative at the edge, where most of the
+    area lies.
+
+    Raises:
+        ValueError: times that are missing, or a press that is not mirrored about its axis, as under a tangential load.
+    """
+    x, z = press.position.unbind(-1)
+    if x.ndim < 2:
+        raise ValueError(f"positions {tuple(press.position.shape)}: give a press at several times, as follow gives it")
+    half = press.contact_length / 2
+    outward = (x - x.flip(-1))[..., x.shape[-1] // 2 :] / 2
+    uneven = ((x + x.flip(-1)).abs() / 2).amax(-1)
+    if bool((uneven > _SYMMETRY * half.clamp_min(1e-4)).any()):
+        raise ValueError(
+            f"a press that is {uneven.max().item():.3g} m off its axis is no finger of revolution: leave out "
+            "tangential loads, slides and friction that differs from side to side"
+        )
+    height = (z + z.flip(-1))[..., z.shape[-1] // 2 :] / 2
+    inside = height < 0
+    first = inside.to(torch.uint8).argmax(0, keepdim=True)
+    before = (first - 1).clamp_min(0)
+    # Between two times the height is taken as linear: contact itself, counted in elements, grows by jumps.
+    later, earlier = height.gather(0, first), height.gather(0, before)
+    falls = earlier > later
+    share = torch.where(falls, later / torch.where(falls, later - earlier, 1.0), 0.0).clamp(0, 1)
+    place = outward.gather(0, first) + share * (outward.gather(0, before) - outward.gather(0, first))
+    moved = torch.where(inside, outward - place, torch.nan)
+    place = place.expand_as(outward)
+    slope = _slope(moved, place, x.shape[-1] % 2 == 1)
+    on_axis = place < 1e-3 * _SYMMETRY * half.amax(0).clamp_min(1e-4)[..., None]
+    hoop = torch.where(on_axis, slope, moved / torch.where(on_axis, 1.0, place))
+    field = slope + hoop
+    between = (outward[..., 1:] + outward[..., :-1]) / 2
+    outer = torch.cat((torch.where(inside[..., 1:], between, half[..., None]), half[..., None]), -1)
+    inner = torch.cat((torch.zeros_like(outward[..., :1]), between), -1)
+    weight = torch.where(inside, outer - inner, 0.0).clamp_min(0.0)
+    filled = field.nan_to_num(0.0)
+    return SinceOnset(
+        radius=torch.where(inside, outward, torch.nan),
+        displacement=moved,
+        divergence_field=field,
+        area_median=weighted_median(filled, weight * (outer + inner)),
+        line_median=weighted_median(filled, weight),
+        contact_area=torch.pi * half.square(),
+    )
+
+
+def _slope(values: Tensor, at: Tensor, centred: bool) -> Tensor:
+    """Of odd values (..., M) from the axis outward, between both neighbours, at the edge of what is known from one."""
+    mirrored = slice(1, 2) if centred else slice(0, 1)
+    value = torch.cat((-values[..., mirrored], values), -1)
+    place = torch.cat((-at[..., mirrored], at), -1)
+    steps, lengths = value.diff(dim=-1), place.diff(dim=-1)
+    inner = steps / lengths
+    both = (steps[..., :-1] + steps[..., 1:]) / (lengths[..., :-1] + lengths[..., 1:])
+    both = torch.cat((both, torch.full_like(inner[..., -1:], torch.nan)), -1)
+    return torch.where(both.isnan(), inner, both)

@@ -1,0 +1,165 @@
+"""A measured press beside the skin chain under the same force: contact area and divergence against normal force."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import xarray as xr
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.skin_chain import follow
+from fingerflow.models.skin_fit import SkinFit, fit_skin
+from fingerflow.models.skin_onset import since_onset
+from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
+from fingerflow.report.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+
+Values = NDArray[np.float64]
+INNER = 0.6  # of the radius of the contact, in which divergence depends little on where the edge is found
+NEEDED = ("normal_force", "gross_contact_area", "ellipse_semi_axes", "median_divergence")
+_LEAST_MM2 = 3.0  # of contact: below, its edge is uncertain by the distance of ridges
+_FITTED = 10  # forces to which the stiffness is fitted
+_ELEMENTS = 1001  # twice the paper's: 501 ask for 2 % more stiffness for the same area, 251 for 5 %
+_COLOURS = (RED, GREEN, YELLOW, GREY)
+
+
+@dataclass(frozen=True)
+class BesideChain:
+    """T frames with a known force; predictions (K, T) of K frictions; mm² and um/mm, NaN where there is no contact."""
+
+    force: Values  # N
+    area: Values
+    median: Values
+    inner: Values
+    friction: tuple[float, ...]
+    chain_area: Values
+    chain_median: Values
+    chain_inner: Values
+    fit: SkinFit
+    parameters: str
+
+    def notes(self) -> list[str]:
+        """What was assumed, and what was fitted."""
+        assert self.fit.tissue_interval is not None
+        low, high = self.fit.tissue_interval
+        given = PARAMETERS[self.parameters]
+        return [
+            f"The chain has the {self.parameters} parameters (radius {1e3 * float(given.radius):g} mm, membrane "
+            f"{float(given.membrane_stiffness):.4g} N/m), turned about the axis of the contact, and is loaded with the "
+            "measured normal force from nothing on; tangential force is left out.",
+            f"Its tissue was fitted to the measured area at {self.fit.count} forces: k_t = "
+            f"{self.fit.tissue_stiffness:.4g} N/m an element ({100 * self.fit.level:g} % interval {low:.4g} to "
+            f"{high:.4g}; {float(given.tissue_stiffness):.4g} in the set), the plate's stiffness in proportion, "
+            f"each force a press at rest, at a friction of {self.fit.friction:g}: the area hardly depends on it.",
+            "Divergence counts from each point's first contact on both sides. That of the chain is no fit; friction is "
+            "not fitted either: above 0.2 or so nearly all skin sticks, and more of it changes little.",
+        ]
+
+
+def compare_with_chain(result: xr.Dataset, friction: Sequence[float], parameters: str = "paper") -> BesideChain:
+    """Chains at several frictions under the force of a trial, their tissue's stiffness fitted to its contact area.
+
+    Raises:
+        FingerflowError: a friction below 0 or none, unknown parameters, results that lack what is compared, or a force
+            that does not press.
+    """
+    if not friction or not all(0 <= one < np.inf for one in friction):
+        raise FingerflowError(f"--friction {', '.join(map(str, friction))}: give one or more coefficients, 0 or more")
+    if parameters not in PARAMETERS:
+        raise FingerflowError(f"--chain {parameters}: choose one of {', '.join(PARAMETERS)}")
+    if lacking := [name for name in NEEDED if name not in result]:
+        raise FingerflowError(
+            f"the result has no {', '.join(lacking)}, which a chain is compared with; process the scene for all "
+            "outputs, with a force file"
+        )
+    force, time = result["normal_force"].values.astype(float), result["time"].values.astype(float)
+    known = np.isfinite(force) & np.isfinite(time)
+    area = np.nan_to_num(result["gross_contact_area"].values.astype(float))
+    large = known & (area > _LEAST_MM2)
+    if large.sum() < _FITTED or not force[large].max() > 0:
+        raise FingerflowError(
+            f"{int(large.sum())} frames have a normal force and more than {_LEAST_MM2:g} mm² of contact: {_FITTED} or "
+            "more are needed beside a chain; check the force file and its trigger, or leave out --friction"
+        )
+    fit = _fitted(force, area, large, max(friction), PARAMETERS[parameters])
+    trace = torch.from_numpy(np.clip(force[known], 0, None))
+    load = trace[:, None].expand(-1, len(friction))
+    pressed = follow(torch.tensor(friction, dtype=torch.float64), torch.from_numpy(time[known]), load,
+                     parameters=fit.parameters, elements=_ELEMENTS)  # fmt: skip
+    seen = since_onset(pressed)
+    shown = np.where(large, 1.0, np.nan)[known]
+    inner = inner_divergence(result)
+
+    def of(values: torch.Tensor, factor: float) -> Values:
+        return np.asarray(factor * values.T.numpy() * shown)
+
+    return BesideChain(
+        force=force[known],
+        area=area[known] * shown,
+        median=1e3 * result["median_divergence"].values[known] * shown,
+        inner=inner[known] * shown,
+        friction=tuple(friction),
+        chain_area=of(seen.contact_area, 1e6),
+        chain_median=of(seen.area_median, 1e3),
+        chain_inner=of(seen.mean_within(INNER), 1e3),
+        fit=fit,
+        parameters=parameters,
+    )
+
+
+def inner_divergence(result: xr.Dataset) -> Values:
+    """Mean divergence (frames,) of the points within 0.6 of the contact's radius, um/mm; NaN without such points."""
+    found = np.full(result.sizes["frame"], np.nan)
+    if "divergence" not in result or "position" not in result:
+        return found
+    for frame in range(len(found)):
+        (first, second), angle = result["ellipse_semi_axes"].values[frame], result["ellipse_angle"].values[frame]
+        right, down = (result["position"].values[frame] - result["ellipse_center"].values[frame]).T
+        along, across = np.cos(angle) * right + np.sin(angle) * down, np.cos(angle) * down - np.sin(angle) * right
+        values = result["divergence"].values[frame][np.hypot(along / first, across / second) < INNER]
+        values = values[np.isfinite(values)]
+        found[frame] = 1e3 * values.mean() if len(values) else np.nan
+    return found
+
+
+def draw(beside: BesideChain) -> bytes:
+    """Area, median divergence and that of the inner contact against force, measured and of the chain, as a PNG."""
+    figure = Figure(figsize=(10, 3.9), layout="constrained")
+    panels = (
+        ("gross contact area (mm²)", beside.area, beside.chain_area),
+        ("median divergence over the contact (µm/mm)", beside.median, beside.chain_median),
+        (f"mean divergence within {INNER:g} of its radius (µm/mm)", beside.inner, beside.chain_inner),
+    )
+    for axes, (name, measured, chains) in zip(figure.subplots(1, 3), panels, strict=True):
+        for friction, chain, colour in zip(beside.friction, chains, _COLOURS * len(chains), strict=False):
+            axes.plot(beside.force, chain, "--", color=colour, linewidth=1.3, label=f"chain, friction {friction:g}")
+        axes.plot(beside.force, measured, color=INK, label="measured")
+        axes.set(xlabel="normal force (N)")
+        axes.set_ylabel(name, fontsize="small")
+        finished(axes)
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=110)
+    return data.getvalue()
+
+
+def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:
+    """The tissue's stiffness from areas at even forces on the way to the largest one."""
+    top = int(np.flatnonzero(large)[np.argmax(force[large])])
+    rising = large & (np.arange(len(force)) <= top) & (force > 0.02 * force[top])
+    at = np.unique(np.searchsorted(np.maximum.accumulate(np.where(rising, force, 0.0)),
+                                   np.linspace(force[rising].min(), force[top], _FITTED)))  # fmt: skip
+    at = at[rising[np.minimum(at, len(force) - 1)]]
+    length = 2e-3 * np.sqrt(area[at] / np.pi)
+    try:
+        return fit_skin(
+            torch.from_numpy(force[at]),
+            contact_length_m=torch.from_numpy(length),
+            parameters=replace(given),
+            friction=friction,
+            elements=_ELEMENTS,
+        )
+    except ValueError as error:
+        raise FingerflowError(f"the chain's stiffness cannot be fitted to the contact area: {error}") from error
