@@ -60,9 +60,9 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """[background]: frames without a finger, and without light."""
+    """[background]: frames without a finger, and without light. A soft sensor needs none."""
 
-    frames: Path
+    frames: Path | None
     dark: Path | None
 
 
@@ -173,6 +173,11 @@ class Scene:
         forces = None if self.forces is None else self.forces.file
         named = (self.recording.frames, self.background.frames, self.background.dark, self.calibration.file, forces)
         return (self.path, *(file for file in named if file is not None))
+
+    @property
+    def soft_sensor(self) -> bool | None:
+        """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
+        return True if self.kind == "soft_sensor" else None
 
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""

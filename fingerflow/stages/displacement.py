@@ -1,6 +1,6 @@
 """Displacement of each point from where it was when the contact came to cover it."""
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -51,7 +51,7 @@ class DisplacementStage(Stage):
     name = "displacement"
     gives = DISPLACEMENT
     needs = ("views.topography",)
-    after = (TrackingStage,)
+    after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage,)
 
     onset: NDArray[np.int32]
     reference: Points
