@@ -327,3 +327,24 @@ rate_window_s = 0.05
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
 """
+
+
+def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
+    """A scene file of a soft sensor with printed markers, whose recording has frames of this shape."""
+    height, width = frame_shape
+    return f"""# A scene of fingerflow: markers on a soft sensor. Paths are relative to this file.
+kind = "soft_sensor"          # its own frames tell how the gel looks at rest: no [background] is needed
+
+[recording]
+frames = {toml_string(frames)}          # AVI/MP4/MKV, TIFF, HDF5, .npy or a folder of images
+
+[views.camera]                # where the gel lies in a frame: [first, last + 1) px
+rows = [0, {height}]
+columns = [0, {width}]
+
+[calibration]
+mm_per_px = {mm_per_px:g}              # on the gel
+
+[slip]
+stuck_mm = 0.04               # a marker that departs by less from the rigid motion of the contact sticks
+"""

@@ -16,6 +16,7 @@ _COARSEST = 16  # of the shorter side of the picture: larger ones are no markers
 _LOCAL = 2.0  # times the scale: what the contrast is taken against
 _REACH = 4.0  # standard deviations of a Gaussian that are summed
 _FEWEST = 4
+_ABOVE_NOISE = 8.0  # times the deviation of what noise leaves: the strongest of 100,000 places reaches 4.5
 #: Share of the usual contrast that a marker must keep: light that changes, shear and blur take some of it.
 LEAST_CONTRAST = 0.3
 _COARSER = 1.25  # times the scale, by which a place is checked; finer ones see a disc as a ring
@@ -88,7 +89,10 @@ def measure_markers(frame: Tensor) -> MarkerLook | None:
     if int(strong.sum()) < _FEWEST:
         return None
     scale = _SMALLEST * 2 ** (float(octave[strong].median()) / _STEPS)
-    return MarkerLook(scale, polarity, float(strength[strong].median()))
+    response = float(strength[strong].median())
+    # White noise of variance 1 leaves 1 / (2 pi scale^2) in the response.
+    noise = float(_noise(frame)[0]) / (math.sqrt(2 * math.pi) * scale * max(float(image.mean()), 1.0))
+    return MarkerLook(scale, polarity, response) if response > _ABOVE_NOISE * noise else None
 
 
 def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Markers:
@@ -116,8 +120,7 @@ def detect_markers(frames: Tensor, look: MarkerLook, count: int = 4000) -> Marke
     near = torch.stack([padded[batch, y + row, x + column] for row in range(3) for column in range(3)])
     step, inverse = _summit(near)
     brightness = blur(image, _LOCAL * look.scale).clamp_min(1.0)[batch, 0, y, x]
-    noise = estimate_noise(frames).square() + (0.0 if frames.is_floating_point() else 1 / 12)
-    relative = noise.to(brightness.dtype)[:, None] / brightness.square()
+    relative = _noise(frames).to(brightness.dtype).square()[:, None] / brightness.square()
     covariance = (3 / (4 * math.pi * look.scale**4) * relative)[..., None, None] * (inverse @ inverse)
     points = torch.stack((x, y), dim=-1) + step
     return Markers(
@@ -193,6 +196,11 @@ def _summit(near: Tensor) -> tuple[Tensor, Tensor]:
     inverse = torch.stack((yy, -xy, -xy, xx), dim=-1).unflatten(-1, (2, 2)) / safe[..., None, None]
     step = -(inverse @ slope[..., None])[..., 0].clamp(-0.6, 0.6)
     return torch.where(curved[..., None], step, 0.0), torch.where(curved[..., None, None], inverse, torch.nan)
+
+
+def _noise(frames: Tensor) -> Tensor:
+    """Standard deviation (B,) of a pixel, grey levels, with that of rounding."""
+    return (estimate_noise(frames).square() + (0.0 if frames.is_floating_point() else 1 / 12)).sqrt()
 
 
 def _between(strength: Tensor) -> float:

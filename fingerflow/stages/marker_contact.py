@@ -32,11 +32,12 @@ _LEAST_AREA = 0.25  # square spacings
 
 
 class MarkerContactStage(ContactStage):
-    """The gross contact of a soft sensor: the largest connected part of what has changed in light or has moved.
+    """The gross contact of a soft sensor: the largest connected part of what has changed in light, or else has moved.
 
     Light changes where the gel's surface is tilted, brighter or darker, so that it counts either way: from half-way
-    between what changes and what does not (Otsu 1979) in the frame with the largest change. Displacement counts where
-    it is at least 2/pi of the largest one. There are no micro-junctions to be seen: the real area is NaN.
+    between what changes and what does not (Otsu 1979) in the frame with the largest change. Where a flat or soft object
+    tilts nothing, the contact is what moves by at least 2/pi of the largest displacement, which reaches beyond the
+    object: of such a frame the area is a rough one. There are no micro-junctions to be seen: the real area is NaN.
     """
 
     name = "marker_contact"
@@ -72,10 +73,9 @@ class MarkerContactStage(ContactStage):
         view = self.inputs.view(batch.frames, self._view)
         change = self._change(view, batch.indices)
         moved = np.stack([self._moved(frame) for frame in batch.indices])
-        region = (change.abs() > self._least_change) | torch.from_numpy(moved)[:, None].to(change.device)
-        region = largest_component(fill_holes(region))
-        large = region.sum((1, 2, 3)) * CELL_PX**2 >= _LEAST_AREA * self._markers.spacing**2
-        region = region & large[:, None, None, None]
+        lit = largest_component(fill_holes(change.abs() > self._least_change))
+        large = lit.sum((1, 2, 3), keepdim=True) * CELL_PX**2 >= _LEAST_AREA * self._markers.spacing**2
+        region = torch.where(large, lit, largest_component(torch.from_numpy(moved)[:, None].to(lit.device)))
         ellipse, size = fit_ellipse(region), self.inputs.mm_per_px
         for name, values in {
             "contact_threshold": torch.full_like(ellipse.angle, self._least_change),
