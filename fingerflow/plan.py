@@ -1,6 +1,6 @@
 """From the outputs that were asked for to the stages that are needed, and no other."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import NamedTuple
 
@@ -54,6 +54,7 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
     Raises FingerflowError for an output that does not exist or that the scene cannot give.
     """
     stages = all_stages(KINDS[scene.kind].instead)
+    at = {stage.place(): stage for stage in stages}
     if outputs is None:
         kind = KINDS[scene.kind]
         wanted = [
@@ -61,9 +62,9 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
             for stage in stages
             if kind.computes(stage.place().name)
             and any(one.unasked for one in stage.gives)
-            and not _lacking(stage, scene)
+            and not _lacking(stage, scene, at)
         ]
-        return _with_needs(wanted, frozenset(), stages)
+        return _with_needs(wanted, frozenset(), at)
     names, stage_of = list(outputs), {variable.name: stage for stage in stages for variable in stage.gives}
     for name in names:
         if name not in VARIABLES:
@@ -71,17 +72,17 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
             hint = f"did you mean {close[0]!r}? " if close else ""
             raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
         stage = stage_of[name]
-        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _lacking(stage, scene)
+        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _lacking(stage, scene, at)
         if lacking:
-            possible = [one for one in OUTPUTS if not _lacking(stage_of[one], scene)]
+            possible = [one for one in OUTPUTS if not _lacking(stage_of[one], scene, at)]
             possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
             why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
             raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
-    return _with_needs([stage_of[name] for name in names], frozenset(names), stages)
+    return _with_needs([stage_of[name] for name in names], frozenset(names), at)
 
 
-def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], stages: Iterable[type[Stage]]) -> Plan:
-    at, needed = {stage.place(): stage for stage in stages}, set[type[Stage]]()
+def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mapping[type[Stage], type[Stage]]) -> Plan:
+    needed = set[type[Stage]]()
 
     def need(stage: type[Stage]) -> None:
         needed.add(stage)
@@ -90,11 +91,12 @@ def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], stages: It
 
     for stage in wanted:
         need(stage)
-    run = tuple(stage for stage in stages if stage in needed)
+    run = tuple(stage for stage in at.values() if stage in needed)
     return Plan(run, asked.union(*(stage.reads for stage in run)))
 
 
-def _lacking(stage: type[Stage], scene: Scene) -> list[str]:
-    """Keys of the scene that a stage, or one that it needs, wants in vain."""
+def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
+    """Keys of the scene that a stage, or one that it needs, wants in vain; `at` has the stages by their place."""
     lacking = [need for need in stage.needs if not scene.has(need)]
-    return lacking + [key for earlier in (*stage.after, *stage.beside) for key in _lacking(earlier, scene)]
+    earlier = (at[one] for one in (*stage.after, *stage.beside))
+    return lacking + [key for one in earlier for key in _lacking(one, scene, at)]
