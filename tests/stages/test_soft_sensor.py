@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 from bench.suites.tactile import dark_spots
 from fingerflow import load_scene, process
+from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.player.contract.scene_file import SceneError, read_scene
+from fingerflow.report import write_report
 from fingerflow.scene import gel_scene_text
 from fingerflow.stages.rest import find_rest
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
@@ -114,6 +118,28 @@ def test_a_video_without_markers_is_refused(tmp_path: Path) -> None:
 def test_what_other_kinds_give_is_refused_by_name(scene_path: Path) -> None:
     with pytest.raises(FingerflowError, match="picture without a finger"):
         process(load_scene(scene_path), ["printed_real_contact_area"])
+
+
+def test_the_command_line_writes_its_scene_and_streams_refuse_it(scene_path: Path, tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    video = str(scene_path.parent / "frames.avi")
+    assert CliRunner().invoke(app, ["init", str(path), "--gel", video, "--mm-per-px", "0.05"]).exit_code == 0
+    scene = load_scene(path)
+    assert scene.kind == "soft_sensor"
+    assert scene.views["camera"].shape == GEL.frame_shape
+    assert scene.calibration.mm_per_px == 0.05
+    alone = CliRunner().invoke(app, ["init", str(tmp_path / "other.toml"), "--gel", video])
+    assert isinstance(alone.exception, FingerflowError)
+    assert "--mm-per-px" in str(alone.exception)
+    with pytest.raises(SceneError, match="streams cannot play it"):
+        read_scene(path, "stream")
+
+
+def test_the_report_shows_markers_and_slip(result: xr.Dataset, scene_path: Path, tmp_path: Path) -> None:
+    page = write_report(result, load_scene(scene_path), tmp_path).read_text(encoding="utf-8")
+    assert "Slip of what touches the gel" in page
+    capture = cv2.VideoCapture(str(tmp_path / "overlay.mp4"))
+    assert int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)) == GEL.frame_shape[1]  # the one view once
 
 
 def test_rest_is_the_state_that_returns_and_is_even() -> None:
