@@ -94,8 +94,8 @@ def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | Non
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
     with torch.inference_mode():
         for kinds in wanted.passes():
-            stages.update({kind: kind(trial) for kind in kinds})
-            _pass([stages[kind] for kind in kinds], trial, seconds, progress)
+            stages.update({kind.place(): kind(trial) for kind in kinds})
+            _pass([stages[kind.place()] for kind in kinds], trial, seconds, progress)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     scene = inputs.scene

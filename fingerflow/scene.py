@@ -60,9 +60,9 @@ class Views(Mapping[str, View]):
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """[background]: frames without a finger, and without light."""
+    """[background]: frames without a finger, and without light. A soft sensor needs none."""
 
-    frames: Path
+    frames: Path | None
     dark: Path | None
 
 
@@ -173,6 +173,11 @@ class Scene:
         forces = None if self.forces is None else self.forces.file
         named = (self.recording.frames, self.background.frames, self.background.dark, self.calibration.file, forces)
         return (self.path, *(file for file in named if file is not None))
+
+    @property
+    def soft_sensor(self) -> bool | None:
+        """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
+        return True if self.kind == "soft_sensor" else None
 
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
@@ -321,4 +326,25 @@ rate_window_s = 0.05
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
+"""
+
+
+def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
+    """A scene file of a soft sensor with printed markers, whose recording has frames of this shape."""
+    height, width = frame_shape
+    return f"""# A scene of fingerflow: markers on a soft sensor. Paths are relative to this file.
+kind = "soft_sensor"          # its own frames tell how the gel looks at rest: no [background] is needed
+
+[recording]
+frames = {toml_string(frames)}          # AVI/MP4/MKV, TIFF, HDF5, .npy or a folder of images
+
+[views.camera]                # where the gel lies in a frame: [first, last + 1) px
+rows = [0, {height}]
+columns = [0, {width}]
+
+[calibration]
+mm_per_px = {mm_per_px:g}              # on the gel
+
+[slip]
+stuck_mm = 0.04               # a marker that departs by less from the rigid motion of the contact sticks
 """

@@ -143,9 +143,9 @@ WRONG = (
         "[recording]",
         'kind = "poke"\n[recording]',
         "kind",
-        "kind is 'poke': it should be 'press', 'slip' or",
+        "kind is 'poke': it should be 'press', 'slip'",
     ),
-    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press', 'slip' or"),
+    WrongScene("[recording]", "kind = 3\n[recording]", "kind", "kind is 3: it should be 'press', 'slip'"),
     # Types.
     WrongScene("[fields]", "[[fields]]", "[[fields]]", "fields is [{'gauge_length_mm': 1.6, "),
     WrongScene(

@@ -19,12 +19,29 @@ def areas(result: xr.Dataset) -> bytes:
     left, right = figure.subplots(1, 2)
     x, name = abscissa(result)
     left.plot(x, result["gross_contact_area"], color=INK, label="gross")
-    left.plot(x, result["real_contact_area"], color="#d1495b", label="real")
+    if np.isfinite(result["real_contact_area"].values).any():  # a soft sensor shows none
+        left.plot(x, result["real_contact_area"], color="#d1495b", label="real")
     left.set(xlabel=name, ylabel="contact area (mm²)")
     axes = result["ellipse_semi_axes"].values
     right.plot(x, axes[:, 0], color=INK, label="semi-major")
     right.plot(x, axes[:, 1], color="#d1495b", label="semi-minor")
     right.set(xlabel=name, ylabel="semi-axis of the ellipse (mm)")
+    return _png(figure, left, right)
+
+
+def sensor_slip(result: xr.Dataset) -> bytes:
+    """Displacement of the markers in contact and the share of them that has slipped, with the frames of gross slip."""
+    figure = Figure(figsize=(10, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    time = result["time"].values
+    for k, (name, colour) in enumerate(zip("xy", (INK, "#d1495b"), strict=True)):
+        left.plot(time, result["contact_displacement"].values[:, k], ".-", color=colour, label=name)
+    left.set(xlabel="time (s)", ylabel="mean displacement in contact (mm)")
+    right.plot(time, result["slip_ratio"].values, ".-", color=INK, label="share that has slipped")
+    right.set(xlabel="time (s)", ylabel="slip ratio", ylim=(-0.03, 1.03), xlim=left.get_xlim())
+    for axes in (left, right):
+        for k, moment in enumerate(time[result["gross_slip"].values > 0]):
+            axes.axvline(moment, color="#edae49", linewidth=2, zorder=0, label=None if k else "gross slip")
     return _png(figure, left, right)
 
 

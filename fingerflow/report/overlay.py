@@ -40,9 +40,12 @@ def _pictures(result: xr.Dataset, scene: Scene) -> Iterator[Picture]:
             text = f"{times[frame]:+.3f} s"
             if force is not None and np.isfinite(force[frame]):
                 text += f"   {force[frame]:.2f} N"
+            if "gross_slip" in result and result["gross_slip"].values[frame]:
+                text += "   GROSS SLIP"
             if scale:
                 text += f"   arrows {scale:.3g} x"
-            cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+            for colour, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):  # readable on bright pictures too
+                cv2.putText(picture, text, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA)
             yield picture
 
 

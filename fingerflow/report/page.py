@@ -47,6 +47,8 @@ def write_report(
         sections.append((f"Frame {frame}: contact and points", encoded))
     if "ellipse_semi_axes" in result:
         sections.append(("Contact", figures.areas(result)))
+    if "gross_slip" in result:
+        sections.append(("Slip of what touches the gel", figures.sensor_slip(result)))
     if "median_divergence" in result:
         sections.append(("Deformation, medians over the gross contact", figures.medians(result)))
     if "strain" in result and "divergence" in result and result.sizes["triangle"]:

@@ -33,7 +33,10 @@ class ViewPainter:
         """Both views of a frame (by its place in the result), side by side, (H, W, 3)."""
         picture = self._recording[self._first + frame]
         parts = []
-        for name, view in (("topography", self._scene.views.topography), ("contact", self._scene.views.contact)):
+        views = {"topography": self._scene.views.topography, "contact": self._scene.views.contact}
+        if self._scene.soft_sensor:
+            views = {"contact": self._scene.views["camera"]}  # one picture, once
+        for name, view in views.items():
             if view is not None:
                 part = self._grey(name, picture, view)
                 matrix = self._to_topography if name == "topography" else np.array([[1.0, 0, 0], [0, 1.0, 0]])

@@ -8,17 +8,27 @@ from fingerflow.stages.stage import Stage
 
 
 @cache
-def all_stages() -> tuple[type[Stage], ...]:
-    """The stages in an order in which each comes behind those that it needs."""
+def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
+    """The stages in an order in which each comes behind those that it needs.
+
+    `instead` names those that stand in for others.
+    """
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
+    stands_in = {
+        kind.place(): kind
+        for stage in Stage.__subclasses__()
+        for kind in stage.__subclasses__()
+        if kind.name in instead
+    }
     found: list[type[Stage]] = []
 
     def add(stage: type[Stage]) -> None:
-        for earlier in (*stage.after, *stage.beside):
+        taken = stands_in.get(stage, stage)
+        for earlier in (*taken.after, *taken.beside):
             add(earlier)
-        if stage not in found:
-            found.append(stage)
+        if taken not in found:
+            found.append(taken)
 
     for stage in sorted(Stage.__subclasses__(), key=lambda stage: stage.name):
         add(stage)

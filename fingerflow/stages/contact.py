@@ -1,5 +1,7 @@
 """Contact of every frame: real and gross area, ellipse, and the region by which points come into contact."""
 
+from typing import Any, ClassVar
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ class ContactStage(Stage):
     name = "contact"
     gives = CONTACT
     needs = ("views.contact",)
-    after = (LoadingStage, FrameCheckStage)
+    after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
 
     def __init__(self, trial: Trial) -> None:
@@ -63,8 +65,8 @@ class ContactStage(Stage):
             rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
-    def step(self, batch: Batch) -> Contact:
-        """Contact of these frames."""
+    def step(self, batch: Batch) -> Any:
+        """`Contact` of these frames."""
         assert batch.frames is not None
         contact, threshold = self._contact(batch.frames)
         size, indices = self.inputs.mm_per_px, batch.indices

@@ -1,6 +1,6 @@
 """Displacement of each point from where it was when the contact came to cover it."""
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -53,7 +53,7 @@ class DisplacementStage(Stage):
     name = "displacement"
     gives = DISPLACEMENT
     needs = ("views.topography",)
-    after = (TrackingStage, FrameCheckStage)
+    after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
 
     onset: NDArray[np.int32]
     reference: Points

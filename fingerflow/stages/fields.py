@@ -29,10 +29,10 @@ class FieldsStage(Stage):
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._graph = self.inputs.engine(FieldsGraph(self._settings.gauge_length_mm, self._settings.strain))
+        self._graph = self.inputs.engine(FieldsGraph(self.inputs.gauge_length_mm, self._settings.strain))
         self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
         self._residual = np.full(len(trial), np.nan)
-        self._gauge = {"gauge_length_mm": self._settings.gauge_length_mm}
+        self._gauge = {"gauge_length_mm": self.inputs.gauge_length_mm}
 
     def begin(self) -> None:
         self._reference = self.inputs.tensor(self.trial.stage(DisplacementStage).reference)[None]

@@ -37,7 +37,7 @@ class FrameCheckStage(Stage):
 
     name = "frame_check"
     gives = FRAME_CHECK
-    needs = ("views.contact",)
+    needs = ("views.contact", "background.frames")
     reads_frames = True
 
     usable: NDArray[np.bool_]

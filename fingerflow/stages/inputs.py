@@ -32,7 +32,9 @@ def as_it_is(module: M) -> M:
 
 @dataclass
 class Inputs:
-    """An opened scene on a device; the stages run their modules by the engine."""
+    """An opened scene on a device; the stages run their modules by the engine. Gradients are fitted over the gauge
+    length.
+    """
 
     scene: Scene
     recording: Recording
@@ -41,6 +43,10 @@ class Inputs:
     warnings: list[str]
     engine: Engine = as_it_is
     _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
+    gauge_length_mm: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.gauge_length_mm = self.scene.fields.gauge_length_mm
 
     @property
     def mm_per_px(self) -> float:
@@ -81,6 +87,7 @@ class Inputs:
 
     def reference(self, view: View) -> Tensor:
         """The view without a finger, (1, 1, h, w) float32."""
+        assert self.scene.background.frames is not None
         return self._still(self.scene.background.frames, view)
 
     def dark(self, view: View) -> Tensor | None:

@@ -55,7 +55,7 @@ class PrintedContactStage(Stage):
 
     name = "printed_contact"
     gives = PRINTED_CONTACT
-    needs = ("views.contact",)
+    needs = ("views.contact", "background.frames")
     after = (ContactStage,)
     reads_frames = True
 

@@ -29,7 +29,7 @@ class Batch:
 
     def keep(self, stage: "Stage", result: Any) -> None:
         """What a stage's step has given, for the stages beside it."""
-        self._steps[type(stage)] = result
+        self._steps[type(stage).place()] = result
 
     def of(self, stage: type["Stage"]) -> Any:
         """What the step of a stage beside has given for these frames."""
@@ -44,7 +44,7 @@ class Trial:
     results: Store
     planned: tuple[type["Stage"], ...]
     asked: frozenset[str]  # variables, by name or because a stage reads them
-    stages: Mapping[type["Stage"], "Stage"]  # those that run or have run
+    stages: Mapping[type["Stage"], "Stage"]  # those that run or have run, by their `Stage.place`
 
     def stage(self, kind: type[S]) -> S:
         """The stage of this class, which runs beside or before."""
@@ -73,6 +73,7 @@ class Stage:
         after: stages that must be finished before it begins.
         reads_frames: whether `step` wants pictures.
         follows_border: whether it wants points on both sides of the border of the contact, from the first frame on.
+        instead: of its class, for scenes of a kind that says so (`Kind.instead`): what it gives, another way.
     """
 
     name: ClassVar[str]
@@ -83,11 +84,17 @@ class Stage:
     after: ClassVar[tuple[type["Stage"], ...]] = ()
     reads_frames: ClassVar[bool] = False
     follows_border: ClassVar[bool] = False
+    instead: ClassVar[bool] = False
 
     def __init__(self, trial: Trial) -> None:
         self.trial = trial
         self.inputs = trial.inputs
         self.results = trial.results
+
+    @classmethod
+    def place(cls) -> type["Stage"]:
+        """The class by which other stages know it: its own, or the one that it stands in for."""
+        return next(kind for kind in cls.__mro__ if issubclass(kind, Stage) and not kind.instead)
 
     @property
     def backward(self) -> bool:

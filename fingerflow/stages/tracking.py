@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -52,7 +53,7 @@ class TrackingStage(Stage):
     gives = TRACKING
     needs = ("views.topography",)
     beside = (ContactStage,)
-    after = (FrameCheckStage,)
+    after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
 
     def __init__(self, trial: Trial) -> None:

@@ -20,6 +20,7 @@ from .scene_keys import (
     Rule,
     Table,
     Together,
+    optional,
     views_of,
 )
 from .scene_kinds import KINDS, default_kind
@@ -89,7 +90,11 @@ class _Check:
             self.kind = stated
         elif "kind" in self._written:
             self._refuse(("kind",), f"is {stated!r}: it should be {either(KINDS)}")
-        tables = {"recording": SCENE["recording"], "views": views_of(KINDS[self.kind]), **SCENE}
+        kind = KINDS[self.kind]
+        if self._reader == "stream" and not kind.streamed:
+            self._refuse(("kind",), f"is {self.kind!r}: streams cannot play it; use `fingerflow process`")
+        tables = {"recording": SCENE["recording"], "views": views_of(kind), **SCENE}
+        tables |= {name: optional(tables[name]) for name in kind.optional}
         rest = {name: value for name, value in self._written.items() if name != "kind"}
         self.values = self._table((), Table(tables), rest, ("kind",))
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():

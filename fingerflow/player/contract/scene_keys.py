@@ -4,7 +4,7 @@ Two read a scene: `process`, a recording, and the player, a `stream`. Where they
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from .scene_kinds import Kind
@@ -183,6 +183,12 @@ def views_of(kind: Kind) -> Table:
     tables: dict[str, Key | Table] = {name: Table(RECTANGLE, needed_by=BOTH) for name in kind.views}
     tables |= {name: Table(RECTANGLE, needed_by=STREAM) for name in kind.optional_views}
     return Table(tables, needed_by=BOTH)
+
+
+def optional(table: Key | Table) -> Table:
+    """The same table, whose keys nobody needs."""
+    assert isinstance(table, Table)
+    return Table({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
 
 
 # Rules between keys, all named by their dotted paths. The first key of each is the one that is blamed.

@@ -15,6 +15,9 @@ class Kind:
         roles: views of other names that are one of these, for stages that ask by that name.
         stages: computed by default, as far as the scene allows them; None for every stage there is.
         without: stages that are computed only where one of their outputs is asked for.
+        instead: stages that give what others do, another way.
+        optional: tables that other kinds need, and this one does not.
+        streamed: whether the graphs of a stream can play it.
     """
 
     views: tuple[str, ...]
@@ -22,6 +25,9 @@ class Kind:
     roles: Mapping[str, str] = field(default_factory=dict)
     stages: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    streamed: bool = True
 
     def computes(self, stage: str) -> bool:
         """Whether a stage is among those that are computed by default."""
@@ -33,6 +39,15 @@ KINDS = {
     "slip": Kind(views=("contact",), optional_views=("topography",)),
     # One camera, one light: skin is followed in the picture in which contact is seen.
     "single_view": Kind(views=("camera",), roles={"contact": "camera", "topography": "camera"}, without=("slip",)),
+    # A gel with printed markers seen from inside: its own frames tell how it looks at rest.
+    "soft_sensor": Kind(
+        views=("camera",),
+        roles={"contact": "camera", "topography": "camera"},
+        without=("slip", "frame_check"),  # at 25 Hz an object that arrives is a jump, and a gel at rest repeats itself
+        instead=("marker_contact", "marker_tracking", "marker_displacement"),
+        optional=("background",),
+        streamed=False,
+    ),
 }
 
 

@@ -203,6 +203,20 @@ SLIP = (
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show"),
 )
 
+#: Of a soft sensor, where markers on a gel are followed.
+SENSOR_SLIP = (
+    Variable("slip_ratio", FRAME, "1", "share of the markers in contact that depart from its best rigid motion"),
+    Variable("contact_displacement", ("frame", "xy"), "mm", "mean displacement of the markers in contact since rest"),
+    Variable(
+        "gross_slip",
+        FRAME,
+        "1",
+        "1 where the markers in contact spring back: the object slides, or lets go of a sheared gel",
+        "u1",
+        flags=("no", "gross_slip"),
+    ),
+)
+
 #: What only a stream has: what it knows of its own course, and fields where its graphs form them otherwise.
 STREAM = (
     Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4"),

@@ -1,0 +1,47 @@
+"""Displacement of each marker of a soft sensor from where it is when the gel is at rest."""
+
+import numpy as np
+
+from fingerflow.stages.displacement import DisplacementStage, Moved
+from fingerflow.stages.markers import MarkerStage
+from fingerflow.stages.series import nanmedian
+from fingerflow.stages.stage import Batch
+from fingerflow.stages.tracking import TrackingStage
+
+_REST = {"reference_position": "position at rest", "displacement": "displacement since rest"}
+
+
+class MarkerDisplacementStage(DisplacementStage):
+    """The gel is elastic and has a shape of its own: displacement counts from there, touched or not.
+
+    A marker that is not wholly in view at rest has a position and no displacement.
+    """
+
+    name = "marker_displacement"
+    instead = True
+    after = (TrackingStage, MarkerStage)
+
+    def begin(self) -> None:
+        markers = self.trial.stage(MarkerStage)
+        points, first_frame = len(markers.rest), self.inputs.scene.recording.first_frame
+        touched = self.results["in_contact"][:] > 0
+        self.reference_px, self.reference = markers.rest, self.inputs.on_glass(markers.rest)
+        self.onset = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
+        self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
+        self._at_rest = (self.results["position_std_px"][markers.rest_frame : markers.rest_frame + 1][0]) ** 2
+        variance = self.results["position_std_px"][:] ** 2
+        known = np.isfinite(variance)
+        self.noise = np.where(known, variance, 0).sum(0) / np.maximum(known.sum(0), 1) * self._scale**2
+        self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
+        self.results.put("reference_position", self.reference, {"long_name": _REST["reference_position"]})
+        self.results.create("displacement", {"long_name": _REST["displacement"]})
+        self.results.create("displacement_std")
+
+    def step(self, batch: Batch) -> Moved:
+        displacement = self.results["position"][batch.indices] - self.reference
+        variance = self.results["position_std_px"][batch.indices] ** 2 + self._at_rest
+        variance = np.where(np.isfinite(displacement).all(-1), variance * self._scale**2, np.nan).astype(np.float32)
+        self.results["displacement"][batch.indices] = displacement
+        self.results["displacement_std"][batch.indices] = np.sqrt(variance)
+        self._vector[batch.indices] = nanmedian(displacement)
+        return Moved(displacement, variance)

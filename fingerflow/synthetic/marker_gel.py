@@ -1,0 +1,164 @@
+"""A soft sensor seen from inside: a gel with printed markers, an object that presses, drags, slips, and lets go."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fingerflow.errors import FingerflowError
+from fingerflow.scene import gel_scene_text
+from fingerflow.synthetic.camera import Camera
+
+Array = NDArray[np.float64]
+_SUPERSAMPLED = 2  # positions a pixel, each way
+_INVERTED = 1e-3  # px, the last step of the fixed point, whose error is no larger for gradients up to a half
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerGel:
+    """A lattice of dark discs on an elastic surface. Lengths in px of the frame, angles in rad.
+
+    The course, by shares of the recording: rest until 0.15; the object presses until 0.3, which spreads the gel by
+    `dilation`; it drags the gel by `shear` until 0.6, while its rim slips from 0.45 on; at 0.7 it slips as a whole,
+    and from one frame to the next the gel keeps `kept` of its shear; at 0.85 the object is gone and the gel at rest.
+
+    A point X of the surface at rest is displaced by u = (shear s(t) m(r, t) + dilation p(t) (X - c)) exp(-r^2 / 2 b^2)
+    with r its distance from the object's middle c, b the `reach`, and m from 1 in the stuck part to 1 - `lag` at its
+    rim: an exact function, inverted for each quarter of a pixel. Light falls from three sides, one a colour, so that
+    pressure darkens one side and brightens the other.
+
+    Args:
+        n_frames: of the recording.
+        frame_rate: frames a second.
+        frame_shape: rows and columns.
+        spacing: of the markers.
+        radius: of a marker.
+        jitter: standard deviation of the places of markers about the lattice.
+        contact: middle of the object, (x, y).
+        object_radius: of the object.
+        reach: of the displacement.
+        shear: (x, y) at the end of the drag.
+        kept: share of it after gross slip.
+        dilation: gradient of the spreading.
+        lag: share of the shear that the rim of the contact has lost to partial slip.
+        tilt: relative change of light by pressure, at most.
+        exposure: gain of the camera while the object touches.
+        seed: of jitter.
+        camera: noise, of each colour.
+    """
+
+    n_frames: int = 48
+    frame_rate: float = 25.0
+    frame_shape: tuple[int, int] = (240, 320)
+    spacing: float = 31.0
+    radius: float = 5.0
+    jitter: float = 0.6
+    contact: tuple[float, float] = (190.0, 120.0)
+    object_radius: float = 60.0
+    reach: float = 75.0
+    shear: tuple[float, float] = (-34.0, 21.0)
+    kept: float = 0.35
+    dilation: float = 0.12
+    lag: float = 0.35
+    tilt: float = 0.3
+    exposure: float = 0.85
+    seed: int = 0
+    camera: Camera = field(default_factory=lambda: Camera(noise=1.5, salt_and_pepper=0.0))
+
+    @cached_property
+    def markers(self) -> Array:
+        """(N, 2) px at rest, those beyond the border that may come into view too."""
+        height, width = self.frame_shape
+        columns, rows = (np.arange(-2, int(size / self.spacing) + 3) for size in (width, height))
+        lattice = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) * self.spacing + self.spacing / 3
+        result: Array = lattice + np.random.default_rng(self.seed).normal(0, self.jitter, lattice.shape)
+        return result
+
+    def pressed(self, frame: int) -> float:
+        """From 0 without to 1 with the object."""
+        return float(np.interp(self._share(frame), (0.15, 0.3, 0.7, 0.85), (0, 1, 1, 0)))
+
+    def sheared(self, frame: int) -> float:
+        """Share of `shear`."""
+        share = self._share(frame)
+        if share >= 0.7:
+            return float(np.interp(share, (0.7, 0.85), (self.kept, 0)))
+        return float(np.interp(share, (0.3, 0.6), (0, 1)))
+
+    @property
+    def slip_frame(self) -> int:
+        """First frame after gross slip."""
+        return next(frame for frame in range(self.n_frames) if self._share(frame) >= 0.7)
+
+    def lagging(self, frame: int) -> float:
+        """From 0 to 1: how far partial slip has come."""
+        return float(np.interp(self._share(frame), (0.45, 0.6), (0, 1)))
+
+    def displacement(self, places: Array, frame: int) -> Array:
+        """(..., 2) px of places (..., 2) at rest."""
+        off = places - np.asarray(self.contact)
+        r = np.linalg.norm(off, axis=-1, keepdims=True)
+        rim = np.clip((r - 0.4 * self.object_radius) / (0.6 * self.object_radius), 0, 1)
+        stuck = 1 - self.lag * self.lagging(frame) * rim * rim * (3 - 2 * rim)
+        shear = self.sheared(frame) * stuck * np.asarray(self.shear)
+        spread = self.dilation * self.pressed(frame) * off
+        result: Array = (shear + spread) * np.exp(-(r**2) / (2 * self.reach**2))
+        return result
+
+    def positions(self, frame: int) -> Array:
+        """(N, 2) px where the markers are."""
+        return self.markers + self.displacement(self.markers, frame)
+
+    def picture(self, frame: int) -> NDArray[np.uint8]:
+        """(H, W, 3), red, green, blue."""
+        height, width = self.frame_shape
+        fine = (np.arange(_SUPERSAMPLED) + 0.5) / _SUPERSAMPLED - 0.5
+        x, y = ((np.arange(size)[:, None] + fine).ravel() for size in (width, height))
+        place = np.stack(np.meshgrid(x, y), axis=-1)
+        rest, before = place - self.displacement(place, frame), place
+        while np.abs(rest - before).max() > _INVERTED:
+            rest, before = place - self.displacement(rest, frame), rest
+        distance = cKDTree(self.markers).query(rest, distance_upper_bound=3 * self.radius)[0]
+        ink = 1 / (1 + np.exp(np.clip((distance - self.radius) / 0.8, -50, 50)))
+        off = (place - np.asarray(self.contact)) / self.object_radius
+        slope = off * np.exp(-((off**2).sum(-1, keepdims=True) ** 2))
+        pressed = self.pressed(frame)
+        gain = 1 + (self.exposure - 1) * pressed
+        colours = []
+        for k, turn in enumerate((0.0, 2.1, 4.2)):
+            side = (place @ (np.cos(turn), np.sin(turn))) / width
+            light = 105 + 35 * side + 170 * self.tilt * pressed * (slope @ (np.cos(turn), np.sin(turn)))
+            shown = gain * light * (1 - 0.75 * ink)
+            shown = shown.reshape(height, _SUPERSAMPLED, width, _SUPERSAMPLED).mean((1, 3))
+            clean = self.camera.expose(torch.from_numpy(shown.astype(np.float32)))
+            colours.append(self.camera.read_out(clean, 3 * frame + k))
+        result: NDArray[np.uint8] = np.stack(colours, axis=-1).astype(np.uint8)
+        return result
+
+    def _share(self, frame: int) -> float:
+        return frame / max(self.n_frames - 1, 1)
+
+
+def write_gel_recording(folder: Path, gel: MarkerGel, mm_per_px: float = 0.06) -> Path:
+    """Writes frames.avi, in colour and compressed as a sensor delivers it, and scene.toml; gives the scene's path.
+
+    Raises FingerflowError where the folder exists already or the video cannot be written.
+    """
+    if folder.exists():
+        raise FingerflowError(f"{folder} exists already; remove it or name another folder for the synthetic recording")
+    folder.mkdir(parents=True)
+    height, width = gel.frame_shape
+    video, scene = folder / "frames.avi", folder / "scene.toml"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), gel.frame_rate, (width, height))
+    if not writer.isOpened():
+        raise FingerflowError(f"{video}: OpenCV cannot write Motion JPEG here; install opencv with its video writers")
+    for frame in range(gel.n_frames):
+        writer.write(cv2.cvtColor(gel.picture(frame), cv2.COLOR_RGB2BGR))
+    writer.release()
+    scene.write_text(gel_scene_text(video.name, gel.frame_shape, mm_per_px), encoding="utf-8")
+    return scene
