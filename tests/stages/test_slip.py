@@ -16,7 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plan import plan
 from fingerflow.scene import Scene, Views
 from fingerflow.stages.inputs import open_inputs
-from fingerflow.stages.slip import SlipStage, displacement_at
+from fingerflow.stages.slip import SlipStage
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 
 NAMES = ("abrupt", "fading")
@@ -27,11 +27,16 @@ def results(slip_trials: Path) -> dict[str, xr.Dataset]:
     return {name: process(load_scene(slip_trials / name / "scene.toml"), ["stuck_ratio"]) for name in NAMES}
 
 
-def truth_of(folder: Path, limit_mm: float = 0.04) -> NDArray[np.float64]:
-    """(F,) d^2 as the rule takes it, exactly."""
+def by(scene: Scene, criterion: str) -> Scene:
+    return replace(scene, slip=replace(scene.slip, criterion=criterion))
+
+
+def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
+    """(F,) exact d^2: of what has not slipped, or has moved by less than a limit."""
     trial = rebuild_scene(folder)
     assert isinstance(trial, PartialSlip)
-    return np.array([trial.slow_share(frame, limit_mm) for frame in range(trial.n_frames)])
+    frames = range(trial.n_frames)
+    return np.array([trial.stuck_share(k) if limit_mm is None else trial.slow_share(k, limit_mm) for k in frames])
 
 
 def verdict_of(result: xr.Dataset) -> dict[str, Any]:
@@ -40,30 +45,40 @@ def verdict_of(result: xr.Dataset) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_stuck_ratio_of_a_small_contact(name: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    """Within 0.03 in every frame, 0.02 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
-    error = np.abs(results[name]["stuck_ratio"].values - truth_of(slip_trials / name))
+    """Within 0.05 in every frame, 0.03 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
+    error = np.abs(results[name]["stuck_ratio"].values - shares(slip_trials / name))
+    assert error.max() < 0.05
+    assert np.quantile(error, 0.9) < 0.03
+
+
+@pytest.mark.parametrize("criterion", ["displacement", "relative"])
+@pytest.mark.parametrize("name", NAMES)
+def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Path) -> None:
+    """The paper's 40 um within 0.03 in every frame, 0.02 in nine of ten, on glass at rest against either."""
+    scene = by(load_scene(slip_trials / name / "scene.toml"), criterion)
+    result = process(scene, ["stuck_ratio"])
+    found, truth = result["stuck_ratio"].values, shares(slip_trials / name, 0.04)
+    told = truth > (0.15 if criterion == "relative" else -1)  # what comes loose as one is stuck against itself
+    assert told.sum() > 60
+    error = np.abs(found - truth)[told]
     assert error.max() < 0.03
     assert np.quantile(error, 0.9) < 0.02
-    assert np.sqrt((error**2).mean()) < 0.01
+    assert result["stuck_ratio"].attrs["criterion"] == criterion
+    assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
 def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
-    """Within 0.02 in every frame, with the default settings."""
+    """With the default settings; the paper's limit of 40 um takes skin that slips for stuck."""
     write_recording(tmp_path / "trial", PartialSlip(n_frames=100, frame_rate=20.0, frames_before_trigger=4))
-    result = process(load_scene(tmp_path / "trial" / "scene.toml"), ["stuck_ratio", "load_ratio"])
-    found, truth = result["stuck_ratio"].values, truth_of(tmp_path / "trial")
-    assert ((truth > 0.05) & (truth < 0.95)).sum() > 30
-    assert np.abs(found - truth).max() < 0.02
-    assert (result["slip_coverage"].values > 0.9).all()
-    # The limit of 40 um takes skin that slips for stuck; the model's own area is smaller.
-    trial = rebuild_scene(tmp_path / "trial")
-    assert isinstance(trial, PartialSlip)
-    model = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
-    assert 0.15 < (found - model).max() < 0.21
-    # Friction that is fitted to it contradicts the load at the loss, and is said to.
-    fit = json.loads(result["stuck_ratio"].attrs["friction_fit"])
-    assert not fit["identified"]
-    assert "loses adhesion at T/N" in fit["reason"]
+    scene = load_scene(tmp_path / "trial" / "scene.toml")
+    model, slow = shares(tmp_path / "trial"), shares(tmp_path / "trial", 0.04)
+    found = process(scene, ["stuck_ratio"])["stuck_ratio"].values
+    printed = process(by(scene, "displacement"), ["stuck_ratio"])["stuck_ratio"].values
+    assert ((model > 0.05) & (model < 0.95)).sum() > 30
+    assert np.abs(printed - slow).max() < 0.025
+    assert 0.15 < (printed - model).max() < 0.21
+    assert np.abs(found - model).max() < 0.03
+    assert np.quantile(np.abs(found - model), 0.9) < 0.02
 
 
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
@@ -73,7 +88,7 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     found = verdict_of(results[name])
     assert found["outcome"] == outcome
     assert found["printed_outcome"] == "vanishes abruptly"  # by the rule as printed both do
-    truth = truth_of(slip_trials / name)
+    truth = shares(slip_trials / name)
     assert abs(found["loss_frame"] - np.flatnonzero(truth > 0.05)[-1] - 1) <= 2
     before = trial.times[found["loss_frame"] - 3 : found["loss_frame"]]  # 50 ms
     expected = np.median(trial.tangential_force(before)) / trial.force
@@ -150,7 +165,7 @@ def test_without_forces_the_stuck_part_is_there_and_no_verdict(slip_trials: Path
     assert "there are no forces" in verdict_of(result)["reason"]
     assert "load_ratio" not in result
     assert "friction_fit" not in result["stuck_ratio"].attrs
-    assert np.abs(result["stuck_ratio"].values - truth_of(slip_trials / "abrupt")).max() < 0.04
+    assert np.abs(result["stuck_ratio"].values - shares(slip_trials / "abrupt")).max() < 0.04
 
 
 def test_without_a_tangential_channel(slip_trials: Path) -> None:
@@ -234,35 +249,14 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
     calibration = replace(scene.calibration, topography_to_contact=identity)
     inputs.scene = replace(scene, calibration=calibration)
     regions = np.zeros((2, 48, 60), bool)
-    regions[:, :40] = True  # rows to 160 px
+    regions[:, 1:40, 1:59] = True  # rows to 160 px
     given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
     trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
     run(trial, SlipStage(trial))
     ratio, stuck = (values_of(trial, name) for name in ("stuck_ratio", "stuck_region"))
     assert ratio[0] == 1
     # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
-    assert ratio[1] == pytest.approx(14 * 29 / (60 * 40), abs=2 * (14 + 29) / (60 * 40))
+    assert ratio[1] == pytest.approx(14 * 29 / (58 * 39), abs=2 * (14 + 29) / (58 * 39))
     assert not stuck[1][:, 36:].any()
     assert not stuck[1][40:].any()
     np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
-
-
-def test_displacement_of_a_linear_field_is_exact() -> None:
-    draw = np.random.default_rng(0)
-    points, places = draw.random((60, 2)), 0.2 + 0.6 * draw.random((200, 2))
-    slope = np.array([[0.1, -0.2], [0.05, 0.3]])
-    moved = points @ slope + 0.5
-    points[7, 0], moved[9] = np.nan, np.nan  # not known
-    np.testing.assert_allclose(displacement_at(places, points, moved)[0], places @ slope + 0.5, atol=1e-9)
-
-
-def test_displacement_is_not_made_up() -> None:
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    places = np.array([[0.1, 0.0], [1.1, 1.0], [2.0, 2.0], [0.5, 0.5]])
-    found, distance = displacement_at(places, square, square)
-    np.testing.assert_allclose(found, [[0.1, 0.0], [1.0, 1.0], [1.0, 1.0], [0.5, 0.5]], atol=1e-9)
-    np.testing.assert_allclose(distance, [0.1, 0.1, np.sqrt(2), np.sqrt(0.5)])
-    for few in (square[:2], np.outer(np.arange(5), [1.0, 1.0]), np.full((5, 2), np.nan), np.empty((0, 2))):
-        found, distance = displacement_at(places, few, few)
-        assert np.isnan(found).all()
-        assert np.isinf(distance).all()
