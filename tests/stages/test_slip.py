@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
+from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.plan import plan
 from fingerflow.scene import Scene, Views
 from fingerflow.stages.inputs import open_inputs
@@ -260,3 +262,98 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
     assert not stuck[1][:, 36:].any()
     assert not stuck[1][40:].any()
     np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
+
+
+def small(folder: Path, **settings: Any) -> Path:
+    """A trial as `slip_trials` has them, 60 frames, with other settings."""
+    usual: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45}
+    timing: dict[str, Any] = {"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3, "travel": 0.8}
+    write_recording(folder, PartialSlip(**(usual | timing | settings)))
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
+        text = text.replace(old, new)
+    (folder / "scene.toml").write_text(text.split("[stream]")[0], encoding="utf-8")
+    return folder
+
+
+def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
+    """Every position that is given is within 2 px of the skin: another ridge is 14 px away."""
+    folder = small(tmp_path / "trial", jumps=(1.6, 1.75))
+    trial = rebuild_scene(folder)
+    result = process(load_scene(folder / "scene.toml"), ["position_px", "stuck_ratio"])
+    position = result["position_px"].values
+    worst, tracked = 0.0, []
+    for frame in range(0, trial.n_frames, 3):
+        true = trial.truth.follow(position[0], 0, frame)
+        known = np.isfinite(position[frame]).all(-1)
+        if not known.any():  # a frame that is left out as a whole
+            continue
+        tracked.append(known.mean())
+        worst = max(worst, float(np.linalg.norm(position[frame] - true, axis=-1)[known].max()))
+    assert len(tracked) > 17
+    assert worst < 2
+    assert min(tracked) > 0.5
+    assert result["stuck_ratio"].values[-5:].max() == 0
+
+
+def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
+    """Its area is not known: no verdict, and it says why."""
+    folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
+    result = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])
+    assert np.isnan(result["stuck_ratio"].values).mean() > 0.5
+    assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
+
+
+def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
+    folder = small(tmp_path / "trial", travel=3.0, direction=1.5)
+    ratio = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])["stuck_ratio"].values
+    truth = shares(folder)
+    leaves = np.isnan(ratio)
+    assert leaves[-1]
+    # It starts as far on the other side.
+    assert leaves[0] or np.nanmax(np.abs(ratio - truth)) < 0.1
+
+
+def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
+    """By a fifth over the trial: d^2 to 0.03."""
+    frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
+    frames *= np.linspace(1, 0.8, len(frames), dtype=np.float32)[:, None, None]
+    faded = process(changed(slip_trials / "abrupt", tmp_path, frames=np.rint(frames).astype(np.uint8)), ["stuck_ratio"])
+    assert verdict_of(faded)["outcome"] == "vanishes abruptly"
+    assert np.nanmax(np.abs(faded["stuck_ratio"].values - results["abrupt"]["stuck_ratio"].values)) < 0.03
+
+
+def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
+    """Direction to 0.05 rad once a fifth slips, speed in full slip to 2 %, annulus and stuck area are the contact."""
+    result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
+    assert isinstance(trial, PartialSlip)
+    slipping = result["stuck_ratio"].values < 0.8
+    assert slipping.sum() > 40
+    np.testing.assert_allclose(result["slip_direction"].values[slipping], trial.direction, atol=0.05)
+    late = slice(106, 116)
+    ways = [
+        trial.motion.travelled(torch.from_numpy(trial.progress(trial.times + late_s))) for late_s in (1 / 60, -1 / 60)
+    ]
+    speed = (ways[0] - ways[1]).numpy() * 30
+    np.testing.assert_allclose(result["slip_speed"].values[late], speed[late], rtol=0.02)
+    np.testing.assert_allclose(result["slip_annulus_area"] + result["stuck_area"], result["gross_contact_area"])
+
+
+def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
+    """Against the exact displacement of the skin over the contact, to 5 % of its value or 2 um."""
+    result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
+    for frame in (20, 50, 80):
+        ellipse = trial.truth.ellipse(frame)
+        assert ellipse is not None
+        axes = (middle + np.arange(-2.5, 2.5, 0.1) for middle in ellipse.centre)
+        x, y = (grid.ravel() for grid in np.meshgrid(*axes))
+        inside = (ellipse.distance(torch.from_numpy(x), torch.from_numpy(y)) > 0).numpy()
+        places = np.stack((x, y), -1)[inside]
+        moved = trial.truth.positions(trial.truth.material(places, 0), frame) - places
+        left = rigid_residual(torch.from_numpy(places)[None], torch.from_numpy(moved)[None])[0]
+        expected = float(left.square().sum(-1).mean().sqrt())
+        assert result["incipient_slip"].values[frame] == pytest.approx(expected, rel=0.05, abs=0.002)
+    for part in ("solenoidal", "irrotational"):
+        values = result[f"incipient_slip_{part}"].values[20:80]
+        assert np.isfinite(values).mean() > 0.95
+        assert np.nanmin(values) > 0

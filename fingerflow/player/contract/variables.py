@@ -237,6 +237,10 @@ STREAM = (
     Variable(
         "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4"
     ),
+    Variable("slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4"),
+    Variable(
+        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip", "u1"
+    ),
     Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
     Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),
 )
