@@ -461,8 +461,8 @@ class Player:
         ):
             self._fields[name][place] = value
         if self._layout.tells_slip:
-            seen = (outputs[name][0] for name in ("points", "position_std", "covered"))
-            slip = self._slip.see(*seen, self.restarts)
+            points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
+            slip = self._slip.see(points, std, covered, self.restarts)
             self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
             self._fields["slip_flag"][place] = slip.slipping
         self.latencies.add(latency)
