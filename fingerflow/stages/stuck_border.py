@@ -48,6 +48,8 @@ class StuckBorder:
         self.fit: BorderFit | None = None
         self.level, self.noise, self.reason = FOLLOWED_MM, np.nan, ""
         self._base = np.zeros(2)
+        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # of the annulus, and the level for each
+        self._of_width = np.zeros(200)
 
     def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
         """A frame: displacement (N, 2) mm of the points, NaN where lost, and of the cells, and the contact's cells."""
@@ -90,7 +92,8 @@ class StuckBorder:
         if self.fit is None:
             self.reason = "no frames show a stuck part with slipping skin around it"
             return
-        level = float(border_level(np.array([_WIDEST * self._half]), self.fit.growth, self._half)[0])
+        self._of_width = border_level(self._widths, self.fit.growth, self._half)
+        level = float(self._of_width[-1])
         if level >= FOLLOWED_MM:
             self.reason = (
                 f"beside the stuck part displacement grows by {self.fit.growth:.2g} mm over the first mm, so steeply "
@@ -113,7 +116,7 @@ class StuckBorder:
         levels = _STEPS * self.level
         share = np.searchsorted(np.sort(component[inside]), levels) / max(int(contact.sum()), 1)
         radius = np.sqrt(contact.sum() / np.pi) * self._grid.fine_mm
-        at_border = border_level(radius * (1 - np.sqrt(np.minimum(share, 1))), self.fit.growth, self._half)
+        at_border = np.interp(radius * (1 - np.sqrt(np.minimum(share, 1))), self._widths, self._of_width)
         level = levels[int(np.argmax(levels >= at_border))] if (levels >= at_border).any() else self.level
         return np.asarray(inside & (component < level) & (length < FOLLOWED_MM))
 
