@@ -129,8 +129,12 @@ class FieldSettings:
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another."""
+    """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another.
 
+    ``stuck_mm`` is of the criteria "displacement" and "relative".
+    """
+
+    criterion: Literal["border", "displacement", "relative"]
     stuck_mm: float
 
 
@@ -322,7 +326,9 @@ depth_mm = 2.0                # of skin that the strain energy is integrated ove
 rate_window_s = 0.05
 
 {loaded}[slip]                        # of a trial of tangential loading
-{loaded}stuck_mm = 0.04               # skin that has moved by less since the first frame is stuck; the paper has 0.04
+{loaded}criterion = "border"          # of stuck skin: no slip at all; or "displacement" below stuck_mm, as in the
+{loaded}                              # paper; or "relative": below it against the rigid motion of the skin that sticks
+{loaded}# stuck_mm = 0.04             # the paper has 0.04
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points

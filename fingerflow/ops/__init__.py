@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fingerflow.ops.strain import strain_energy_density as strain_energy_density
     from fingerflow.ops.tracking import track_points as track_points
     from fingerflow.ops.triangles import triangle_gradients as triangle_gradients
+    from fingerflow.ops.vector_parts import helmholtz_hodge as helmholtz_hodge
 
 _HOMES = {
     "curl": "strain",
@@ -24,6 +25,7 @@ _HOMES = {
     "detect_corners": "corners",
     "divergence": "strain",
     "green_lagrange": "strain",
+    "helmholtz_hodge": "vector_parts",
     "local_gradients": "local_fit",
     "median_filter": "median",
     "normalize_illumination": "illumination",

@@ -28,6 +28,9 @@ _FRAME_NUMBER = Variable(
 )
 # What the player itself adds to a record.
 _OWN = (_FRAME_NUMBER, *(_VARIABLES[name] for name in ("time", "latency", "key_frame", "restart", "contact_threshold")))
+# And where the graphs give points, their noise, and which of them the contact covers.
+_OF_SLIP = tuple(_VARIABLES[name] for name in ("slip_residual", "slip_flag"))
+_FOR_SLIP = ("points", "position_std", "covered")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 _STORED = {np.dtype(np.bool_): "|u1", np.dtype(np.float16): "<f4"}
 
@@ -56,11 +59,14 @@ class RecordLayout:
 
     Attributes:
         dtype: of a record.
+        tells_slip: whether it has the flag of incipient slip.
         fields: what the header says of each field.
     """
 
     def __init__(self, outputs: Mapping[str, Tensor], mm_per_px: float, units: Mapping[str, str]) -> None:
-        fields = [_Field(one, f"<{one.kind}", ()) for one in _OWN]
+        self.tells_slip = all(name in outputs for name in _FOR_SLIP)
+        own = _OWN + (_OF_SLIP if self.tells_slip else ())
+        fields = [_Field(one, np.dtype(one.kind).newbyteorder("<").str, ()) for one in own]
         self._copied: list[tuple[str, str, float | None]] = []
         for name, tensor in outputs.items():
             if len(tensor.shape) > 3:  # images are for the live page

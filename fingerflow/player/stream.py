@@ -26,6 +26,7 @@ from .records import RecordLayout
 from .renewal import Renewal
 from .results import Sink
 from .scene import Scene
+from .slip_flag import SlipFlag
 from .sources.source import OpenSource, Source
 from .stepper import Stepper
 from .upkeep import REKEY, ThresholdSearch, Upkeep
@@ -140,6 +141,8 @@ class Player:
         self._change: _Change | None = None
         self._renewals: deque[_Renewing] = deque()
         self._drawing = False  # a frame is on its way to the page
+        self._slip = SlipFlag()
+        self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
@@ -457,6 +460,11 @@ class Player:
             ("contact_threshold", self._stepper.threshold),
         ):
             self._fields[name][place] = value
+        if self._layout.tells_slip:
+            points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
+            slip = self._slip.see(points, std, covered, self.restarts)
+            self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
+            self._fields["slip_flag"][place] = slip.slipping
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1

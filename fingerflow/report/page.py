@@ -1,6 +1,7 @@
 """One HTML page with everything in it."""
 
 import base64
+import io
 import json
 from collections.abc import Sequence
 from importlib.resources import files
@@ -17,6 +18,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.report import figures
 from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.overlay import write_overlay
+from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
 from fingerflow.report.views import ViewPainter
 from fingerflow.scene import Scene
 
@@ -44,7 +46,8 @@ def write_report(
         with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
             picture = ViewPainter(result, scene, recording).paint(frame)
         encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-        sections.append((f"Frame {frame}: contact and points", encoded))
+        shown = "contact, points and the stuck part" if "stuck_region" in result else "contact and points"
+        sections.append((f"Frame {frame}: {shown}", encoded))
     if "ellipse_semi_axes" in result:
         sections.append(("Contact", figures.areas(result)))
     if "gross_slip" in result:
@@ -53,6 +56,11 @@ def write_report(
         sections.append(("Deformation, medians over the gross contact", figures.medians(result)))
     if "strain" in result and "divergence" in result and result.sizes["triangle"]:
         sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
+    if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
+        trial = SlipTrial.of(result, "Partial slip")
+        drawn = io.BytesIO()
+        trial_figure(trial).savefig(drawn, format="png", dpi=80)
+        sections.append((verdict_line(trial), drawn.getvalue()))
     if "tracked_share" in result and "position_std_px" in result:
         sections.append(("Quality", figures.quality(result)))
     notes = {}

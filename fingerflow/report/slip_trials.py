@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
@@ -15,9 +14,8 @@ from numpy.typing import NDArray
 
 from fingerflow.atomic_write import write_atomically
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
+from fingerflow.report.outlines import contact_outline, stuck_outline
 from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
-
-_TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path) -> Path:
             number += 1
             name = f"{stem}-{number}"
         taken.add(name)
-        _save(_trial_figure(trial), folder / f"{name}.png")
+        _save(trial_figure(trial), folder / f"{name}.png")
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     draw_trials(
         figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
@@ -90,44 +88,27 @@ def write_figures(trials: Sequence[SlipTrial], folder: Path) -> Path:
     return folder
 
 
-def _trial_figure(trial: SlipTrial) -> Figure:
+def trial_figure(trial: SlipTrial) -> Figure:
+    """Skin motion at the end of slow loading with the stuck part, d^2 against T/N and against time."""
     result, verdict = trial.result, trial.verdict
     area, load = np.asarray(result["stuck_ratio"]), trial.load_ratio()
     figure = Figure(figsize=(15, 4.5), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     # The last frame of slow loading: later the stuck part is gone, or as good as.
     frame = verdict.collapse_frame if verdict.collapse_frame >= 0 else len(area) // 2
-    position = np.asarray(result["position"])
+    position, region = np.asarray(result["position"]), result["stuck_region"]
     draw_motion(
         left,
         position[0],
         position[frame] - position[0],
-        _contact_outline(result.isel(frame=frame)),
-        _stuck_outline(result["stuck_region"].isel(frame=frame)),
+        contact_outline(result.isel(frame=frame)),
+        stuck_outline(region[frame].values, region.attrs.get("cell_mm", 1.0), region.attrs.get("first_cell_mm", 0.0)),
     )
     left.set_title(f"{float(result['time'][frame]):.2f} s", loc="left")
     draw_trial(middle, area, load, verdict, trial.fit)
     draw_over_time(right, result["time"], area, verdict)
     figure.suptitle(f"{trial.name}: {verdict.outcome}, as printed: {verdict.printed_outcome}")
     return figure
-
-
-def _contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
-    if "ellipse_center" not in frame or not np.isfinite(frame["ellipse_center"]).all():
-        return None
-    along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
-    cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
-    outline: NDArray[np.float64] = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
-    result: NDArray[np.float64] | None = outline + np.asarray(frame["ellipse_center"])
-    return result
-
-
-def _stuck_outline(region: xr.DataArray) -> NDArray[np.float64] | None:
-    contours, _ = cv2.findContours(np.asarray(region), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not contours:
-        return None
-    longest = max(contours, key=len)[:, 0]
-    return np.asarray(longest * region.attrs["cell_mm"] + region.attrs["first_cell_mm"], dtype=np.float64)
 
 
 def _save(figure: Figure, path: Path) -> None:

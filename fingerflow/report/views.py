@@ -9,10 +9,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.recordings import Recording
+from fingerflow.report.outlines import stuck_outline
 from fingerflow.scene import Scene
 from fingerflow.views import View
 
 Picture = NDArray[np.uint8]
+STUCK = (255, 0, 200)
 CONTACT, TRACKED, LOST, ARROW = (80, 200, 255), (120, 255, 120), (255, 80, 80), (255, 210, 60)
 
 
@@ -41,6 +43,7 @@ class ViewPainter:
                 part = self._grey(name, picture, view)
                 matrix = self._to_topography if name == "topography" else np.array([[1.0, 0, 0], [0, 1.0, 0]])
                 self._ellipse(part, frame, matrix)
+                self._stuck(part, frame, matrix)
                 self._points(part, frame, matrix, arrow_scale)
                 parts.append(part)
         height = min(part.shape[0] for part in parts)
@@ -70,6 +73,14 @@ class ViewPainter:
         y = center[1] + along * np.sin(angle) + beside * np.cos(angle)
         outline = self._eighths(np.stack((x, y), axis=1), matrix)
         cv2.polylines(part, [outline], True, CONTACT, 1, cv2.LINE_AA, 3)
+
+    def _stuck(self, part: Picture, frame: int, matrix: NDArray[np.float64]) -> None:
+        if "stuck_region" not in self._result:
+            return
+        region = self._result["stuck_region"]
+        outline = stuck_outline(region[frame].values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
+        if outline is not None:
+            cv2.polylines(part, [self._eighths(outline, matrix)], True, STUCK, 2, cv2.LINE_AA, 3)
 
     def _points(self, part: Picture, frame: int, matrix: NDArray[np.float64], arrow_scale: float) -> None:
         if "position" not in self._result:

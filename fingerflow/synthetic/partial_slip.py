@@ -30,6 +30,11 @@ class PartialSlip(Slide):
 
     Args:
         collapse: s from the critical area to none.
+        jumps: s at which contact and skin jump together by `jump` mm along the pull, as in stick-slip: after full slip.
+        jump: mm of one jump; 5 px of the contact view are 0.1625 mm.
+
+    Raises:
+        ValueError: a jump before full slip, when a part of the contact sticks.
     """
 
     n_frames: int = 300
@@ -40,6 +45,16 @@ class PartialSlip(Slide):
     travel: float = 3.0
     full_slip: float = 0.75
     collapse: float = 0.2
+    jumps: tuple[float, ...] = ()
+    jump: float = 0.1625
+
+    def __post_init__(self) -> None:
+        full_slip = self.full_slip * float(self.times[-1])
+        if any(time < full_slip for time in self.jumps):
+            raise ValueError(
+                f"jumps at {self.jumps} s: one is before full slip at {full_slip:.3f} s, and skin that sticks does not "
+                f"jump; make it later"
+            )
 
     @cached_property
     def motion(self) -> "PartialSlipMotion":
@@ -55,6 +70,8 @@ class PartialSlip(Slide):
             self.static_friction,
             self.kinetic_friction,
             self.full_slip - collapse,
+            tuple(float(time / self.times[-1]) for time in self.jumps),
+            self.jump,
         )
 
     def tangential_force(self, time: Array) -> Array:
@@ -77,11 +94,22 @@ class PartialSlipMotion(SlideMotion):
         static_friction: mu_s.
         kinetic_friction: mu_k.
         loaded: progress at which the critical load is reached.
+        jumps: progress of each jump.
+        jump: how far each goes, mm.
     """
 
     static_friction: float
     kinetic_friction: float
     loaded: float
+    jumps: tuple[float, ...] = ()
+    jump: float = 0.0
+
+    def travelled(self, progress: Tensor) -> Tensor:
+        """How far contact and skin have gone together, mm, jumps among it."""
+        result = super().travelled(progress)
+        for at in self.jumps:
+            result = result + self.jump * (progress >= at).to(progress.dtype)
+        return result
 
     def load_ratio(self, progress: Tensor) -> Tensor:
         """T/N while any part is stuck, float64."""

@@ -52,6 +52,7 @@ class Scene:
         finger: semi-axes of the visible finger.
         camera: noise and bit depth.
         force_noise: standard deviation of a sample of the force sensors, white.
+        force_drift: of the zero of both force sensors, N/s, from the trigger on.
     """
 
     n_frames: int = 300
@@ -68,6 +69,7 @@ class Scene:
     finger: tuple[float, float] = (7.6, 6.4)
     camera: Camera = field(default_factory=Camera)
     force_noise: float = 0.005
+    force_drift: float = 0.0
 
     @property
     def times(self) -> Array:
@@ -124,6 +126,7 @@ class Scene:
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
         noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
+        noise += self.force_drift * np.maximum(time, 0)
         return Forces(
             time=time,
             normal_force=self.normal_force(time) + noise[0],

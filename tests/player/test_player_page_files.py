@@ -87,14 +87,20 @@ def test_nothing_comes_from_elsewhere(parsed: Page) -> None:
 
 def test_the_script_reads_what_the_stream_sends() -> None:
     """Names of arrays and scalars are those of the records, which the table of results gives."""
-    from fingerflow.player.contract.variables import CONTACT, FIELDS, TRACKING, by_name
+    from fingerflow.player.contract.variables import CONTACT, FIELDS, STREAM, TRACKING, by_name
 
-    known = {*by_name(CONTACT, FIELDS, TRACKING), "topography_view", "contact_view", "real_contact_mask", "traces"}
+    known = {
+        *by_name(CONTACT, FIELDS, STREAM, TRACKING),
+        "topography_view",
+        "contact_view",
+        "real_contact_mask",
+        "traces",
+    }
     taken = {name for names in re.findall(r"const \{ ([^}]+) \} = live\.data", JS) for name in names.split(", ")}
     assert taken
     assert taken <= known
     scalars = set(re.findall(r"\b(?:s|live\.scalars)\.(\w+)", JS))
-    assert scalars == {"real_contact_area", "gross_contact_area", "median_divergence", "ellipse_angle"}
+    assert scalars == {"real_contact_area", "gross_contact_area", "median_divergence", "ellipse_angle", "slip_flag"}
     assert scalars <= known
 
 

@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
+from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.plan import plan
 from fingerflow.scene import Scene, Views
 from fingerflow.stages.inputs import open_inputs
-from fingerflow.stages.slip import SlipStage, displacement_at
+from fingerflow.stages.slip import SlipStage
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
 
 NAMES = ("abrupt", "fading")
@@ -27,11 +29,23 @@ def results(slip_trials: Path) -> dict[str, xr.Dataset]:
     return {name: process(load_scene(slip_trials / name / "scene.toml"), ["stuck_ratio"]) for name in NAMES}
 
 
-def truth_of(folder: Path, limit_mm: float = 0.04) -> NDArray[np.float64]:
-    """(F,) d^2 as the rule takes it, exactly."""
+def by(scene: Scene, criterion: str) -> Scene:
+    return replace(scene, slip=replace(scene.slip, criterion=criterion))
+
+
+def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
+    """(F,) exact d^2: of what has not slipped, or has moved by less than a limit."""
     trial = rebuild_scene(folder)
     assert isinstance(trial, PartialSlip)
-    return np.array([trial.slow_share(frame, limit_mm) for frame in range(trial.n_frames)])
+    frames = range(trial.n_frames)
+    return np.array([trial.stuck_share(k) if limit_mm is None else trial.slow_share(k, limit_mm) for k in frames])
+
+
+def known(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Without the frames that were left out; they are few."""
+    finite: NDArray[np.float64] = values[np.isfinite(values)]
+    assert len(finite) >= 0.95 * len(values)
+    return finite
 
 
 def verdict_of(result: xr.Dataset) -> dict[str, Any]:
@@ -40,30 +54,40 @@ def verdict_of(result: xr.Dataset) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_stuck_ratio_of_a_small_contact(name: str, results: dict[str, xr.Dataset], slip_trials: Path) -> None:
-    """Within 0.03 in every frame, 0.02 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
-    error = np.abs(results[name]["stuck_ratio"].values - truth_of(slip_trials / name))
+    """Within 0.05 in every frame, 0.03 in nine of ten: a window of 15 px is a fifth of this contact's semi-axis."""
+    error = known(np.abs(results[name]["stuck_ratio"].values - shares(slip_trials / name)))
+    assert error.max() < 0.05
+    assert np.quantile(error, 0.9) < 0.03
+
+
+@pytest.mark.parametrize("criterion", ["displacement", "relative"])
+@pytest.mark.parametrize("name", NAMES)
+def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Path) -> None:
+    """The paper's 40 um within 0.03 in every frame, 0.02 in nine of ten, on glass at rest against either."""
+    scene = by(load_scene(slip_trials / name / "scene.toml"), criterion)
+    result = process(scene, ["stuck_ratio"])
+    found, truth = result["stuck_ratio"].values, shares(slip_trials / name, 0.04)
+    told = truth > (0.15 if criterion == "relative" else -1)  # what comes loose as one is stuck against itself
+    assert told.sum() > 60
+    error = known(np.abs(found - truth)[told])
     assert error.max() < 0.03
     assert np.quantile(error, 0.9) < 0.02
-    assert np.sqrt((error**2).mean()) < 0.01
+    assert result["stuck_ratio"].attrs["criterion"] == criterion
+    assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
 def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
-    """Within 0.02 in every frame, with the default settings."""
+    """With the default settings; the paper's limit of 40 um takes skin that slips for stuck."""
     write_recording(tmp_path / "trial", PartialSlip(n_frames=100, frame_rate=20.0, frames_before_trigger=4))
-    result = process(load_scene(tmp_path / "trial" / "scene.toml"), ["stuck_ratio", "load_ratio"])
-    found, truth = result["stuck_ratio"].values, truth_of(tmp_path / "trial")
-    assert ((truth > 0.05) & (truth < 0.95)).sum() > 30
-    assert np.abs(found - truth).max() < 0.02
-    assert (result["slip_coverage"].values > 0.9).all()
-    # The limit of 40 um takes skin that slips for stuck; the model's own area is smaller.
-    trial = rebuild_scene(tmp_path / "trial")
-    assert isinstance(trial, PartialSlip)
-    model = np.array([trial.stuck_share(frame) for frame in range(trial.n_frames)])
-    assert 0.15 < (found - model).max() < 0.21
-    # Friction that is fitted to it contradicts the load at the loss, and is said to.
-    fit = json.loads(result["stuck_ratio"].attrs["friction_fit"])
-    assert not fit["identified"]
-    assert "loses adhesion at T/N" in fit["reason"]
+    scene = load_scene(tmp_path / "trial" / "scene.toml")
+    model, slow = shares(tmp_path / "trial"), shares(tmp_path / "trial", 0.04)
+    found = process(scene, ["stuck_ratio"])["stuck_ratio"].values
+    printed = process(by(scene, "displacement"), ["stuck_ratio"])["stuck_ratio"].values
+    assert ((model > 0.05) & (model < 0.95)).sum() > 30
+    assert known(np.abs(printed - slow)).max() < 0.025
+    assert 0.15 < known(printed - model).max() < 0.21
+    assert known(np.abs(found - model)).max() < 0.03
+    assert np.quantile(known(np.abs(found - model)), 0.9) < 0.02
 
 
 @pytest.mark.parametrize(("name", "outcome"), [("abrupt", "vanishes abruptly"), ("fading", "diminishes")])
@@ -73,7 +97,7 @@ def test_verdict(name: str, outcome: str, results: dict[str, xr.Dataset], slip_t
     found = verdict_of(results[name])
     assert found["outcome"] == outcome
     assert found["printed_outcome"] == "vanishes abruptly"  # by the rule as printed both do
-    truth = truth_of(slip_trials / name)
+    truth = shares(slip_trials / name)
     assert abs(found["loss_frame"] - np.flatnonzero(truth > 0.05)[-1] - 1) <= 2
     before = trial.times[found["loss_frame"] - 3 : found["loss_frame"]]  # 50 ms
     expected = np.median(trial.tangential_force(before)) / trial.force
@@ -150,7 +174,7 @@ def test_without_forces_the_stuck_part_is_there_and_no_verdict(slip_trials: Path
     assert "there are no forces" in verdict_of(result)["reason"]
     assert "load_ratio" not in result
     assert "friction_fit" not in result["stuck_ratio"].attrs
-    assert np.abs(result["stuck_ratio"].values - truth_of(slip_trials / "abrupt")).max() < 0.04
+    assert np.abs(result["stuck_ratio"].values - shares(slip_trials / "abrupt")).max() < 0.04
 
 
 def test_without_a_tangential_channel(slip_trials: Path) -> None:
@@ -234,35 +258,109 @@ def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None
     calibration = replace(scene.calibration, topography_to_contact=identity)
     inputs.scene = replace(scene, calibration=calibration)
     regions = np.zeros((2, 48, 60), bool)
-    regions[:, :40] = True  # rows to 160 px
+    regions[:, 1:40, 1:59] = True  # rows to 160 px
     given = {"position": inputs.on_glass(position), "gross_contact_region": regions}
     trial = trial_of(inputs, {"gross_contact_area": np.full(2, 10.0)}, 2, **given)
     run(trial, SlipStage(trial))
     ratio, stuck = (values_of(trial, name) for name in ("stuck_ratio", "stuck_region"))
     assert ratio[0] == 1
     # 14 columns of points 4 px apart rest, from row 11 on; the border lies within a cell of them.
-    assert ratio[1] == pytest.approx(14 * 29 / (60 * 40), abs=2 * (14 + 29) / (60 * 40))
+    assert ratio[1] == pytest.approx(14 * 29 / (58 * 39), abs=2 * (14 + 29) / (58 * 39))
     assert not stuck[1][:, 36:].any()
     assert not stuck[1][40:].any()
     np.testing.assert_allclose(values_of(trial, "stuck_area"), 10 * ratio)
 
 
-def test_displacement_of_a_linear_field_is_exact() -> None:
-    draw = np.random.default_rng(0)
-    points, places = draw.random((60, 2)), 0.2 + 0.6 * draw.random((200, 2))
-    slope = np.array([[0.1, -0.2], [0.05, 0.3]])
-    moved = points @ slope + 0.5
-    points[7, 0], moved[9] = np.nan, np.nan  # not known
-    np.testing.assert_allclose(displacement_at(places, points, moved)[0], places @ slope + 0.5, atol=1e-9)
+def small(folder: Path, **settings: Any) -> Path:
+    """A trial as `slip_trials` has them, 60 frames, with other settings."""
+    usual: dict[str, Any] = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9), "creep": 0.45}
+    timing: dict[str, Any] = {"n_frames": 60, "frame_rate": 30.0, "frames_before_trigger": 3, "travel": 0.8}
+    write_recording(folder, PartialSlip(**(usual | timing | settings)))
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
+        text = text.replace(old, new)
+    (folder / "scene.toml").write_text(text.split("[stream]")[0], encoding="utf-8")
+    return folder
 
 
-def test_displacement_is_not_made_up() -> None:
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    places = np.array([[0.1, 0.0], [1.1, 1.0], [2.0, 2.0], [0.5, 0.5]])
-    found, distance = displacement_at(places, square, square)
-    np.testing.assert_allclose(found, [[0.1, 0.0], [1.0, 1.0], [1.0, 1.0], [0.5, 0.5]], atol=1e-9)
-    np.testing.assert_allclose(distance, [0.1, 0.1, np.sqrt(2), np.sqrt(0.5)])
-    for few in (square[:2], np.outer(np.arange(5), [1.0, 1.0]), np.full((5, 2), np.nan), np.empty((0, 2))):
-        found, distance = displacement_at(places, few, few)
-        assert np.isnan(found).all()
-        assert np.isinf(distance).all()
+def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path) -> None:
+    """Every position that is given is within 2 px of the skin: another ridge is 14 px away."""
+    folder = small(tmp_path / "trial", jumps=(1.6, 1.75))
+    trial = rebuild_scene(folder)
+    result = process(load_scene(folder / "scene.toml"), ["position_px", "stuck_ratio"])
+    position = result["position_px"].values
+    worst, tracked = 0.0, []
+    for frame in range(0, trial.n_frames, 3):
+        true = trial.truth.follow(position[0], 0, frame)
+        known = np.isfinite(position[frame]).all(-1)
+        if not known.any():  # a frame that is left out as a whole
+            continue
+        tracked.append(known.mean())
+        worst = max(worst, float(np.linalg.norm(position[frame] - true, axis=-1)[known].max()))
+    assert len(tracked) > 17
+    assert worst < 2
+    assert min(tracked) > 0.5
+    assert result["stuck_ratio"].values[-5:].max() == 0
+
+
+def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
+    """Its area is not known: no verdict, and it says why."""
+    folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
+    result = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])
+    assert np.isnan(result["stuck_ratio"].values).mean() > 0.5
+    assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
+
+
+def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
+    folder = small(tmp_path / "trial", travel=3.0, direction=1.5)
+    ratio = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])["stuck_ratio"].values
+    truth = shares(folder)
+    leaves = np.isnan(ratio)
+    assert leaves[-1]
+    # It starts as far on the other side.
+    assert leaves[0] or np.nanmax(np.abs(ratio - truth)) < 0.1
+
+
+def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
+    """By a fifth over the trial: d^2 to 0.03."""
+    frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)
+    frames *= np.linspace(1, 0.8, len(frames), dtype=np.float32)[:, None, None]
+    faded = process(changed(slip_trials / "abrupt", tmp_path, frames=np.rint(frames).astype(np.uint8)), ["stuck_ratio"])
+    assert verdict_of(faded)["outcome"] == "vanishes abruptly"
+    assert np.nanmax(np.abs(faded["stuck_ratio"].values - results["abrupt"]["stuck_ratio"].values)) < 0.03
+
+
+def test_slip_goes_where_it_is_pulled(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
+    """Direction to 0.05 rad once a fifth slips, speed in full slip to 2 %, annulus and stuck area are the contact."""
+    result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
+    assert isinstance(trial, PartialSlip)
+    slipping = result["stuck_ratio"].values < 0.8
+    assert slipping.sum() > 40
+    np.testing.assert_allclose(result["slip_direction"].values[slipping], trial.direction, atol=0.05)
+    late = slice(106, 116)
+    ways = [
+        trial.motion.travelled(torch.from_numpy(trial.progress(trial.times + late_s))) for late_s in (1 / 60, -1 / 60)
+    ]
+    speed = (ways[0] - ways[1]).numpy() * 30
+    np.testing.assert_allclose(result["slip_speed"].values[late], speed[late], rtol=0.02)
+    np.testing.assert_allclose(result["slip_annulus_area"] + result["stuck_area"], result["gross_contact_area"])
+
+
+def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[str, xr.Dataset]) -> None:
+    """Against the exact displacement of the skin over the contact, to 5 % of its value or 2 um."""
+    result, trial = results["abrupt"], rebuild_scene(slip_trials / "abrupt")
+    for frame in (20, 50, 80):
+        ellipse = trial.truth.ellipse(frame)
+        assert ellipse is not None
+        axes = (middle + np.arange(-2.5, 2.5, 0.1) for middle in ellipse.centre)
+        x, y = (grid.ravel() for grid in np.meshgrid(*axes))
+        inside = (ellipse.distance(torch.from_numpy(x), torch.from_numpy(y)) > 0).numpy()
+        places = np.stack((x, y), -1)[inside]
+        moved = trial.truth.positions(trial.truth.material(places, 0), frame) - places
+        left = rigid_residual(torch.from_numpy(places)[None], torch.from_numpy(moved)[None])[0]
+        expected = float(left.square().sum(-1).mean().sqrt())
+        assert result["incipient_slip"].values[frame] == pytest.approx(expected, rel=0.05, abs=0.002)
+    for part in ("solenoidal", "irrotational"):
+        values = result[f"incipient_slip_{part}"].values[20:80]
+        assert np.isfinite(values).mean() > 0.95
+        assert np.nanmin(values) > 0

@@ -111,3 +111,27 @@ def test_the_limit_of_40_um_shifts_the_verdict_near_equal_friction(
     assert judge_trial(area, load, trial.times).outcome == outcome
     slow = [trial.slow_share(frame) for frame in range(trial.n_frames)]
     assert judge_trial(slow, load, trial.times).outcome == with_the_limit
+
+
+def test_jumps_carry_contact_and_skin_together() -> None:
+    jumping = PartialSlip(jumps=(3.79, 4.19))
+    at = [int(np.searchsorted(jumping.times, time)) for time in jumping.jumps]
+    for frame, number in ((at[0] - 1, 0), (at[0], 1), (at[1] - 1, 1), (at[1], 2), (299, 2)):
+        ellipse, plain = jumping.truth.ellipse(frame), ABRUPT.truth.ellipse(frame)
+        assert ellipse is not None
+        assert plain is not None
+        gone = np.subtract(ellipse.centre, plain.centre)
+        np.testing.assert_allclose(gone, number * 0.1625 * np.array(jumping.motion.direction), atol=1e-9)
+        skin = jumping.truth.material(np.array(ellipse.centre), frame)
+        np.testing.assert_allclose(skin, ABRUPT.truth.material(np.array(plain.centre), frame), atol=1e-9)
+    with pytest.raises(ValueError, match="before full slip"):
+        PartialSlip(jumps=(1.0,))
+
+
+def test_forces_drift() -> None:
+    plain, drifting = (PartialSlip(force_drift=drift, n_frames=60).forces() for drift in (0.0, 0.02))
+    late = plain.time > 0
+    for name in ("normal_force", "tangential_force"):
+        difference = getattr(drifting, name) - getattr(plain, name)
+        np.testing.assert_allclose(difference[late], 0.02 * plain.time[late], atol=1e-12)
+        assert (difference[~late] == 0).all()

@@ -166,7 +166,12 @@ SCENE: dict[str, Key | Table] = {
             "rate_window_s": Key(POSITIVE, default=0.05),
         },
     ),
-    "slip": Table({"stuck_mm": Key(POSITIVE, default=0.04)}),
+    "slip": Table(
+        {
+            "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
+            "stuck_mm": Key(POSITIVE, default=0.04),
+        }
+    ),
     "stream": Table(
         {
             "output": Key(File(there_for=NOBODY)),

@@ -201,6 +201,33 @@ SLIP = (
     Variable("stuck_ratio", FRAME, "1", "stuck area over gross contact area, d²"),
     Variable("stuck_region", CELLS, "1", "1 where the skin has not slipped", "u1"),
     Variable("slip_coverage", FRAME, "1", "share of the gross contact that the windows of tracked points show"),
+    Variable("slip_annulus_area", FRAME, "mm2", "area of the contact whose skin has slipped"),
+    Variable(
+        "slip_direction",
+        FRAME,
+        "rad",
+        "direction of the mean displacement of the skin in contact that has slipped, from x towards y",
+    ),
+    Variable("slip_speed", FRAME, "mm/s", "mean speed, over 50 ms, of the skin in contact that has slipped"),
+    Variable(
+        "incipient_slip",
+        FRAME,
+        "mm",
+        "root mean square over the contact of the displacement since the first frame without its best rigid motion",
+    ),
+    Variable(
+        "incipient_slip_irrotational",
+        FRAME,
+        "mm",
+        "root mean square of the part of incipient_slip that its divergence makes: natural Helmholtz-Hodge "
+        "decomposition, no boundary condition (Bhatia et al. 2014)",
+    ),
+    Variable(
+        "incipient_slip_solenoidal",
+        FRAME,
+        "mm",
+        "root mean square of the part of incipient_slip that its curl makes",
+    ),
 )
 
 #: Of a soft sensor, where markers on a gel are followed.
@@ -223,6 +250,10 @@ STREAM = (
     Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8"),
     Variable(
         "restart", FRAME, "1", "how often points had been chosen: points of two restarts are different points", "i4"
+    ),
+    Variable("slip_residual", FRAME, "mm", "rms of what the best rigid motion since touch leaves, in contact", "f4"),
+    Variable(
+        "slip_flag", FRAME, "1", "1 where slip_residual is above twice its noise for three frames: partial slip", "u1"
     ),
     Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
     Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),

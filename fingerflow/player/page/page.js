@@ -127,6 +127,7 @@ function numbers(live) {
     ["Overruns", live.overruns, "", live.overruns > 0],
     ["Reconnects", live.reconnects, "", live.reconnects > 0],
     ["Points", live.tracked, `of ${live.found}`],
+    ["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0],
     ["Threshold", live.threshold == null ? "no contact yet" : text(100 * live.threshold, 1), "%"],
     ["Real area", text(s.real_contact_area, 1), "mm\u00b2"],
     ["Gross area", text(s.gross_contact_area, 1), "mm\u00b2"],

@@ -1,0 +1,135 @@
+"""A vector field on a part of the plane, split into what its sources, its vortices and the rest of the world make."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Parts(NamedTuple):
+    """Parts of a field, (B, 2, H, W) each, which add up to it; NaN outside the mask.
+
+    Attributes:
+        irrotational: without curl: the flow of the divergence inside the mask.
+        solenoidal: without divergence: the flow of the curl inside the mask.
+        harmonic: without either: what lies outside the mask causes, such as a translation.
+    """
+
+    irrotational: Tensor
+    solenoidal: Tensor
+    harmonic: Tensor
+
+
+def helmholtz_hodge(field: Tensor, mask: Tensor | None = None) -> Parts:
+    """The natural Helmholtz-Hodge decomposition (Bhatia, Pascucci & Bremer, IEEE TVCG 20(11), 2014).
+
+    No boundary condition is imposed: with the Green function of the whole plane, G = log|x| / 2 pi,
+
+        irrotational(x) = int_mask grad G(x - y) div f(y) dy,   solenoidal(x) = int_mask J grad G(x - y) curl f(y) dy,
+
+    J (u, v) = (-v, u), and the harmonic part is what is left. Divergence and curl are central differences, one-sided at
+    the border of the mask; the integral of grad G over each pixel is exact, and the sum is a product of Fourier
+    transforms on twice the frame, so that nothing wraps around. The error falls with the square of a pixel where
+    the border of the mask is along the grid; a staircase leaves one of first order beside it.
+
+    Args:
+        field: (B, 2, H, W) floating, (u, v) by x to the right and y down.
+        mask: (B, 1, H, W) bool, all by default; a batch of 1 serves every field.
+
+    The parts do not depend on the size of a pixel: the derivative and the integral both hold it.
+
+    A pixel with a NaN or infinite value counts as outside the mask, and so does one without a neighbour inside it
+    along x or along y, which has no derivative. Computed in float32 at least.
+
+    Raises:
+        TypeError: the field is not floating or the mask not bool.
+        ValueError: shapes that do not fit.
+    """
+    _check(field, mask)
+    if field.numel() == 0:
+        return Parts(field.clone(), field.clone(), field.clone())
+    dtype = torch.promote_types(torch.float32, field.dtype)
+    values = field.to(dtype)
+    inside = torch.isfinite(values).all(1, keepdim=True)
+    if mask is not None:
+        inside = inside & mask
+    inside = inside & _has_neighbour(inside, 2) & _has_neighbour(inside, 3)
+    values = torch.where(inside, values, 0)
+    u, v = values[:, :1], values[:, 1:]
+    u_x, u_y = _slope(u, inside, 3), _slope(u, inside, 2)
+    v_x, v_y = _slope(v, inside, 3), _slope(v, inside, 2)
+    sources = torch.cat((u_x + v_y, v_x - u_y), 1)
+    height, width = field.shape[-2:]
+    kernel_x, kernel_y = _kernels(height, width, values)
+    size = (2 * height, 2 * width)
+    spectra = torch.fft.rfft2(sources, s=size)
+    along_x, along_y = (
+        torch.fft.irfft2(spectra * torch.fft.rfft2(kernel), s=size)[..., :height, :width]
+        for kernel in (kernel_x, kernel_y)
+    )
+    irrotational = torch.stack((along_x[:, 0], along_y[:, 0]), 1)
+    solenoidal = torch.stack((-along_y[:, 1], along_x[:, 1]), 1)
+    parts = (irrotational, solenoidal, values - irrotational - solenoidal)
+    return Parts(*(torch.where(inside, part, torch.nan).to(field.dtype) for part in parts))
+
+
+def _slope(values: Tensor, inside: Tensor, dim: int) -> Tensor:
+    """Derivative by the pixel: of second order inside, of first order where one neighbour is outside."""
+    after, before = (_moved(values, dim, step) for step in (1, -1))
+    has_after, has_before = (_moved(inside, dim, step) for step in (1, -1))
+    forward, backward = torch.where(has_after, after - values, 0), torch.where(has_before, values - before, 0)
+    number = has_after.to(values.dtype) + has_before.to(values.dtype)
+    return torch.where(inside, (forward + backward) / number.clamp(min=1), 0)
+
+
+def _has_neighbour(inside: Tensor, dim: int) -> Tensor:
+    return _moved(inside, dim, 1) | _moved(inside, dim, -1)
+
+
+def _moved(values: Tensor, dim: int, step: int) -> Tensor:
+    """What stands one pixel further along a dimension; nothing (0) beyond the frame."""
+    size = values.shape[dim]
+    edge = torch.zeros_like(values.narrow(dim, 0, 1))
+    if step > 0:
+        return torch.cat((values.narrow(dim, 1, size - 1), edge), dim)
+    return torch.cat((edge, values.narrow(dim, 0, size - 1)), dim)
+
+
+def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Integrals of the two components of grad G over a pixel at each distance, (2 H, 2 W), as a Fourier transform
+    wants them: those of negative distances behind the positive ones.
+    """
+    # In float64 the differences of the antiderivative keep their digits at any distance that a frame has.
+    x, y = (
+        torch.cat((torch.arange(size), torch.arange(-size, 0))).to(device=like.device, dtype=torch.float64)
+        for size in (width, height)
+    )
+    down, right = torch.meshgrid(y, x, indexing="ij")
+    return _integral(right, down).to(like.dtype), _integral(down, right).to(like.dtype)
+
+
+def _integral(along: Tensor, across: Tensor) -> Tensor:
+    """Integral of along / (2 pi r^2) over the unit square around a place."""
+
+    def antiderivative(a: Tensor, b: Tensor) -> Tensor:
+        return b / 2 * torch.log(a.square() + b.square()) + a * torch.atan(b / a)
+
+    low_a, high_a, low_b, high_b = along - 0.5, along + 0.5, across - 0.5, across + 0.5
+    total = antiderivative(high_a, high_b) - antiderivative(high_a, low_b)
+    total = total - antiderivative(low_a, high_b) + antiderivative(low_a, low_b)
+    return total / (2 * math.pi)
+
+
+def _check(field: Tensor, mask: Tensor | None) -> None:
+    if not field.is_floating_point():
+        raise TypeError(f"the field must be floating, found {field.dtype}: convert with .float() or .double()")
+    if field.dim() != 4 or field.shape[1] != 2:
+        raise ValueError(f"the field must have shape (B, 2, H, W), found {tuple(field.shape)}")
+    if mask is None:
+        return
+    if mask.dtype != torch.bool:
+        raise TypeError(f"the mask must be bool, found {mask.dtype}")
+    if mask.shape[1:] != (1, *field.shape[2:]) or mask.shape[0] not in (1, field.shape[0]):
+        wanted = (field.shape[0], 1, *field.shape[2:])
+        raise ValueError(f"the mask must have shape {wanted}, found {tuple(mask.shape)}")

@@ -1,0 +1,80 @@
+"""Whether skin in contact begins to slip: what the best rigid motion of its points leaves, against its noise."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .arrays import Array
+
+_FEWEST = 8  # points in contact
+_RAISED = 2.0  # times the noise; skin that sticks shows 1.0 to 1.3
+_FRAMES = 3  # in a row, before the flag is raised or taken back
+
+
+class SlipState(NamedTuple):
+    """Of a frame.
+
+    Attributes:
+        residual: px, root mean square of a component; NaN where fewer than 8 points are in contact.
+        slipping: whether it has been above twice its noise for three frames.
+    """
+
+    residual: float
+    slipping: bool
+
+
+class SlipFlag:
+    """The flag of a stream. It comes two frames after the first that shows slip, beside the frame's own latency.
+
+    Displacement counts from where each point was when it was touched. Skin that spreads under a growing normal force is
+    not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
+    of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
+    full slip. Skin that slides as a whole is rigid; what it was stretched by before stays, and with it the flag.
+    """
+
+    def __init__(self) -> None:
+        self._restart = -1
+        self._touched: Array = np.empty((0, 2))
+        self._run = 0
+        self._slipping = False
+
+    def see(self, points: Array, std: Array, covered: Array, restart: int) -> SlipState:
+        """A frame, in their order.
+
+        Args:
+            points: (N, 2) px, NaN where lost.
+            std: (N,) px, standard deviation of a component.
+            covered: (N,) whether the gross contact covers each.
+            restart: number of the restart: others are other points.
+        """
+        if restart != self._restart:
+            self._restart, self._run, self._slipping = restart, 0, False
+            self._touched = np.full(points.shape, np.nan)
+        covered = covered.astype(bool)
+        begins = covered & np.isnan(self._touched[:, 0]) & np.isfinite(points[:, 0])
+        self._touched[begins] = points[begins]
+        self._touched[~covered] = np.nan
+        used = covered & np.isfinite(points).all(-1) & np.isfinite(self._touched).all(-1) & np.isfinite(std)
+        residual, noise = math.nan, math.nan
+        if used.sum() >= _FEWEST:
+            residual = rigid_residual_rms(self._touched[used], points[used])
+            noise = math.sqrt(float(np.mean(np.square(std[used], dtype=np.float64))))
+        above = residual > _RAISED * noise
+        self._run = self._run + 1 if above != self._slipping else 0
+        if self._run >= _FRAMES:
+            self._slipping, self._run = above, 0
+        return SlipState(residual, self._slipping)
+
+
+def rigid_residual_rms(before: Array, after: Array) -> float:
+    """Root mean square of a component of what the best rigid motion of points (N, 2) leaves (Procrustes)."""
+    start, end = before - before.mean(0), after - after.mean(0)
+    along = float((start * end).sum())
+    across = float((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum())
+    angle = math.atan2(across, along)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turned = np.stack((cosine * start[:, 0] - sine * start[:, 1], sine * start[:, 0] + cosine * start[:, 1]), 1)
+    return math.sqrt(float(np.mean(np.square(end - turned, dtype=np.float64))))

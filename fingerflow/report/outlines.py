@@ -1,0 +1,30 @@
+"""Outlines of a frame of a result, in mm on the glass."""
+
+import math
+
+import cv2
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+_TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+
+
+def contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
+    """(K, 2) the ellipse of the gross contact; None where there is none."""
+    if "ellipse_center" not in frame or not np.isfinite(frame["ellipse_center"]).all():
+        return None
+    along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
+    cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])
+    outline: NDArray[np.float64] = np.stack((along * cosine - across * sine, along * sine + across * cosine), 1)
+    result: NDArray[np.float64] = outline + np.asarray(frame["ellipse_center"])
+    return result
+
+
+def stuck_outline(region: NDArray[np.integer], cell_mm: float, first_cell_mm: float) -> NDArray[np.float64] | None:
+    """(K, 2) the longest border of the stuck cells (rows, columns), through their centres; None where none sticks."""
+    contours, _ = cv2.findContours(np.asarray(region, dtype=np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return None
+    longest = max(contours, key=len)[:, 0]
+    return np.asarray(longest * cell_mm + first_cell_mm, dtype=np.float64)

@@ -1,0 +1,67 @@
+"""The displacement of the skin between tracked points."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, null_space
+from scipy.spatial.distance import cdist
+
+Points = NDArray[np.float64]
+_FEWEST = 3  # points, for a plane
+
+
+class SkinSurface:
+    """The thin plate (Duchon 1977) through the displacements of points, at places that stay the same.
+
+    Points and places are those of one frame, that is, of the skin: so all that is costly is done once, and a frame is
+    a product of matrices. Points that a frame has lost have no say in it: they take the value at which the plate is not
+    bent by them, which a system of as many equations as there are lost points gives.
+
+    Args:
+        points: (N, 2) mm, finite and not all on a line.
+        places: (Q, 2) mm.
+
+    Raises:
+        ValueError: the points do not span an area.
+    """
+
+    def __init__(self, points: Points, places: Points) -> None:
+        if len(points) < _FEWEST:
+            raise ValueError(f"{len(points)} points do not span an area: a displacement between them is not known")
+        centre = points.mean(0)
+        # In units of the points' own spread, for the conditioning of what follows.
+        scale = float(np.abs(points - centre).max()) or 1.0
+        own, asked = (points - centre) / scale, (places - centre) / scale
+        plane = np.concatenate((np.ones((len(own), 1)), own), 1)
+        free = null_space(plane.T, rcond=1e-9)
+        if free.shape[1] != len(own) - _FEWEST:
+            raise ValueError(f"{len(own)} points do not span an area: a displacement between them is not known")
+        bending = _kernel(cdist(own, own, "sqeuclidean"))
+        # On the coefficients that bend the plate its energy is positive definite (Wahba 1990).
+        self._bend = np.zeros_like(bending)
+        if free.shape[1]:
+            factor = cho_factor(free.T @ bending @ free + 1e-12 * np.eye(free.shape[1]))
+            self._bend = free @ cho_solve(factor, free.T)
+        flat = np.linalg.pinv(plane)
+        level = flat @ (np.eye(len(own)) - bending @ self._bend)
+        between = _kernel(cdist(asked, own, "sqeuclidean"))
+        lying = np.concatenate((np.ones((len(asked), 1)), asked), 1)
+        self._weights = (between @ self._bend + lying @ level).astype(np.float32)
+
+    def __call__(self, moved: Points) -> NDArray[np.float32]:
+        """Displacement (Q, 2) of the skin at the places, from that (N, 2) of the points, NaN where one is lost; NaN
+        where three points are not left.
+        """
+        lost = ~np.isfinite(moved).all(-1)
+        if lost.all() or (~lost).sum() < _FEWEST:
+            return np.full((len(self._weights), moved.shape[1]), np.nan, np.float32)
+        if lost.any():
+            moved = moved.copy()
+            block = self._bend[np.ix_(lost, lost)]
+            moved[lost] = np.linalg.lstsq(block, -self._bend[np.ix_(lost, ~lost)] @ moved[~lost], rcond=1e-12)[0]
+        result: NDArray[np.float32] = self._weights @ moved.astype(np.float32)
+        return result
+
+
+def _kernel(squared: Points) -> Points:
+    """r^2 log r of squared distances."""
+    return np.asarray(squared * np.log(np.maximum(squared, 1e-300)) / 2)

@@ -1,0 +1,65 @@
+"""The flag of incipient slip: silent while skin moves rigidly with noise, raised where a rim begins to slip."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.ops.rigid_motion import rigid_residual
+from fingerflow.player.slip_flag import SlipFlag, rigid_residual_rms
+
+DRAW = np.random.default_rng(0)
+POINTS = 300 * DRAW.random((400, 2))
+STD = np.full(400, 0.03)
+COVERED = np.ones(400, np.uint8)
+
+
+def turned(angle: float, shift: tuple[float, float]) -> np.ndarray:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.asarray(POINTS @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+
+
+def noise() -> np.ndarray:
+    return np.asarray(0.03 * DRAW.standard_normal(POINTS.shape))
+
+
+def test_the_residual_is_that_of_the_op() -> None:
+    after = turned(0.2, (3.0, -2.0)) + 0.5 * np.sin(POINTS / 40)
+    expected = rigid_residual(torch.from_numpy(POINTS)[None], torch.from_numpy(after - POINTS)[None])[0]
+    assert rigid_residual_rms(POINTS, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
+
+
+def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
+    flag, radius = SlipFlag(), np.linalg.norm(POINTS - 150, axis=1) / 150
+    for frame in range(60):
+        state = flag.see(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED, 1)
+        assert not state.slipping
+        assert frame == 0 or state.residual == pytest.approx(0.03 * math.sqrt(2), rel=0.15)
+    raised = []
+    for _ in range(4):
+        # The rim slips by 0.3 px: ten times the noise.
+        state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED, 1)
+        raised.append(state.slipping)
+    assert raised == [False, False, True, True]
+
+
+def test_other_points_and_points_that_leave_start_anew() -> None:
+    flag = SlipFlag()
+    flag.see(POINTS, STD, COVERED, 1)
+    elsewhere = POINTS[:, ::-1].copy()
+    states = [flag.see(elsewhere, STD, COVERED, 2) for _ in range(5)]
+    assert states[-1].residual == 0
+    assert not states[-1].slipping
+    flag.see(POINTS, STD, np.zeros(400, np.uint8), 2)
+    assert all(flag.see(POINTS, STD, COVERED, 2).residual == 0 for _ in range(3))
+
+
+def test_too_few_points_say_nothing() -> None:
+    flag = SlipFlag()
+    lost = POINTS.copy()
+    lost[7:] = np.nan
+    for _ in range(5):
+        state = flag.see(lost, STD, COVERED, 1)
+        assert math.isnan(state.residual)
+        assert not state.slipping

@@ -1,0 +1,46 @@
+"""Displacement between points: exact where a plane is, SciPy's thin plate else, lost points without a say."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+
+from fingerflow.stages.skin_surface import SkinSurface
+
+DRAW = np.random.default_rng(0)
+POINTS, PLACES = 12 * DRAW.random((120, 2)), 1 + 10 * DRAW.random((300, 2))
+
+
+def bent(places: np.ndarray) -> np.ndarray:
+    return np.stack((np.sin(places[:, 0] / 3), np.cos(places[:, 1] / 2)), 1)
+
+
+def test_a_linear_field_is_exact_whoever_is_lost() -> None:
+    slope = np.array([[0.1, -0.2], [0.05, 0.3]])
+    moved = POINTS @ slope + 0.5
+    moved[7, 0], moved[9] = np.nan, np.nan
+    # float32 of values up to 6.
+    np.testing.assert_allclose(SkinSurface(POINTS, PLACES)(moved), PLACES @ slope + 0.5, atol=1e-5)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 40])
+def test_it_is_the_thin_plate_through_the_points_that_are_there(lost: int) -> None:
+    moved = bent(POINTS)
+    gone = np.random.default_rng(1).permutation(len(POINTS))[:lost]
+    moved[gone] = np.nan
+    there = np.isfinite(moved).all(1)
+    expected = RBFInterpolator(POINTS[there], moved[there], kernel="thin_plate_spline")(PLACES)
+    np.testing.assert_allclose(SkinSurface(POINTS, PLACES)(moved), expected, atol=1e-5)
+
+
+def test_displacement_is_not_made_up() -> None:
+    surface = SkinSurface(POINTS, PLACES)
+    for left in (0, 2):
+        moved = np.full_like(POINTS, np.nan)
+        moved[:left] = 0.0
+        assert np.isnan(surface(moved)).all()
+
+
+@pytest.mark.parametrize("points", [np.outer(np.arange(5.0), [1.0, 1.0]), np.zeros((4, 2)), POINTS[:2]])
+def test_points_that_span_no_area_are_refused(points: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="do not span an area"):
+        SkinSurface(points, PLACES)
