@@ -34,29 +34,33 @@ struct Stencil {
     }
 };
 
+// The operator, or its Laplacian alone, without the tensor.
+template <bool tensor>
 inline void applied(const Stencil& s, std::int64_t x, float before, float after, std::int64_t left, std::int64_t right,
                     float& on_u, float& on_v) {
     const float u = s.u[x], v = s.v[x];
-    on_u = s.xx[x] * u + s.xy[x] * v + (before * (u - s.u[left]) - after * (s.u[right] - u)) +
-           (s.up[x] * (u - s.u_up[x]) - s.down[x] * (s.u_down[x] - u));
-    on_v = s.xy[x] * u + s.yy[x] * v + (before * (v - s.v[left]) - after * (s.v[right] - v)) +
-           (s.up[x] * (v - s.v_up[x]) - s.down[x] * (s.v_down[x] - v));
+    on_u = (before * (u - s.u[left]) - after * (s.u[right] - u)) + (s.up[x] * (u - s.u_up[x]) - s.down[x] * (s.u_down[x] - u));
+    on_v = (before * (v - s.v[left]) - after * (s.v[right] - v)) + (s.up[x] * (v - s.v_up[x]) - s.down[x] * (s.v_down[x] - v));
+    if constexpr (tensor) {
+        on_u += s.xx[x] * u + s.xy[x] * v;
+        on_v += s.xy[x] * u + s.yy[x] * v;
+    }
 }
 
 // Calls work(x, on_u, on_v) for every cell of a row.
-template <class Work>
+template <bool tensor = true, class Work>
 inline void along_row(const Stencil& s, std::int64_t width, const Work& work) {
     float on_u, on_v;
-    applied(s, 0, 0.0f, width > 1 ? s.right[0] : 0.0f, 0, width > 1 ? 1 : 0, on_u, on_v);
+    applied<tensor>(s, 0, 0.0f, width > 1 ? s.right[0] : 0.0f, 0, width > 1 ? 1 : 0, on_u, on_v);
     work(0, on_u, on_v);
     FINGERFLOW_INDEPENDENT
     for (std::int64_t x = 1; x < width - 1; ++x) {
         float a, b;
-        applied(s, x, s.right[x - 1], s.right[x], x - 1, x + 1, a, b);
+        applied<tensor>(s, x, s.right[x - 1], s.right[x], x - 1, x + 1, a, b);
         work(x, a, b);
     }
     if (width > 1) {
-        applied(s, width - 1, s.right[width - 2], 0.0f, width - 2, width - 1, on_u, on_v);
+        applied<tensor>(s, width - 1, s.right[width - 2], 0.0f, width - 2, width - 1, on_u, on_v);
         work(width - 1, on_u, on_v);
     }
 }
@@ -89,15 +93,24 @@ void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowFie
     });
 }
 
-void flow_residual_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
-                       const float* zeros, std::int64_t y) {
-    const std::int64_t at = y * level.width;
-    const float *FINGERFLOW_RESTRICT ru = right_side.u + at, *FINGERFLOW_RESTRICT rv = right_side.v + at;
+void flow_left_over_row(const FlowLevel& level, const FlowField* step, const FlowField& departure, const float* pull, const FlowField& to,
+                        const float* zeros, std::int64_t y) {
+    const std::int64_t width = level.width, plane = level.height * width, at = y * width;
+    const float *FINGERFLOW_RESTRICT ru = pull + at, *FINGERFLOW_RESTRICT rv = pull + plane + at;
     float *FINGERFLOW_RESTRICT u = to.u + at, *FINGERFLOW_RESTRICT v = to.v + at;
-    along_row(Stencil(level, from, zeros, y), level.width, [&](std::int64_t x, float on_u, float on_v) {
+    const Stencil smooth(level, departure, zeros, y);
+    along_row<false>(smooth, width, [&](std::int64_t x, float on_u, float on_v) {
         u[x] = ru[x] - on_u;
         v[x] = rv[x] - on_v;
     });
+    if (!step) return;
+    const float *FINGERFLOW_RESTRICT xx = smooth.xx, *FINGERFLOW_RESTRICT xy = smooth.xy, *FINGERFLOW_RESTRICT yy = smooth.yy;
+    const float *FINGERFLOW_RESTRICT su = step->u + at, *FINGERFLOW_RESTRICT sv = step->v + at;
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < width; ++x) {
+        u[x] -= xx[x] * su[x] + xy[x] * sv[x];
+        v[x] -= xy[x] * su[x] + yy[x] * sv[x];
+    }
 }
 
 void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,

@@ -27,9 +27,9 @@ FINGERFLOW_FOR_EACH_SET(
     // One sweep: to = from + damping inverse (r - A from).
     void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
                         float damping, const float* zeros, std::int64_t y);
-    // to = r - A from.
-    void flow_residual_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
-                           const float* zeros, std::int64_t y);
+    // to = pull - J step - alpha L departure; step is null where it is 0.
+    void flow_left_over_row(const FlowLevel& level, const FlowField* step, const FlowField& departure, const float* pull,
+                            const FlowField& to, const float* zeros, std::int64_t y);
     // Means of 2 x 2 of r - A from: row y of the coarser level. `memory` holds 4 rows.
     void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,
                            const FlowField& to, const float* zeros, float* memory, std::int64_t y);
