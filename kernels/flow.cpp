@@ -36,7 +36,7 @@ struct Cycle {
             FINGERFLOW_PICK(flow_restrict_row)(level, now, right_side, coarser, left, zeros, rows, y);
         });
         const FlowField found = solved(number + 1, left, behind + 2 * cells);
-        for_rows(level.height, level.width, 3 * coarser.width, threads,
+        for_rows(level.height, level.width, 3 * (coarser.width + 2), threads,
                  [&](std::int64_t y, float* rows) { FINGERFLOW_PICK(flow_spread_row)(level, coarser, found, now, rows, y); });
         relax(level, right_side, now, next, sweeps);
         return now;
@@ -104,12 +104,8 @@ void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int thread
             const FlowField found = cycle.solved(0, left, memory);
             for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
                 const std::int64_t at = y * width;
-                for (std::int64_t x = at; x < at + width; ++x) {
-                    step.u[x] = k == 0 ? found.u[x] : step.u[x] + found.u[x];
-                    step.v[x] = k == 0 ? found.v[x] : step.v[x] + found.v[x];
-                    moved[x] += found.u[x];
-                    moved[plane + x] += found.v[x];
-                }
+                FINGERFLOW_PICK(flow_add_row)(found.u + at, width, k == 0, step.u + at, moved + at);
+                FINGERFLOW_PICK(flow_add_row)(found.v + at, width, k == 0, step.v + at, moved + plane + at);
             });
         }
     }

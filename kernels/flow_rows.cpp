@@ -143,20 +143,55 @@ void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const Flo
                      std::int64_t y) {
     const std::int64_t cells = coarser.width, near = y / 2;
     const std::int64_t next = y % 2 ? (near + 1 < coarser.height ? near + 1 : near) : (near > 0 ? near - 1 : 0);
-    float *FINGERFLOW_RESTRICT u = memory, *FINGERFLOW_RESTRICT v = memory + cells, *FINGERFLOW_RESTRICT share = memory + 2 * cells;
+    // A cell is repeated at either end.
+    float *FINGERFLOW_RESTRICT u = memory + 1, *FINGERFLOW_RESTRICT v = memory + cells + 3, *FINGERFLOW_RESTRICT share = memory + 2 * cells + 5;
     const float *FINGERFLOW_RESTRICT one = coarser.inside + near * cells, *FINGERFLOW_RESTRICT other = coarser.inside + next * cells;
+    const float *FINGERFLOW_RESTRICT near_u = from.u + near * cells, *FINGERFLOW_RESTRICT next_u = from.u + next * cells;
+    const float *FINGERFLOW_RESTRICT near_v = from.v + near * cells, *FINGERFLOW_RESTRICT next_v = from.v + next * cells;
+    FINGERFLOW_INDEPENDENT
     for (std::int64_t x = 0; x < cells; ++x) {
-        u[x] = 0.75f * (from.u[near * cells + x] * one[x]) + 0.25f * (from.u[next * cells + x] * other[x]);
-        v[x] = 0.75f * (from.v[near * cells + x] * one[x]) + 0.25f * (from.v[next * cells + x] * other[x]);
+        u[x] = 0.75f * (near_u[x] * one[x]) + 0.25f * (next_u[x] * other[x]);
+        v[x] = 0.75f * (near_v[x] * one[x]) + 0.25f * (next_v[x] * other[x]);
         share[x] = 0.75f * one[x] + 0.25f * other[x];
+    }
+    float* const lines[3] = {u, v, share};
+    for (float* const line : lines) {
+        line[-1] = line[0];
+        line[cells] = line[cells - 1];
     }
     const float* FINGERFLOW_RESTRICT inside = level.inside + y * level.width;
     float *FINGERFLOW_RESTRICT to_u = to.u + y * level.width, *FINGERFLOW_RESTRICT to_v = to.v + y * level.width;
-    for (std::int64_t x = 0; x < level.width; ++x) {
-        const std::int64_t a = x / 2, b = x % 2 ? (a + 1 < cells ? a + 1 : a) : (a > 0 ? a - 1 : 0);
-        const float known = 0.75f * share[a] + 0.25f * share[b], by = known > 0 ? known : 1.0f;
-        to_u[x] += inside[x] * (0.75f * u[a] + 0.25f * u[b]) / by;
-        to_v[x] += inside[x] * (0.75f * v[a] + 0.25f * v[b]) / by;
+    const auto before = [&](std::int64_t x) {
+        const float known = 0.75f * share[x] + 0.25f * share[x - 1], by = inside[2 * x] / (known > 0 ? known : 1.0f);
+        to_u[2 * x] += by * (0.75f * u[x] + 0.25f * u[x - 1]);
+        to_v[2 * x] += by * (0.75f * v[x] + 0.25f * v[x - 1]);
+    };
+    const std::int64_t pairs = level.width / 2;
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < pairs; ++x) {
+        before(x);
+        const float known = 0.75f * share[x] + 0.25f * share[x + 1], by = inside[2 * x + 1] / (known > 0 ? known : 1.0f);
+        to_u[2 * x + 1] += by * (0.75f * u[x] + 0.25f * u[x + 1]);
+        to_v[2 * x + 1] += by * (0.75f * v[x] + 0.25f * v[x + 1]);
+    }
+    if (level.width % 2) before(pairs);
+}
+
+void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved) {
+    const float* FINGERFLOW_RESTRICT by = step;
+    float *FINGERFLOW_RESTRICT all = sum, *FINGERFLOW_RESTRICT to = moved;
+    if (first) {
+        FINGERFLOW_INDEPENDENT
+        for (std::int64_t x = 0; x < width; ++x) {
+            all[x] = by[x];
+            to[x] += by[x];
+        }
+        return;
+    }
+    FINGERFLOW_INDEPENDENT
+    for (std::int64_t x = 0; x < width; ++x) {
+        all[x] += by[x];
+        to[x] += by[x];
     }
 }
 
