@@ -15,6 +15,7 @@ class TrackStatus(IntEnum):
     FORWARD_BACKWARD = 6  # tracking back does not return to the start
     UNCERTAIN = 7  # its standard deviation is far above that of its neighbours
     OFF_NEIGHBOURS = 8  # it was found, but not where any plane through its neighbours leads
+    FRAME_NOT_USABLE = 9  # the whole frame is no picture of the trial: a recording's results have it, no op gives it
 
 
 class Number(IntEnum):

@@ -11,6 +11,7 @@ from fingerflow.ops.cells import mask_of
 from fingerflow.ops.light_gain import light_gain
 from fingerflow.ops.morphology import dilate
 from fingerflow.player.contract.variables import CONTACT
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -25,7 +26,7 @@ class ContactStage(Stage):
 
     Attributes:
         series: results by name, (frames,) or (frames, 2); NaN ellipses where there is no contact, and NaN altogether
-            where pixels of the view are no numbers.
+            in frames that are not usable.
         reference_frame: the one with most contact.
         cell_px: side of the cells of the gross region, px of the contact view.
     """
@@ -33,7 +34,7 @@ class ContactStage(Stage):
     name = "contact"
     gives = CONTACT
     needs = ("views.contact",)
-    after = (LoadingStage,)
+    after = (LoadingStage, FrameCheckStage)
     reads_frames = True
 
     def __init__(self, trial: Trial) -> None:
@@ -50,11 +51,11 @@ class ContactStage(Stage):
         }
         self._gain = np.full(frames, np.nan)  # of the lamp
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact and without glass
-        self._damaged: list[int] = []
 
     def begin(self) -> None:
         unknown = torch.full((1,), torch.nan, dtype=torch.float32, device=self.inputs.device)
         light = self.inputs.engine(LightGraph())
+        self._usable = self.trial.stage(FrameCheckStage).usable
         self._light, self._black, _ = light(self.inputs.reference(self._view), self.inputs.dark(self._view), unknown)
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
@@ -77,15 +78,18 @@ class ContactStage(Stage):
         }.items():
             self.series[name][indices] = values.cpu()
         if "gross_contact_region" in self.results:
-            self.results["gross_contact_region"][indices] = (contact.density_margin[:, 0] > 0).cpu().numpy()
+            region = (contact.density_margin[:, 0] > 0).cpu().numpy()
+            self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
         self._gain[indices] = contact.light_gain.cpu()
         self._blind[indices] = (contact.light_gain.isnan() & (contact.real_area_px > 0)).cpu()
-        self._damaged.extend(indices[~_finite(self._view.crop(batch.frames))].tolist())
         return contact
 
     def finish(self) -> None:
-        """Warns of damaged frames, and of those in which the lamp may have changed and nothing tells by how much."""
+        """Warns where the lamp may have changed and nothing tells by how much."""
         first_frame = self.inputs.scene.recording.first_frame
+        for values in (*self.series.values(), self._gain):
+            values[~self._usable] = np.nan
+        self._blind &= self._usable
         known = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
@@ -93,14 +97,6 @@ class ContactStage(Stage):
                 f"the light changes, but {int(self._blind.sum())} frames, the first is {first}, show no empty glass to "
                 f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
                 f"record the empty glass again"
-            )
-        if self._damaged:
-            # What is left of such a frame has some area, but not that of the contact.
-            for values in self.series.values():
-                values[self._damaged] = np.nan
-            self.inputs.warnings.append(
-                f"{len(self._damaged)} frames, the first is {min(self._damaged) + first_frame}, have pixels in the "
-                f"contact view that are NaN or infinite: their contact is NaN"
             )
         for name, values in self.series.items():
             self.results.put(name, values)
@@ -118,7 +114,8 @@ class ContactStage(Stage):
         """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
         margin, so that there are points on both sides of the border of the contact.
         """
-        return dilate(self._region_of(0) | self.largest(), margin_px)
+        first = int(np.argmax(self._usable))
+        return dilate(self._region_of(first) | self.largest(), margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = self._contact(self.inputs.recording[[frame]].read())
@@ -133,12 +130,14 @@ class ContactStage(Stage):
         return self._graph(view, self._light, self._black, 1 - threshold), threshold
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
-        if normal_force is not None and np.isfinite(normal_force).any():
-            return int(np.nanargmax(normal_force))
-        count = len(self.inputs.recording)
-        looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
+        if normal_force is not None:
+            known = np.where(self._usable, normal_force, np.nan)
+            if np.isfinite(known).any():
+                return int(np.nanargmax(known))
+        usable = np.flatnonzero(self._usable)
+        looks = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
         light = [self._brightness(self.inputs.recording[[int(i)]].read()) for i in looks]
-        return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else 0
+        return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else int(usable[0])
 
     def _brightness(self, frame: NDArray[np.generic]) -> float:
         """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
@@ -169,9 +168,3 @@ class ContactStage(Stage):
             )
         return threshold
 
-
-def _finite(frames: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """(n,) whether every pixel of the frames (n, h, w) is a number."""
-    if frames.dtype.kind != "f":
-        return np.ones(len(frames), dtype=bool)
-    return np.asarray(np.isfinite(frames).all(axis=(1, 2)))

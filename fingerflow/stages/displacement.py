@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.onset import touch_length
 from fingerflow.player.contract.variables import DISPLACEMENT
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.stages.tracking import TrackingStage
@@ -44,14 +45,15 @@ class DisplacementStage(Stage):
         reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames.
-        late: (N, 2) mm, how far skin moves in half a frame at onset: the first frame with contact comes so much after
-            the contact, on average. Of neighbours it is the same, and no part of the errors of a gradient.
+        late: (N, 2) mm, how far skin moves at onset in half the time between two usable frames: the first frame with
+            contact comes so much after the contact, on average. Of neighbours it is the same, and no part of the errors
+            of a gradient.
     """
 
     name = "displacement"
     gives = DISPLACEMENT
     needs = ("views.topography",)
-    after = (TrackingStage,)
+    after = (TrackingStage, FrameCheckStage)
 
     onset: NDArray[np.int32]
     reference: Points
@@ -67,6 +69,7 @@ class DisplacementStage(Stage):
         self._vector = np.full((len(trial), 2), np.nan)
 
     def begin(self) -> None:
+        self._usable = self.trial.stage(FrameCheckStage).usable
         self._find_onsets()
         self._find_errors_of_onset()
         points = len(self.onset)
@@ -123,6 +126,9 @@ class DisplacementStage(Stage):
         variance = self.results["position_std_px"][indices] ** 2
         moved, noise = np.empty_like(position), np.empty_like(variance)
         for k, frame in enumerate(indices):
+            if not self._usable[frame]:  # it ends no touch
+                moved[k] = noise[k] = np.nan
+                continue
             touch.go_on(int(frame), covered[k], position[k], variance[k])
             moved[k] = np.where(touch.length[:, None] > 0, position[k] - touch.place, np.nan)
             noise[k] = self._noise(variance[k], touch.variance, touch.start == frame)
@@ -148,13 +154,17 @@ class DisplacementStage(Stage):
         """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time; and its
         mean.
 
-        The time is known to a frame, uniformly within it: 1/12 frame^2; and the place of the border to `_BORDER_MM`,
+        The time is known to a frame, uniformly within it: 1/12 frame^2, and as many times the square of the frames since
+        the last usable one where some are not; and the place of the border to `_BORDER_MM`,
         which takes it as many frames as neighbouring points are apart in time. Both change from one neighbour to the
         next, as the border crosses several between two frames or one ridge after the other, so errors are taken as
         independent. A point that touches in the first frame has no onset: its displacement counts from that frame.
         """
         onset, frames = self.onset, len(self.trial)
-        after_first = onset > 0
+        usable = np.flatnonzero(self._usable)
+        after_first = onset > usable[0]
+        gap = onset - usable[np.maximum(np.searchsorted(usable, onset) - 1, 0)]  # 1, of points with an onset
+        gap = np.where(after_first, gap, 1)
         known = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
         slope = local_gradients(
             known,
@@ -162,7 +172,7 @@ class DisplacementStage(Stage):
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
         frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
-        variance = 1 / 12 + (_BORDER_MM * frames_per_mm) ** 2
+        variance = gap**2 / 12 + (_BORDER_MM * frames_per_mm) ** 2
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
         before, after = np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)
         before, after = (np.where(np.isfinite(self._place(k)).all(-1), k, onset) for k in (before, after))
@@ -175,7 +185,7 @@ class DisplacementStage(Stage):
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
-        self.late = speed / 2
+        self.late = gap[:, None] * speed / 2
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
         """(N, 2) mm, of each point in its frame (N,), -1 for the last."""

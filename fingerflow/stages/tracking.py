@@ -6,6 +6,7 @@ from functools import partial
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
@@ -30,6 +31,7 @@ from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import TRACKING
 from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -50,6 +52,7 @@ class TrackingStage(Stage):
     gives = TRACKING
     needs = ("views.topography",)
     beside = (ContactStage,)
+    after = (FrameCheckStage,)
     reads_frames = True
 
     def __init__(self, trial: Trial) -> None:
@@ -78,6 +81,7 @@ class TrackingStage(Stage):
         self._at_once = MOST_AT_ONCE if self._settings.template == "keyframe" else 1  # frames
         self._followed = self._looked = 1  # frames since the points were chosen, and when templates were looked at
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
+        self._skipped: list[int] = []  # frames before the points were chosen
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
         self._share, self._error = np.full((2, len(trial)), np.nan)
 
@@ -88,6 +92,7 @@ class TrackingStage(Stage):
     def begin(self) -> None:
         """Finds out where skin touches; where none does there is none to follow, which a warning says."""
         contact = self.trial.stage(ContactStage)
+        self._usable = self.trial.stage(FrameCheckStage).usable
         border = any(stage.follows_border for stage in self.trial.planned)
         self._region = contact.first_and_largest(self._settings.window_px) if border else contact.largest()
         if not self._region.any():
@@ -98,14 +103,34 @@ class TrackingStage(Stage):
             self._create(0)
 
     def step(self, batch: Batch) -> None:
-        """Tracks through these frames, in the order given."""
+        """Tracks through these frames, in the order given; those that are not usable are passed over."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
+        margin = batch.of(ContactStage).density_margin
         images = self.inputs.view(batch.frames, self._view)
+        numbers = np.arange(len(images))
+        for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
+            indices = batch.indices[some]
+            if self._usable[indices[0]]:
+                self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
+            else:
+                self._pass_over(indices)
+
+    def _pass_over(self, indices: NDArray[np.intp]) -> None:
+        """Frames that tell nothing: points are expected on where their speed leads."""
+        if self._key is None:
+            self._skipped.extend(indices)
+            return
+        self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
+        self._place = self._place + len(indices) * self._speed
+
+    def _step_through(self, images: Tensor, indices: NDArray[np.intp], margin: Tensor) -> None:
         steps, done = [], 0
         if self._key is None:
             steps.append(self._choose(images[:1]))
+            for skipped in self._skipped:
+                self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             done = 1
         while done < len(images):
             until_look = MOST_AT_ONCE - self._followed % MOST_AT_ONCE
@@ -114,7 +139,7 @@ class TrackingStage(Stage):
             done += len(step.status)
         found = Found.joined(steps)
         pixels, error, status = (one.cpu().numpy() for one in (found.points, found.error, found.status))
-        in_contact = self._inside(batch.of(ContactStage).density_margin, found.estimate)
+        in_contact = self._inside(margin, found.estimate)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
@@ -123,10 +148,10 @@ class TrackingStage(Stage):
             "status": status,
             "in_contact": in_contact.cpu().numpy(),
         }.items():
-            self.results[name][batch.indices] = values
+            self.results[name][indices] = values
         tracked = status == TrackStatus.TRACKED
-        self._share[batch.indices] = tracked.mean(1)
-        self._error[batch.indices] = nanmedian(np.where(tracked, error, np.nan))
+        self._share[indices] = tracked.mean(1)
+        self._error[indices] = nanmedian(np.where(tracked, error, np.nan))
 
     def finish(self) -> None:
         self.results.put("tracked_share", self._share)

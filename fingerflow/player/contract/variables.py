@@ -59,6 +59,19 @@ CELLS = ("frame", "cell_row", "cell_column")
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
+#: Why a frame counts or not.
+FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
+FRAME_CHECK = (
+    Variable(
+        "frame_status",
+        FRAME,
+        "1",
+        "whether a frame is a picture of the trial; where it is not, results are NaN",
+        "u1",
+        flags=FRAME_STATUS,
+    ),
+)
+
 LOADING = (
     Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
     Variable("tangential_force", FRAME, "N", "tangential force", needs=("forces.tangential",)),
@@ -97,6 +110,7 @@ TRACK_STATUS = (
     "forward_backward",
     "uncertain",
     "off_neighbours",
+    "frame_not_usable",
 )
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
