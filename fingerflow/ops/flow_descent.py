@@ -1,9 +1,9 @@
 """A flow on cells led to where the pull of the images and the smoothing of its departure from its course are even.
 
 The fixed point is pull = J (w - w_0) + alpha L (w - M w), w_0 the flow that the pull belongs to. L (1 - M) couples
-cells over the whole of the course's window, which multigrid cannot invert; a cycle of it with J + alpha L lowers what
-is left over of the whole equation, and the course is taken anew before each. Where ridges run in one direction, one warp
-and three cycles so bring nine tenths of the flow to within 0.0023 px of the fixed point, one cycle to 0.013.
+cells over the whole of the course's window, which multigrid cannot invert. A cycle of it with J + alpha L lowers what
+is left over of the whole equation, and the course is taken anew before each. Where ridges run in one direction, one
+warp and three cycles so bring nine tenths of the flow to within 0.0023 px of the fixed point, one cycle to 0.013.
 """
 
 import torch

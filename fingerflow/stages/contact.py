@@ -167,4 +167,3 @@ class ContactStage(Stage):
                 f"a number."
             )
         return threshold
-
