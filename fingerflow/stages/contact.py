@@ -167,3 +167,4 @@ class ContactStage(Stage):
                 f"a number."
             )
         return threshold
+
