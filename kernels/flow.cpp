@@ -2,27 +2,13 @@
 #include <algorithm>
 #include <memory>
 
+#include "flow_course.h"
+#include "flow_pieces.h"
 #include "flow_rows.h"
 #include "interface.h"
-#include "parallel.h"
-#include "workspace.h"
 
 namespace fingerflow {
 namespace {
-
-constexpr std::int64_t kRows = 16;       // of a piece of work
-constexpr std::int64_t kWorthIt = 8192;  // cells from which threads are asked to help
-
-// Calls work(y, memory) for the rows of a level, with room for `floats` numbers.
-template <class Work>
-void for_rows(std::int64_t height, std::int64_t width, std::int64_t floats, int threads, const Work& work) {
-    const std::int64_t pieces = (height + kRows - 1) / kRows;
-    const auto piece = [&](std::int64_t number) {
-        auto* const memory = static_cast<float*>(workspace(static_cast<std::size_t>(floats) * sizeof(float)));
-        for (std::int64_t y = number * kRows; y < std::min(height, (number + 1) * kRows); ++y) work(y, memory);
-    };
-    parallel_for(pieces, height * width < kWorthIt ? 1 : threads, piece);
-}
 
 struct Cycle {
     const FlowLevel* levels;
@@ -50,7 +36,7 @@ struct Cycle {
             FINGERFLOW_PICK(flow_restrict_row)(level, now, right_side, coarser, left, zeros, rows, y);
         });
         const FlowField found = solved(number + 1, left, behind + 2 * cells);
-        for_rows(level.height, level.width, 3 * coarser.width, threads,
+        for_rows(level.height, level.width, 3 * (coarser.width + 2), threads,
                  [&](std::int64_t y, float* rows) { FINGERFLOW_PICK(flow_spread_row)(level, coarser, found, now, rows, y); });
         relax(level, right_side, now, next, sweeps);
         return now;
@@ -69,15 +55,18 @@ struct Cycle {
 }  // namespace
 }  // namespace fingerflow
 
-void fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads) {
+void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads) {
     using namespace fingerflow;
-    const FlowLevel finest{given->levels[0].tensor,  given->levels[0].right,  given->levels[0].down, given->levels[0].inverse,
-                           given->levels[0].inside, given->levels[0].height, given->levels[0].width};
-    const std::int64_t plane = finest.height * finest.width;
+    const std::int64_t height = given->levels[0].height, width = given->levels[0].width, plane = height * width;
     std::int64_t floats = 0;
     for (std::int64_t k = 0; k < given->count; ++k) floats += 6 * given->levels[k].height * given->levels[k].width;
-    std::unique_ptr<float[]> memory(new float[static_cast<std::size_t>(floats + 2 * plane)]);
-    std::unique_ptr<float[]> zeros(new float[static_cast<std::size_t>(finest.width)]());
+    const std::int64_t of_course = flow_departure_floats(height, width);
+    auto* const memory = static_cast<float*>(
+        workspace<Keeper::kCaller>(static_cast<std::size_t>(floats + of_course + 6 * plane + width) * sizeof(float)));
+    float *const course = memory + floats, *const step_u = course + of_course, *const zeros = step_u + 6 * plane;
+    const FlowField step{step_u, step_u + plane}, left{step_u + 2 * plane, step_u + 3 * plane};
+    float* const beside = step_u + 4 * plane;
+    std::fill(zeros, zeros + width, 0.0f);
     std::unique_ptr<FlowLevel[]> levels(new FlowLevel[static_cast<std::size_t>(given->count)]);
     for (std::int64_t image = 0; image < given->batch; ++image) {
         for (std::int64_t k = 0; k < given->count; ++k) {
@@ -91,23 +80,32 @@ void fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads)
                                                    one.height,
                                                    one.width};
         }
-        const Cycle cycle{levels.get(), given->count, zeros.get(), given->sweeps, given->coarsest, given->damping, threads};
-        auto* const right_side = const_cast<float*>(given->right_side) + 2 * plane * image;  // read only
-        const FlowField wanted{right_side, right_side + plane};
-        const FlowField to{given->solution + 2 * plane * image, given->solution + 2 * plane * image + plane};
-        const FlowField left{memory.get() + floats, memory.get() + floats + plane};
+        const Cycle cycle{levels.get(), given->count, zeros, given->sweeps, given->coarsest, given->damping, threads};
+        const float *const pull = given->pull + 2 * plane * image, *const from = given->flow + 2 * plane * image;
+        const float* const known = given->known + plane * image;
+        float* const moved = given->moved + 2 * plane * image;
+        std::copy(from, from + 2 * plane, moved);
         for (int k = 0; k < given->cycles; ++k) {
-            if (k > 0)
-                for_rows(finest.height, finest.width, 1, threads, [&](std::int64_t y, float*) {
-                    FINGERFLOW_PICK(flow_residual_row)(levels[0], to, wanted, left, zeros.get(), y);
+            flow_departure({moved, known, 2, height, width}, {given->weights, given->half}, beside, course, threads);
+            // Where nothing was seen the flow begins with its course.
+            if (k == 0)
+                for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
+                    for (std::int64_t x = y * width; x < (y + 1) * width; ++x)
+                        if (!(known[x] > 0)) {
+                            moved[x] -= beside[x];
+                            moved[plane + x] -= beside[plane + x];
+                            beside[x] = beside[plane + x] = 0.0f;
+                        }
                 });
-            const FlowField found = cycle.solved(0, k == 0 ? wanted : left, memory.get());
-            for_rows(finest.height, finest.width, 1, threads, [&](std::int64_t y, float*) {
-                const std::int64_t at = y * finest.width;
-                for (std::int64_t x = at; x < at + finest.width; ++x) {
-                    to.u[x] = k == 0 ? found.u[x] : to.u[x] + found.u[x];
-                    to.v[x] = k == 0 ? found.v[x] : to.v[x] + found.v[x];
-                }
+            const FlowField departure{beside, beside + plane};
+            for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
+                FINGERFLOW_PICK(flow_left_over_row)(levels[0], k == 0 ? nullptr : &step, departure, pull, left, zeros, y);
+            });
+            const FlowField found = cycle.solved(0, left, memory);
+            for_rows(height, width, 1, threads, [&](std::int64_t y, float*) {
+                const std::int64_t at = y * width;
+                FINGERFLOW_PICK(flow_add_row)(found.u + at, width, k == 0, step.u + at, moved + at);
+                FINGERFLOW_PICK(flow_add_row)(found.v + at, width, k == 0, step.v + at, moved + plane + at);
             });
         }
     }

@@ -27,15 +27,17 @@ FINGERFLOW_FOR_EACH_SET(
     // One sweep: to = from + damping inverse (r - A from).
     void flow_relax_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
                         float damping, const float* zeros, std::int64_t y);
-    // to = r - A from.
-    void flow_residual_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowField& to,
-                           const float* zeros, std::int64_t y);
+    // to = pull - J step - alpha L departure; step is null where it is 0.
+    void flow_left_over_row(const FlowLevel& level, const FlowField* step, const FlowField& departure, const float* pull,
+                            const FlowField& to, const float* zeros, std::int64_t y);
     // Means of 2 x 2 of r - A from: row y of the coarser level. `memory` holds 4 rows.
     void flow_restrict_row(const FlowLevel& level, const FlowField& from, const FlowField& right_side, const FlowLevel& coarser,
                            const FlowField& to, const float* zeros, float* memory, std::int64_t y);
-    // Adds what the coarser level has found. `memory` holds 3 rows of it.
+    // Adds what the coarser level has found. `memory` holds 3 rows of it, and 6 numbers.
     void flow_spread_row(const FlowLevel& level, const FlowLevel& coarser, const FlowField& from, const FlowField& to,
                          float* memory, std::int64_t y);
+    // Adds a row of a cycle's step to what all have found (or begins with it), and to the flow.
+    void flow_add_row(const float* step, std::int64_t width, bool first, float* sum, float* moved);
     // The spline with these coefficients (height, width) at (x + u, y + v), the border repeated.
     void flow_warp_row(const float* coefficients, std::int64_t height, std::int64_t width, const float* u, const float* v,
                        float* values, std::int64_t y);

@@ -7,7 +7,11 @@
 
 namespace fingerflow {
 
-// At least `bytes` bytes, aligned to 64, with any content; valid until the thread asks again.
+// Whose it is: that of a piece of work, or of the caller of all pieces, who has two beside it.
+enum class Keeper : int { kPiece, kCaller, kSums };
+
+// At least `bytes` bytes, aligned to 64, with any content; valid until the thread asks again for the same keeper.
+template <Keeper keeper = Keeper::kPiece>
 inline void* workspace(std::size_t bytes) {
     static thread_local std::unique_ptr<unsigned char[]> memory;
     static thread_local std::size_t size = 0;

@@ -6,11 +6,12 @@ runs in all directions, 9 to 22 px apart. `epe_px` is the mean length of the err
 divergence of the field smoothed with sigma 8 px, in 1e-3; 24 px of border are left out, as the peers know nothing
 there. `z` is the RMS of the error over the stated deviation.
 
-`cold` prepares the first image and starts from nothing, three warps; `warm` has it prepared and begins with nine tenths
-of what was found, with one warp, as frame after frame of a recording.
+`cold` prepares the first image and starts from nothing, two warps at each size; `warm` has it prepared and begins with
+nine tenths of what was found, with one warp, as frame after frame of a recording.
 
 `dimetrodon` is a real pair with its true flow (Middlebury; where `../shared/data` is): up to 4.3 px, with edges of
 motion, for which fingerflow is made less smooth (roughness 0.4): `epe_px`, and `angle_deg` the mean angular error.
+There two variational peers of robust penalties run too: DeepFlow and TV-L1 of OpenCV's contrib modules, as they come.
 """
 
 import math
@@ -138,6 +139,14 @@ def _opencv(first: Any, current: Any) -> dict[str, Callable[[], np.ndarray]]:
     }
 
 
+def _variational(first: Any, current: Any) -> dict[str, Callable[[], np.ndarray]]:
+    optflow: Any = cv2.optflow  # unknown to stubs
+    return {
+        "opencv DeepFlow": lambda: optflow.createOptFlow_DeepFlow().calc(first, current, None),
+        "opencv TV-L1": lambda: optflow.createOptFlow_DualTVL1().calc(first, current, None),
+    }
+
+
 def _dimetrodon() -> list[Row]:
     if not DATA.is_dir():
         return []
@@ -149,6 +158,7 @@ def _dimetrodon() -> list[Row]:
     first, current = (torch.from_numpy(image)[None, None] for image in (one, other))
     ways: dict[str, Callable[[], np.ndarray]] = {
         **_opencv(one, other),
+        **_variational(one, other),
         "fingerflow, cold": lambda: np.moveaxis(
             dense_flow(first, current, box=3, roughness=0.4, warps=5).displacement[0].numpy(), 0, 2
         ),

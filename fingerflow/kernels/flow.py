@@ -2,16 +2,22 @@
 
 import ctypes
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from fingerflow.kernels.checks import check_frames, check_like, empty
-from fingerflow.kernels.library import entry, values_are_known
+from fingerflow.kernels.library import CPU, entry, values_are_known
 from fingerflow.kernels.torch_op import torch_op
 
 __all__ = [
-    "flow_cycles",
+    "flow_at_pixels",
+    "flow_descend",
+    "flow_integrate",
+    "flow_left",
+    "flow_template",
+    "flow_to_cells",
     "flow_warp",
 ]
 
@@ -19,18 +25,57 @@ __all__ = [
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
+class Fields(NamedTuple):
+    """What dense flow takes from a first image."""
+
+    value: Tensor  # (B, 1, H, W) spline at the pixels
+    gradient: Tensor  # (B, 2, H, W), 0 outside the mask
+    inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
+    tensor: Tensor  # (B, 3, h, w) means over cells of the products of slopes
+    known: Tensor  # (B, 1, h, w), 1 for cells with a pixel in the mask, else 0
+    right: Tensor  # (B, 1, h, w - 1) edges to the next cell of the row
+    down: Tensor  # (B, 1, h - 1, w) and of the column
+
+
+class Left(NamedTuple):
+    """What a flow leaves unexplained, on cells (B, ., h, w)."""
+
+    data: Tensor  # (B, 2, h, w)
+    squares: Tensor  # (B, 1, h, w)
+    seen: Tensor  # (B, 1, h, w)
+    gain: Tensor  # (B, 1, 1, 1)
+
+
+class AtPixels(NamedTuple):
+    """Of every pixel."""
+
+    displacement: Tensor  # (B, 2, H, W)
+    covariance: Tensor  # (B, 2, 2, H, W)
+    residual: Tensor  # (B, 1, H, W)
+
+
 @torch_op()
-def flow_cycles(
-    planes: Sequence[Tensor], right_side: Tensor, cycles: int, sweeps: int, coarsest: int, damping: float
+def flow_descend(
+    planes: Sequence[Tensor],
+    pull: Tensor,
+    flow: Tensor,
+    known: Tensor,
+    weights: Sequence[float],
+    cycles: int,
+    sweeps: int,
+    coarsest: int,
+    damping: float,
 ) -> Tensor:
-    """(B, 2, H, W), as `ops.flow_multigrid.solve` has it to rounding, of the planes of all levels, five of each from
-    the finest on: tensor, right, down, inverse, inside, all float32.
+    """(B, 2, H, W), as `ops.flow_descent.descended` has it to rounding, of the planes of all levels, five of each from
+    the finest on: tensor, right, down, inverse, inside, all float32; weights of the window of its course.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    batch, _, height, width = right_side.shape
-    check_like("right_side", right_side, torch.float32, (batch, 2, height, width))
+    batch, _, height, width = pull.shape
+    check_like("pull", pull, torch.float32, (batch, 2, height, width))
+    check_like("flow", flow, torch.float32, (batch, 2, height, width))
+    check_like("known", known, torch.float32, (batch, 1, height, width))
     if not planes or len(planes) % len(_PLANES):
         raise ValueError(f"{len(planes)} planes: there are {len(_PLANES)} of each level")
     numbers, kept = [], []
@@ -41,12 +86,14 @@ def flow_cycles(
         if values_are_known():
             numbers += [*(plane.data_ptr() for plane in kept[first:]), height, width]
         height, width = (height + 1) // 2, (width + 1) // 2
-    right_side, solution = right_side.contiguous(), empty(torch.float32, *right_side.shape)
+    moved = empty(torch.float32, *flow.shape)
     levels = (ctypes.c_int64 * len(numbers))(*numbers)  # fingerflow_flow_level, one after the other
-    entry("flow_cycles")(
+    entry("flow_descend")(
         levels=ctypes.addressof(levels),
-        right_side=right_side,
-        solution=solution,
+        pull=pull.contiguous(),
+        flow=flow.contiguous(),
+        known=known.contiguous(),
+        moved=moved,
         count=len(planes) // len(_PLANES),
         batch=batch,
         cycles=cycles,
@@ -54,8 +101,168 @@ def flow_cycles(
         coarsest=coarsest,
         damping=damping,
         threads=torch.get_num_threads(),
+        **_window(weights),
     )
-    return solution
+    return moved
+
+
+@torch_op()
+def flow_template(coefficients: Tensor, mask: Tensor, margin: int) -> Fields:
+    """As `ops.flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(coefficients, (torch.float32,))
+    batch, _, height, width = coefficients.shape
+    check_like("mask", mask, torch.float32, coefficients.shape)
+    rows, columns = (height + 1) // 2, (width + 1) // 2
+    sizes = ((1, height, width), (2, height, width), (1, height, width))
+    of_cells = ((3, rows, columns), (1, rows, columns), (1, rows, columns - 1), (1, rows - 1, columns))
+    fields = Fields(*(empty(torch.float32, batch, *size) for size in (*sizes, *of_cells)))
+    entry("flow_template")(
+        coefficients=coefficients.contiguous(),
+        mask=mask.contiguous(),
+        **fields._asdict(),
+        batch=batch,
+        height=height,
+        width=width,
+        margin=margin,
+        threads=torch.get_num_threads(),
+    )
+    return fields
+
+
+@torch_op()
+def flow_left(
+    coefficients: Tensor,
+    value: Tensor,
+    gradient: Tensor,
+    inside: Tensor,
+    flow: Tensor,
+    known: Tensor,
+    margin: float,
+    most_gain: float,
+) -> Left:
+    """As `ops.flow` has it: of images (B, 1, H, W) coefficients, value, gradient (B, 2, H, W) and inside, of cells
+    (B, ., h, w) a flow and where it is known, all float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(coefficients, (torch.float32,))
+    batch, _, height, width = coefficients.shape
+    rows, columns = (height + 1) // 2, (width + 1) // 2
+    for name, one, shape in (
+        ("value", value, (1, height, width)),
+        ("gradient", gradient, (2, height, width)),
+        ("inside", inside, (1, height, width)),
+        ("flow", flow, (2, rows, columns)),
+        ("known", known, (1, rows, columns)),
+    ):
+        check_like(name, one, torch.float32, (batch, *shape))
+    cells = (rows, columns)
+    left = Left(
+        data=empty(torch.float32, batch, 2, *cells),
+        squares=empty(torch.float32, batch, 1, *cells),
+        seen=empty(torch.float32, batch, 1, *cells),
+        gain=empty(torch.float32, batch, 1, 1, 1),
+    )
+    entry("flow_left")(
+        coefficients=coefficients.contiguous(),
+        value=value.contiguous(),
+        gradient=gradient.contiguous(),
+        inside=inside.contiguous(),
+        flow=flow.contiguous(),
+        known=known.contiguous(),
+        **left._asdict(),
+        batch=batch,
+        height=height,
+        width=width,
+        margin=margin,
+        most_gain=most_gain,
+        threads=torch.get_num_threads(),
+    )
+    return left
+
+
+@torch_op()
+def flow_integrate(fields: Tensor, weights: Sequence[float]) -> Tensor:
+    """Weighted means (B, C, H, W) along rows and columns of float32 fields, 0 beyond the border; an odd number of
+    weights that are the same from the middle to either end.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape.
+    """
+    batch, channels, height, width = fields.shape
+    check_like("fields", fields, torch.float32, (batch, channels, height, width))
+    integrated = empty(torch.float32, *fields.shape)
+    entry("flow_integrate")(
+        fields=fields.contiguous(),
+        integrated=integrated,
+        count=batch * channels,
+        height=height,
+        width=width,
+        threads=torch.get_num_threads(),
+        **_window(weights),
+    )
+    return integrated
+
+
+@torch_op()
+def flow_to_cells(fields: Tensor, inside: Tensor) -> Tensor:
+    """Means (B, 2, h, w) over cells of 2 x 2 of what is finite of float32 fields (B, 2, H, W) inside (B, 1, H, W).
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(inside, (torch.float32,))
+    batch, _, height, width = inside.shape
+    check_like("fields", fields, torch.float32, (batch, 2, height, width))
+    means = empty(torch.float32, batch, 2, (height + 1) // 2, (width + 1) // 2)
+    entry("flow_to_cells")(
+        fields=fields.contiguous(),
+        inside=inside.contiguous(),
+        means=means,
+        batch=batch,
+        height=height,
+        width=width,
+        threads=torch.get_num_threads(),
+    )
+    return means
+
+
+@torch_op()
+def flow_at_pixels(flow: Tensor, others: Tensor, known: Tensor, inside: Tensor) -> AtPixels:
+    """Results at the pixels inside (B, 1, H, W), of cells (B, ., h, w) of a flow, of covariance (xx, xy, yy) and
+    residual, and of where they are known; float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(inside, (torch.float32,))
+    batch, _, height, width = inside.shape
+    for name, one, channels in (("flow", flow, 2), ("others", others, 4), ("known", known, 1)):
+        check_like(name, one, torch.float32, (batch, channels, (height + 1) // 2, (width + 1) // 2))
+    result = AtPixels(*(empty(torch.float32, batch, *sizes, height, width) for sizes in ((2,), (2, 2), (1,))))
+    entry("flow_at_pixels")(
+        flow=flow.contiguous(),
+        others=others.contiguous(),
+        known=known.contiguous(),
+        inside=inside.contiguous(),
+        **result._asdict(),
+        batch=batch,
+        height=height,
+        width=width,
+        threads=torch.get_num_threads(),
+    )
+    return result
+
+
+def _window(weights: Sequence[float]) -> dict[str, Any]:
+    """The middle weight and those behind it."""
+    half = len(weights) // 2
+    return {"weights": torch.tensor(weights[half:], dtype=torch.float32, device=CPU), "half": half}
 
 
 @torch_op()

@@ -174,21 +174,60 @@ struct fingerflow_triangle_strain {
 };
 void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
-// V-cycles of the multigrid of fingerflow/ops/flow_multigrid.py from 0: levels from the finest on, their planes those of
-// all images of the batch; right_side and solution (batch, 2, height, width) of the finest.
+// A flow led down to its fixed point, as fingerflow/ops/flow_descent.py does it: levels from the finest on, their planes those
+// of all images of the batch; pull, flow and moved (batch, 2, height, width) of the finest, known (batch, height, width).
+// Weights of a window: the middle one and `half` more.
 struct fingerflow_flow_level {
     const float *tensor, *right, *down, *inverse, *inside;
     std::int64_t height, width;
 };
-struct fingerflow_flow_cycles_of {
+struct fingerflow_flow_descend_of {
     const fingerflow_flow_level* levels;
-    const float* right_side;
-    float* solution;
-    std::int64_t count, batch;
+    const float *pull, *flow, *known, *weights;
+    float* moved;
+    std::int64_t count, batch, half;
     std::int32_t cycles, sweeps, coarsest;
     float damping;
 };
-void fingerflow_flow_cycles(const fingerflow_flow_cycles_of* given, int threads);
+void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads);
+
+// What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow.py has it: of images (batch, height, width)
+// coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
+// the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
+struct fingerflow_flow_template_of {
+    const float *coefficients, *mask;
+    float *value, *gradient, *inside, *tensor, *known, *right, *down;
+    std::int64_t batch, height, width, margin;
+};
+void fingerflow_flow_template(const fingerflow_flow_template_of* given, int threads);
+
+// What a flow on cells leaves unexplained, as `_data` of fingerflow/ops/flow.py has it: of images (batch, height, width)
+// coefficients, value, gradient (batch, 2, height, width), inside; of their cells of 2 x 2 flow and data (batch, 2, ...), known,
+// squares and seen; gain (batch).
+struct fingerflow_flow_left_of {
+    const float *coefficients, *value, *gradient, *inside, *flow, *known;
+    float *data, *squares, *seen, *gain;
+    std::int64_t batch, height, width;
+    float margin, most_gain;
+};
+void fingerflow_flow_left(const fingerflow_flow_left_of* given, int threads);
+
+// Weighted means along rows and columns of `count` fields, 0 beyond the border.
+void fingerflow_flow_integrate(const float* fields, const float* weights, std::int64_t half, float* integrated,
+                               std::int64_t count, std::int64_t height, std::int64_t width, int threads);
+
+// Means (batch, 2, ...) over cells of what is finite of fields (batch, 2, height, width) inside (batch, height, width).
+void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch,
+                              std::int64_t height, std::int64_t width, int threads);
+
+// Cells of a flow (batch, 2, ...) and of covariance and residual (batch, 4, ...) at the pixels: displacement and covariance
+// (batch, 2 and 4, height, width), residual.
+struct fingerflow_flow_at_pixels_of {
+    const float *flow, *others, *known, *inside;
+    float *displacement, *covariance, *residual;
+    std::int64_t batch, height, width;
+};
+void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);
 
 // The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
 // repeated, as fingerflow/ops/flow.py has it.

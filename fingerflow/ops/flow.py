@@ -22,7 +22,6 @@ are seen through one low-pass. Departures from the paper:
   ``initial``: the frame before, tracked points, a search.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import torch
@@ -30,21 +29,19 @@ from torch import Tensor
 from torch.nn import functional
 
 from fingerflow import kernels
+from fingerflow.kernels.flow import Fields, Left
 from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops import tracking_limits as limits
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.flow_multigrid import Level, halved, laplacian, magnified, pyramid, solve
+from fingerflow.ops.flow_cells import CELL, halved, integrated, spread, to_cells, to_pixels, window, window_variance
+from fingerflow.ops.flow_covariance import flow_covariance
+from fingerflow.ops.flow_descent import descended
+from fingerflow.ops.flow_multigrid import Level, edges, halved_edges, pyramid
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients, spline_weights
 from fingerflow.ops.tensors import finite
 
 _ROUNDING = 1 / 12  # variance that whole grey levels have against the light
-_RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
-_COURSE_CELLS = 9
-_CYCLES = 2  # of multigrid a warp
-_NARROW = (
-    0.01  # share of the square of the trace that the determinant of moments in a plane has at least; a disc's is 1/4
-)
+_CYCLES = 3  # of multigrid a warp
 _MARGIN = 2  # px at the border of an image, where its spline takes pixels that are not there
 _SMALLEST_SIDE = 32  # px, of a halved image
 _TINY = 1e-12
@@ -76,8 +73,8 @@ class FlowTemplate(NamedTuple):
     gradient: Tensor  # (B, 2, H, W), 0 outside the mask
     inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
     levels: list[Level]
-    covariance: Tensor  # (B, 2, 2, H, W) for a gain of 1
-    box: int
+    covariance: Tensor  # (B, 3, h, w) xx, xy, yy on cells, for a gain of 1
+    weights: list[float]  # of the window, on cells
     coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
 
 
@@ -89,7 +86,7 @@ def dense_flow(
     *,
     box: int = 9,
     roughness: float = 0.04,
-    warps: int = 3,
+    warps: int = 2,
     noise: Tensor | None = None,
 ) -> Flow:
     """Displacement of every pixel from one image to another.
@@ -103,7 +100,8 @@ def dense_flow(
         box: px; the data term is integrated by two boxes of this side, one after the other.
         roughness: expected root mean square of the gradient of what the displacement has beside its own course. Smaller
             is smoother.
-        warps: how often the current image is warped; a warm start needs 1, motion of a quarter of a period 3.
+        warps: how often the current image is warped, and each halved one; a warm start needs 1, a start from nothing 2,
+            motion of a quarter of a period 3.
         noise: (B,) standard deviation of white noise, grey levels; estimated from ``first`` by default.
 
     Raises:
@@ -153,32 +151,41 @@ def prepare_flow(
 
 def _prepared(first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float) -> FlowTemplate:
     """Of a floating image, and of the halved ones while their texture lasts."""
-    coefficients = spline_coefficients(first)
-    kind = coefficients.dtype
-    usable = finite(coefficients)
-    known = -functional.max_pool2d(
-        -usable.to(kind), 3, 1, 1
-    )  # the spline at a pixel takes its neighbours' coefficients
-    inside = known * mask
-    coefficients = torch.where(usable, coefficients, 0.0)
-    still = first.new_zeros(len(first), 2, *first.shape[-2:])
-    _, value = _warped(coefficients, still, inside)  # as `find_flow` has it: what does not move leaves nothing
-    gradient = _slopes(coefficients) * _arrives(still, inside, _MARGIN)
-    x, y = gradient[:, :1], gradient[:, 1:]
-    tensor = inside * _integrated(torch.cat((x * x, x * y, y * y), dim=1), box)
+    fields = _fields(spline_coefficients(first), mask)
+    inside, known = fields.inside, fields.known
+    weights = window(max(box / CELL, 1.0))
+    tensor = known * integrated(fields.tensor, weights)
     alpha = 2 * variance / roughness**2
-    energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / inside.sum((1, 2, 3)).clamp_min(1)
+    energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / known.sum((1, 2, 3)).clamp_min(1)
     lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * limits.GRADIENT_NOISE * variance).all()
     coarser = None
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
         # A mean of four has a fourth of the noise. Where one of the four is not known it is not either.
         half = functional.avg_pool2d(first, 2)
         coarser = _prepared(half, -functional.max_pool2d(-inside, 2), variance / 4, box, roughness)
-    spread = _covariance(tensor, variance, alpha, box)
-    return FlowTemplate(value, gradient, inside, pyramid(tensor, inside, alpha), spread, box, coarser)
+    right, down = (alpha[:, None, None, None] * one for one in (fields.right, fields.down))
+    spread = flow_covariance(tensor, variance, alpha, window_variance(weights))
+    return FlowTemplate(*fields[:3], pyramid(tensor, right, down, known), spread, weights, coarser)
 
 
-def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = None, warps: int = 3) -> Flow:
+def _fields(coefficients: Tensor, mask: Tensor) -> Fields:
+    """What the spline of a first image and its mask (B, 1, H, W), 1 or 0, tell beside the windows."""
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
+        return kernels.flow_template(coefficients, mask, _MARGIN)
+    usable = finite(coefficients)
+    # The spline at a pixel takes its neighbours' coefficients.
+    inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
+    clean = torch.where(usable, coefficients, 0.0)
+    still = clean.new_zeros(len(clean), 2, *clean.shape[-2:])
+    value = _sampled(clean, still)  # as `find_flow` has it: what does not move leaves nothing
+    gradient = _slopes(clean) * _arrives(still, inside, _MARGIN)
+    x, y = gradient[:, :1], gradient[:, 1:]
+    tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
+    known = (halved(inside) > 0).to(inside.dtype)
+    return Fields(value, gradient, inside, tensor, known, *halved_edges(*edges(inside)))
+
+
+def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = None, warps: int = 2) -> Flow:
     """The flow from a prepared first image to a current one; arguments as for `dense_flow`."""
     _check_image("current", current, template.value)
     if warps < 1:
@@ -190,54 +197,67 @@ def find_flow(template: FlowTemplate, current: Tensor, initial: Tensor | None = 
     if initial is None:
         flow = _from_nothing(template, given, warps)
     else:
-        flow = torch.where(finite(initial), initial, 0.0).to(given.dtype)
-    flow, left, seen, gain = _refined(template, given, flow, warps)
+        flow = to_cells(initial.to(given.dtype), template.inside)
+    flow, squares, seen, gain = _refined(template, given, flow, warps)
+    return _at_pixels(template, flow, squares, seen, gain)
+
+
+def _at_pixels(template: FlowTemplate, flow: Tensor, squares: Tensor, seen: Tensor, gain: Tensor) -> Flow:
+    """The result, of the flow on cells, and what `_left` gives."""
+    size = template.inside.shape[-2:]
+    known = template.levels[0].inside
     # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
-    spread = template.covariance * ((1 + 1 / (gain * gain)) / 2)[:, :, None]
-    residual = (_integrated(left * left, template.box) / _integrated(seen, template.box).clamp_min(_TINY)).sqrt()
-    lost = torch.where(_arrives(flow, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
-    return Flow(flow + lost, spread + lost[:, :, None], residual + lost)
+    covariance = template.covariance * ((1 + 1 / (gain * gain)) / 2)
+    residual = (integrated(squares, template.weights) / integrated(seen, template.weights).clamp_min(_TINY)).sqrt()
+    others = torch.cat((covariance, residual), dim=1)
+    if flow.dtype == torch.float32 and kernels.serve(flow, others, template.inside):
+        return Flow(*kernels.flow_at_pixels(flow, others, known, template.inside))
+    displacement = to_pixels(flow, known, *size)
+    xx, xy, yy, residual = spread(others, known, *size).split(1, dim=1)
+    lost = torch.where(_arrives(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
+    rows = torch.cat((xx, xy, xy, yy), dim=1) + lost
+    return Flow(displacement + lost, rows.unflatten(1, (2, 2)), residual + lost)
 
 
 def _from_nothing(template: FlowTemplate, current: Tensor, warps: int) -> Tensor:
-    """The flow in the halved images, in px of these."""
-    batch, _, height, width = current.shape
+    """The flow on cells in px, as the halved images have it."""
+    batch, _, height, width = template.levels[0].inside.shape
     coarser = template.coarser
     if coarser is None:
         return template.value.new_zeros(batch, 2, height, width)
     half = functional.avg_pool2d(current, 2)
     found = _refined(coarser, half, _from_nothing(coarser, half, warps), warps)[0]
-    # The middle of a pair of pixels is the place of the halved one: as far from both.
-    wide = 2 * magnified(found, 2)
-    return functional.pad(wide, (0, width % 2, 0, height % 2), mode="replicate")
+    # Pixels of the halved images are the cells of these.
+    wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
+    return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
 
 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The flow after so many warps, what the last but one leaves (B, 1, H, W), where that was seen, and the gain."""
-    level = template.levels[0]
+    """The flow on cells after so many warps, and what `_left` gives of the last but one: squares, seen, gain."""
     coefficients = spline_coefficients(current)
     for _ in range(warps):
-        seen, warped = _warped(coefficients, flow, template.inside)
-        gain, offset = _light(template.value, warped, seen)
-        left = seen * (warped - offset - gain * template.value)
-        data = template.inside * _integrated(template.gradient * left, template.box)
-        course = _course(flow, seen)
-        flow = torch.where(seen > 0, flow, course)  # J, of the first image, would hold it where it is
-        departure = flow - course
+        data, squares, seen, gain = _left(template, coefficients, flow)
         # Slopes and step of the first image: in the light of the current one both count by the gain, J by its square.
-        right_side = -data / gain - laplacian(level, departure)
-        flow = flow + solve(template.levels, right_side, _CYCLES)
-    return flow, left, seen, gain
+        pull = -template.levels[0].inside * integrated(data, template.weights) / gain
+        flow = descended(template.levels, pull, flow, (seen > 0).to(flow.dtype), _CYCLES)
+    return flow, squares, seen, gain
 
 
-def _integrated(fields: Tensor, box: int) -> Tensor:
-    """Means over two boxes, one after the other, of (B, C, H, W); 0 beyond the border."""
-    half = box // 2
-    for _ in range(2):
-        fields = box_sum(functional.pad(fields, (half, half, half, half)), box) / box**2
-    return fields
+def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left:
+    """What a flow on cells leaves unexplained: means over cells of its products with the slopes (B, 2, h, w), of its
+    squares and of where it was seen (B, 1, h, w); and the gain of the light (B, 1, 1, 1).
+    """
+    known = template.levels[0].inside
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, *template[:3]):
+        return kernels.flow_left(coefficients, *template[:3], flow, known, _MARGIN, limits.MOST_GAIN)
+    displacement = to_pixels(flow, known, *coefficients.shape[-2:])
+    seen, warped = _warped(coefficients, displacement, template.inside)
+    gain, offset = _light(template.value, warped, seen)
+    left = seen * (warped - offset - gain * template.value)
+    means = halved(torch.cat((template.gradient * left, left * left, seen), dim=1))
+    return Left(means[:, :2], means[:, 2:3], means[:, 3:], gain)
 
 
 def _slopes(coefficients: Tensor) -> Tensor:
@@ -302,97 +322,6 @@ def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]
     # A picture that has nothing in common with the first one would have its sign turned: it is compared as it is.
     gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
     return gain, mean_warped - gain * mean
-
-
-def _course(flow: Tensor, seen: Tensor) -> Tensor:
-    """(B, 2, H, W): the plane that fits the flow best where it is seen, and beside that, for the rest, planes that fit
-    it around every cell of 4 px, in two boxes of `_COURSE_CELLS` cells, one after the other.
-    """
-    height, width = flow.shape[-2:]
-    share, total = halved(halved(seen)), halved(halved(seen * flow))
-    x, y = (
-        (torch.arange(count, dtype=flow.dtype, device=flow.device) - (count - 1) / 2) / _COURSE_CELLS
-        for count in (share.shape[-1], share.shape[-2])
-    )
-    whole = _planes(_moments(share, total, x, y[:, None]).sum((2, 3), keepdim=True))
-    rest = total - share * _heights(whole, x, y[:, None])
-    around = _planes(_integrated(_moments(share, rest, x, y[:, None]), _COURSE_CELLS))
-    beside = magnified(_heights(around, x, y[:, None]), 4)
-    # Pixels lie at -3/8, -1/8, 1/8 and 3/8 of a cell from its middle.
-    fine_x, fine_y = (
-        ((torch.arange(count, dtype=flow.dtype, device=flow.device) - 1.5) / 4 - (cells - 1) / 2) / _COURSE_CELLS
-        for count, cells in ((width, share.shape[-1]), (height, share.shape[-2]))
-    )
-    return _heights(whole, fine_x, fine_y[:, None]) + beside[..., :height, :width]
-
-
-class _Planes(NamedTuple):
-    """u = height + x slope_x + y slope_y, two components (B, 2, ., .) each."""
-
-    height: Tensor
-    slope_x: Tensor
-    slope_y: Tensor
-
-
-def _moments(share: Tensor, field: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(B, 12, h, w) of weights (B, 1, h, w) and a weighted field (B, 2, h, w): what a plane through it asks for."""
-    along, down = share * x, share * y
-    return torch.cat((share, along, down, along * x, along * y, down * y, field, field * x, field * y), dim=1)
-
-
-def _planes(moments: Tensor) -> _Planes:
-    """Least squares; the mean where cells do not span a plane, 0 where there are none."""
-    around, *sums = moments.split((1, 1, 1, 1, 1, 1, 2, 2, 2), dim=1)
-    some = torch.where(around > _TINY, around, 1.0)
-    mean_x, mean_y, xx, xy, yy, mean, by_x, by_y = (one / some for one in sums)
-    xx, xy, yy = xx - mean_x * mean_x, xy - mean_x * mean_y, yy - mean_y * mean_y
-    by_x, by_y = by_x - mean_x * mean, by_y - mean_y * mean
-    determinant = xx * yy - xy * xy
-    spanned = (determinant > _NARROW * (xx + yy).square()) & (determinant > _TINY)
-    determinant = torch.where(spanned, determinant, torch.inf)
-    slope_x, slope_y = (by_x * yy - by_y * xy) / determinant, (by_y * xx - by_x * xy) / determinant
-    return _Planes(mean - slope_x * mean_x - slope_y * mean_y, slope_x, slope_y)
-
-
-def _heights(planes: _Planes, x: Tensor, y: Tensor) -> Tensor:
-    return planes.height + planes.slope_x * x + planes.slope_y * y
-
-
-def _covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, box: int) -> Tensor:
-    """(B, 2, 2, H, W) of the noise of both images, in the same light.
-
-    Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
-    that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
-    s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha.
-    """
-    alpha, variance = alpha[:, None, None, None], variance[:, None, None, None]
-    rho_square = max(2 * (box**2 - 1) / 12, 0.25)  # a pixel is a window too
-    xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
-    mean, half = (xx + yy) / 2, (xx - yy) / 2
-    apart = (half * half + xy * xy).sqrt()
-    density = 2 * variance * _RIDGE_NOISE
-    of_larger, of_smaller = (
-        density / (4 * math.pi * alpha) * _passed(rho_square * (one / alpha).clamp_min(_TINY))
-        for one in (mean + apart, (mean - apart).clamp_min(0))
-    )
-    # A function of a symmetric matrix: f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
-    slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
-    base = of_smaller - slope * (mean - apart)
-    textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
-    known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
-    rows = torch.cat((slope * xx + base, slope * xy, slope * xy, slope * yy + base), dim=1) + known
-    result: Tensor = rows.unflatten(1, (2, 2))
-    return result
-
-
-def _passed(z: Tensor) -> Tensor:
-    """1 - z e^z E1(z) for z > 0, to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56)."""
-    small = z.clamp_max(1.0)
-    series = 0.99999193 + small * (-0.24991055 + small * (0.05519968 + small * (-0.00976004 + small * 0.00107857)))
-    below = small * small.exp() * (series * small - 0.57721566 - small.log())
-    large = z.clamp(1.0, 1e6)
-    above = (large * (large + 2.334733) + 0.250621) / (large * (large + 3.330657) + 1.681534)
-    return 1 - torch.where(z < 1, below, above)
 
 
 def _check_image(name: str, image: Tensor, like: Tensor) -> None:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.ops.flow_cells import halved, spread
 
 DAMPING = 0.8  # of a Jacobi step
 SWEEPS = 2  # before and after the coarser levels
@@ -34,42 +34,51 @@ class Level(NamedTuple):
     inside: Tensor  # (B, 1, h, w), 1 where a cell holds a pixel of the mask, else 0
 
 
-def pyramid(tensor: Tensor, mask: Tensor, alpha: Tensor) -> list[Level]:
+def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
     """All levels, the finest first.
 
     Args:
         tensor: (B, 3, H, W) J, 0 outside the mask.
+        right, down: (B, 1, H, W - 1) and (B, 1, H - 1, W), weights of the squared differences between neighbours.
         mask: (B, 1, H, W), 1 or 0.
-        alpha: (B,) weight of the squared differences between neighbours.
     """
-    weight = alpha[:, None, None, None]
-    right = weight * mask[..., 1:] * mask[..., :-1]
-    down = weight * mask[..., 1:, :] * mask[..., :-1, :]
     levels = [_level(tensor, right, down, mask)]
     while min(tensor.shape[-2:]) > SMALLEST_SIDE:
-        # Edges between cells: those that cross from their second column (row) to the next cell's first.
-        right = _halved(_even(right[..., 1::2], 2), (2, 1)) / 4
-        down = _halved(_even(down[..., 1::2, :], 3), (1, 2)) / 4
+        right, down = halved_edges(right, down)
         tensor, mask = halved(tensor), (halved(mask) > 0).to(mask.dtype)
         levels.append(_level(tensor, right, down, mask))
     return levels
 
 
-def solve(levels: list[Level], right_side: Tensor, cycles: int) -> Tensor:
-    """The solution (B, 2, H, W) after so many V-cycles from 0."""
-    if right_side.dtype == torch.float32 and kernels.serve(right_side, *levels[0]):
-        return kernels.flow_cycles(
-            [plane for level in levels for plane in level], right_side, cycles, SWEEPS, COARSEST_SWEEPS, DAMPING
-        )
-    solution = _v_cycle(levels, right_side)
-    for _ in range(cycles - 1):
-        solution = solution + _v_cycle(levels, right_side - applied(levels[0], solution))
-    return solution
+def edges(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Where two neighbours of a row, and of a column, both are in the mask: (B, 1, H, W - 1) and (B, 1, H - 1, W)."""
+    return mask[..., 1:] * mask[..., :-1], mask[..., 1:, :] * mask[..., :-1, :]
+
+
+def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
+    """Between 2 x 2 cells: a fourth of the mean of those that cross from one's second column (row) to the next."""
+    right, down = (
+        functional.pad(right[..., 1::2], (0, 0, 0, right.shape[-2] % 2)),
+        functional.pad(down[..., 1::2, :], (0, down.shape[-1] % 2)),
+    )
+    return functional.avg_pool2d(right, (2, 1)) / 4, functional.avg_pool2d(down, (1, 2)) / 4
+
+
+def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
+    """An approximate solution (B, 2, H, W) of (J + alpha L) d = r."""
+    level, coarser = levels[0], levels[1:]
+    solution = DAMPING * times(level.inverse, right_side)
+    if not coarser:
+        return _relaxed(level, solution, right_side, COARSEST_SWEEPS)
+    solution = _relaxed(level, solution, right_side, SWEEPS - 1)
+    correction = v_cycle(coarser, halved(right_side - applied(level, solution)))
+    solution = solution + level.inside * spread(correction, coarser[0].inside, *level.inside.shape[-2:])
+    return _relaxed(level, solution, right_side, SWEEPS)
 
 
 def applied(level: Level, field: Tensor) -> Tensor:
     """(J + alpha L) of a field (B, 2, h, w)."""
-    return _times(level.tensor, field) + laplacian(level, field)
+    return times(level.tensor, field) + laplacian(level, field)
 
 
 def laplacian(level: Level, field: Tensor) -> Tensor:
@@ -78,16 +87,6 @@ def laplacian(level: Level, field: Tensor) -> Tensor:
     along = level.down * (field[..., 1:, :] - field[..., :-1, :])
     pad = functional.pad
     return pad(across, (1, 0)) - pad(across, (0, 1)) + pad(along, (0, 0, 1, 0)) - pad(along, (0, 0, 0, 1))
-
-
-def halved(cells: Tensor) -> Tensor:
-    """(B, C, ceil(h / 2), ceil(w / 2)): means of 2 x 2, what lies beyond the border counting as 0."""
-    return _halved(_even(_even(cells, 2), 3), (2, 2))
-
-
-def magnified(cells: Tensor, times: int) -> Tensor:
-    """Bilinear between the middles of cells, on so many times as many places each way, the border repeated."""
-    return functional.interpolate(cells, scale_factor=times, mode="bilinear", align_corners=False)
 
 
 def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
@@ -100,43 +99,13 @@ def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
     return Level(tensor, right, down, torch.where(known, inverse, 0.0), mask)
 
 
-def _v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
-    level, coarser = levels[0], levels[1:]
-    solution = DAMPING * _times(level.inverse, right_side)
-    if not coarser:
-        return _relaxed(level, solution, right_side, COARSEST_SWEEPS)
-    solution = _relaxed(level, solution, right_side, SWEEPS - 1)
-    correction = _v_cycle(coarser, halved(right_side - applied(level, solution)))
-    solution = solution + _spread(correction, coarser[0].inside, level.inside)
-    return _relaxed(level, solution, right_side, SWEEPS)
-
-
 def _relaxed(level: Level, solution: Tensor, right_side: Tensor, sweeps: int) -> Tensor:
     for _ in range(sweeps):
-        solution = solution + DAMPING * _times(level.inverse, right_side - applied(level, solution))
+        solution = solution + DAMPING * times(level.inverse, right_side - applied(level, solution))
     return solution
 
 
-def _spread(coarse: Tensor, known: Tensor, inside: Tensor) -> Tensor:
-    """Bilinear between the cells that are known, on the finer level: 9/16, 3/16, 3/16 and 1/16 of the four nearest."""
-    height, width = inside.shape[-2:]
-    both = magnified(torch.cat((coarse * known, known), dim=1), 2)[..., :height, :width]
-    share = both[:, 2:]
-    return inside * both[:, :2] / torch.where(share > 0, share, 1.0)
-
-
-def _even(cells: Tensor, dim: int) -> Tensor:
-    """With a last row or column of 0 where their number is odd."""
-    if cells.shape[dim] % 2 == 0:
-        return cells
-    return functional.pad(cells, (0, 0, 0, 1) if dim == 2 else (0, 1))
-
-
-def _halved(cells: Tensor, sides: tuple[int, int]) -> Tensor:
-    return functional.avg_pool2d(cells, sides)
-
-
-def _times(tensor: Tensor, field: Tensor) -> Tensor:
+def times(tensor: Tensor, field: Tensor) -> Tensor:
     """Products (B, 2, h, w) of symmetric 2 x 2 matrices (B, 3, h, w) with vectors."""
     u, v = field[:, :1], field[:, 1:]
     return torch.cat((tensor[:, :1] * u + tensor[:, 1:2] * v, tensor[:, 1:2] * u + tensor[:, 2:] * v), dim=1)

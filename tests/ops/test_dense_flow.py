@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fingerflow import kernels
 from fingerflow.ops import dense_flow
-from fingerflow.ops.flow import _sampled, find_flow, prepare_flow
+from fingerflow.ops.flow import Flow, _sampled, find_flow, prepare_flow
 
 HEIGHT, WIDTH = 128, 160
 Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -268,6 +268,43 @@ def test_compiled_and_portable_flow_are_one(most: int, monkeypatch: pytest.Monke
     portable = dense_flow(first, current)
     torch.testing.assert_close(compiled.displacement, portable.displacement, rtol=0, atol=1e-4, equal_nan=True)
     torch.testing.assert_close(compiled.covariance, portable.covariance, rtol=1e-3, atol=1e-8, equal_nan=True)
+
+
+@pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_compiled_and_portable_flow_are_one_where_little_is_known(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch, a mask with an island and single pixels, pixels that are not finite, light that changes, skin that
+    leaves the picture: one warp from what is given, to 1e-4 px; covariance and residual to a thousandth."""
+    shape = (67, 91)
+    first, current, truth = (
+        torch.cat(some) for some in zip(*(pair(wave, 2.0, seed, shape) for seed in (0, 1)), strict=True)
+    )
+    first, current = first.float(), 0.9 * current.float() + 5
+    first[0, 0, 30, 40] = math.nan
+    current[1, 0, 20:22, 50] = math.inf
+    x, y = grid(shape)
+    mask = (((x - 45) / 38) ** 2 + ((y - 30) / 24) ** 2 < 1) | ((x - 84).abs() + (y - 60).abs() < 4)
+    mask[::13, ::17] = True
+    initial = (0.8 * truth).float()
+    initial[:, 1, :, :12] -= 6.0  # leaves at the top
+    initial[0, 0, 5:9, 5:9] = math.nan
+
+    def found() -> Flow:
+        template = prepare_flow(first, mask.expand(2, 1, -1, -1), noise=torch.tensor([2.0, 2.0]))
+        return find_flow(template, current, initial, warps=1)
+
+    kernels.limit_instruction_set(most)
+    try:
+        compiled = found()
+    finally:
+        kernels.limit_instruction_set(-1)
+    monkeypatch.setattr(kernels, "serve", lambda *_: False)
+    portable = found()
+    assert compiled.displacement.isfinite().any()
+    assert compiled.displacement.isnan().any()
+    torch.testing.assert_close(compiled.displacement, portable.displacement, rtol=0, atol=1e-4, equal_nan=True)
+    for one, other in zip(compiled[1:], portable[1:], strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-6, equal_nan=True)
 
 
 @pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")

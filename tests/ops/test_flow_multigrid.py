@@ -5,7 +5,8 @@ import torch
 from torch import Tensor
 
 from fingerflow import kernels
-from fingerflow.ops.flow_multigrid import applied, pyramid, solve
+from fingerflow.ops.flow_descent import descended
+from fingerflow.ops.flow_multigrid import applied, edges, pyramid
 
 
 def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, Tensor, Tensor]:
@@ -19,7 +20,12 @@ def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, 
     slopes[..., : width // 3] = 0
     tensor = torch.cat((slopes[:, :1] ** 2, slopes[:, :1] * slopes[:, 1:], slopes[:, 1:] ** 2), dim=1) * mask
     right_side = mask * torch.randn(1, 2, height, width, generator=generator, dtype=torch.float64)
-    return pyramid(tensor, mask, torch.tensor([40.0], dtype=torch.float64)), right_side, mask
+    return pyramid(tensor, *(40.0 * edge for edge in edges(mask)), mask), right_side, mask
+
+
+def solve(levels: list, right_side: Tensor, cycles: int) -> Tensor:
+    """From 0: where nothing is known there is no course, and every cycle goes on with what is left over."""
+    return descended(levels, right_side, torch.zeros_like(right_side), torch.zeros_like(right_side[:, :1]), cycles)
 
 
 @pytest.mark.parametrize(("height", "width", "masked"), [(16, 24, False), (17, 23, False), (21, 18, True)])
@@ -70,7 +76,8 @@ def test_compiled_cycles_are_the_portable_ones(
     mask = (torch.rand(2, 1, height, width, generator=generator) > 0.1).float()
     slopes = 5 * torch.randn(2, 2, height, width, generator=generator)
     tensor = torch.cat((slopes[:, :1] ** 2, slopes[:, :1] * slopes[:, 1:], slopes[:, 1:] ** 2), dim=1) * mask
-    levels = pyramid(tensor, mask, torch.tensor([40.0, 3.0]))
+    alpha = torch.tensor([40.0, 3.0]).view(2, 1, 1, 1)
+    levels = pyramid(tensor, *(alpha * edge for edge in edges(mask)), mask)
     right_side = torch.randn(2, 2, height, width, generator=generator) * mask
     kernels.limit_instruction_set(most)
     try:

@@ -1,0 +1,45 @@
+"""What noise leaves in dense flow."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops import tracking_limits as limits
+
+_RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
+_TINY = 1e-12
+
+
+def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float) -> Tensor:
+    """(B, 3, h, w) xx, xy, yy of the noise of both images, in the same light.
+
+    Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
+    that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
+    s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha.
+    """
+    alpha, variance = alpha[:, None, None, None], variance[:, None, None, None]
+    xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    apart = (half * half + xy * xy).sqrt()
+    density = 2 * variance * _RIDGE_NOISE
+    of_larger, of_smaller = (
+        density / (4 * math.pi * alpha) * _passed(rho_square * (one / alpha).clamp_min(_TINY))
+        for one in (mean + apart, (mean - apart).clamp_min(0))
+    )
+    # A function of a symmetric matrix: f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
+    slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
+    base = of_smaller - slope * (mean - apart)
+    textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
+    known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
+    return torch.cat((slope * xx + base, slope * xy, slope * yy + base), dim=1) + known
+
+
+def _passed(z: Tensor) -> Tensor:
+    """1 - z e^z E1(z) for z > 0, to 5e-5 (Abramowitz & Stegun, 5.1.53 and 5.1.56)."""
+    small = z.clamp_max(1.0)
+    series = 0.99999193 + small * (-0.24991055 + small * (0.05519968 + small * (-0.00976004 + small * 0.00107857)))
+    below = small * small.exp() * (series * small - 0.57721566 - small.log())
+    large = z.clamp(1.0, 1e6)
+    above = (large * (large + 2.334733) + 0.250621) / (large * (large + 3.330657) + 1.681534)
+    return 1 - torch.where(z < 1, below, above)
