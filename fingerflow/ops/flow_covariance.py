@@ -16,9 +16,10 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
 
     Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
     that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
-    s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha.
+    s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha. `alpha` may differ from cell to cell, (B, 1, h, w), or is
+    (B, 1, 1, 1); the variance of noise is (B,).
     """
-    alpha, variance = alpha[:, None, None, None], variance[:, None, None, None]
+    variance = variance[:, None, None, None]
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2
     apart = (half * half + xy * xy).sqrt()

@@ -64,6 +64,12 @@ def halved_edges(right: Tensor, down: Tensor) -> tuple[Tensor, Tensor]:
     return functional.avg_pool2d(right, (2, 1)) / 4, functional.avg_pool2d(down, (1, 2)) / 4
 
 
+def degrees(right: Tensor, down: Tensor) -> Tensor:
+    """Sums (B, 1, h, w) of the weights of the edges that meet in a cell."""
+    pad = functional.pad
+    return pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
+
+
 def v_cycle(levels: list[Level], right_side: Tensor) -> Tensor:
     """An approximate solution (B, 2, H, W) of (J + alpha L) d = r."""
     level, coarser = levels[0], levels[1:]
@@ -90,9 +96,8 @@ def laplacian(level: Level, field: Tensor) -> Tensor:
 
 
 def _level(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> Level:
-    pad = functional.pad
-    edges = pad(right, (1, 0)) + pad(right, (0, 1)) + pad(down, (0, 0, 1, 0)) + pad(down, (0, 0, 0, 1))
-    xx, xy, yy = tensor[:, :1] + edges, tensor[:, 1:2], tensor[:, 2:] + edges
+    degree = degrees(right, down)
+    xx, xy, yy = tensor[:, :1] + degree, tensor[:, 1:2], tensor[:, 2:] + degree
     determinant = xx * yy - xy * xy
     known = determinant > _REGULAR * (xx + yy).square()  # not a single cell with a slope in one direction
     inverse = torch.cat((yy, -xy, xx), dim=1) / torch.where(known, determinant, 1.0)

@@ -12,6 +12,7 @@ from torch import Tensor
 from fingerflow import kernels
 from fingerflow.ops import dense_flow
 from fingerflow.ops.flow import Flow, _sampled, find_flow, prepare_flow
+from fingerflow.ops.flow_penalty import Penalty
 
 HEIGHT, WIDTH = 128, 160
 Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -34,6 +35,7 @@ def texture(seed: int = 3, waves: int = 200) -> Motion:
 
 
 GREY = texture()
+PENALTIES = pytest.mark.parametrize("penalty", ["quadratic", "charbonnier"])
 
 
 def grid(shape: tuple[int, int] = (HEIGHT, WIDTH)) -> tuple[Tensor, Tensor]:
@@ -74,9 +76,10 @@ def errors(found: Tensor, truth: Tensor, border: int = 0) -> Tensor:
     return apart[:, border : apart.shape[1] - border, border : apart.shape[2] - border]
 
 
-def test_no_motion_is_exactly_zero() -> None:
+@PENALTIES
+def test_no_motion_is_exactly_zero(penalty: Penalty) -> None:
     image = photograph(pair(wave, 2.0)[0])
-    assert (dense_flow(image, image).displacement == 0).all()
+    assert (dense_flow(image, image, penalty=penalty).displacement == 0).all()
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3), (1.5, 0.9), (-2.0, 1.7)])
@@ -105,11 +108,12 @@ def test_skin_that_stretches(motion: Motion) -> None:
     assert inner.nanmean() < 0.6 * peer.mean()
 
 
-def test_the_deviation_covers_the_error() -> None:
+@PENALTIES
+def test_the_deviation_covers_the_error(penalty: Penalty) -> None:
     z = []
     for seed in range(4):
         first, current, truth = pair(widening, noise=3.0, seed=seed)
-        flow = dense_flow(first, current, noise=torch.tensor([3.0]))
+        flow = dense_flow(first, current, noise=torch.tensor([3.0]), penalty=penalty)
         variance = torch.stack((flow.covariance[:, 0, 0], flow.covariance[:, 1, 1]), dim=1)
         z.append(((flow.displacement - truth) ** 2 / variance)[..., 12:-12, 12:-12].nanmean())
     assert 0.8 < float(torch.stack(z).mean().sqrt()) < 1.25
@@ -212,14 +216,15 @@ def test_nothing_in_the_mask() -> None:
     assert all(one.isnan().all() for one in flow)
 
 
-def test_differentiable_in_both_images() -> None:
+@PENALTIES
+def test_differentiable_in_both_images(penalty: Penalty) -> None:
     """Against a central difference, in float64: through every warp and cycle."""
     first, current, _ = (one[..., :24, :32] for one in pair(wave, shape=(32, 40)))
     weight = torch.randn(1, 2, 24, 32, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     noise = torch.tensor([1.0], dtype=torch.float64)
 
     def total(first: Tensor, current: Tensor) -> Tensor:
-        flow = dense_flow(first, current, torch.zeros_like(weight), warps=2, noise=noise)
+        flow = dense_flow(first, current, torch.zeros_like(weight), warps=2, noise=noise, penalty=penalty)
         return (flow.displacement.nan_to_num() * weight).sum()
 
     images = [one.clone().requires_grad_() for one in (first, current)]
@@ -244,6 +249,7 @@ def test_differentiable_in_both_images() -> None:
         ({"box": 4}, "box must be odd"),
         ({"roughness": 0.0}, "roughness above 0"),
         ({"warps": 0}, "warps must be at least 1"),
+        ({"penalty": "huber"}, "penalty must be one of .*'charbonnier'.*, not 'huber'"),
         ({"first": torch.zeros(1, 1, 4, 4), "current": torch.zeros(1, 1, 4, 4)}, "at least 8 x 8"),
     ],
 )
@@ -255,24 +261,28 @@ def test_wrong_input_is_named(change: dict, said: str) -> None:
 
 @pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
 @pytest.mark.parametrize("most", [0, 1, 2])
-def test_compiled_and_portable_flow_are_one(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@PENALTIES
+def test_compiled_and_portable_flow_are_one(penalty: Penalty, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """1e-4 px, a hundredth of what noise leaves: sums are rounded otherwise, and every warp begins from the last."""
     first, current, _ = pair(wave, noise=2.0, shape=(90, 131))
     first, current = photograph(first), photograph(current)
     kernels.limit_instruction_set(most)
     try:
-        compiled = dense_flow(first, current)
+        compiled = dense_flow(first, current, penalty=penalty)
     finally:
         kernels.limit_instruction_set(-1)
     monkeypatch.setattr(kernels, "serve", lambda *_: False)
-    portable = dense_flow(first, current)
+    portable = dense_flow(first, current, penalty=penalty)
     torch.testing.assert_close(compiled.displacement, portable.displacement, rtol=0, atol=1e-4, equal_nan=True)
     torch.testing.assert_close(compiled.covariance, portable.covariance, rtol=1e-3, atol=1e-8, equal_nan=True)
 
 
 @pytest.mark.skipif(not kernels.serve(), reason="no compiled kernels here")
 @pytest.mark.parametrize("most", [0, 1, 2])
-def test_compiled_and_portable_flow_are_one_where_little_is_known(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@PENALTIES
+def test_compiled_and_portable_flow_are_one_where_little_is_known(
+    penalty: Penalty, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A batch, a mask with an island and single pixels, pixels that are not finite, light that changes, skin that
     leaves the picture: one warp from what is given, to 1e-4 px; covariance and residual to a thousandth."""
     shape = (67, 91)
@@ -291,7 +301,7 @@ def test_compiled_and_portable_flow_are_one_where_little_is_known(most: int, mon
 
     def found() -> Flow:
         template = prepare_flow(first, mask.expand(2, 1, -1, -1), noise=torch.tensor([2.0, 2.0]))
-        return find_flow(template, current, initial, warps=1)
+        return find_flow(template, current, initial, warps=1, penalty=penalty)
 
     kernels.limit_instruction_set(most)
     try:
@@ -325,7 +335,8 @@ def test_compiled_warp_is_the_portable_one(most: int, monkeypatch: pytest.Monkey
     torch.testing.assert_close(compiled, _sampled(coefficients, flow), rtol=0, atol=3e-6)
 
 
-def test_the_portable_form_has_no_branch_on_data() -> None:
+@PENALTIES
+def test_the_portable_form_has_no_branch_on_data(penalty: Penalty) -> None:
     """What `torch.export` takes. The exporter to ONNX needs a minute for the 3,700 operators that this becomes;
     by ONNX Runtime they give the same to 1e-6 px."""
     first, current, truth = pair(wave, noise=2.0, shape=(9, 12))
@@ -333,7 +344,7 @@ def test_the_portable_form_has_no_branch_on_data() -> None:
 
     class Found(torch.nn.Module):
         def forward(self, current: Tensor, initial: Tensor) -> tuple[Tensor, ...]:
-            return tuple(find_flow(template, current, initial, warps=1))
+            return tuple(find_flow(template, current, initial, warps=1, penalty=penalty))
 
     given = photograph(current), 0.8 * truth.float()
     exported = torch.export.export(Found(), given).module()(*given)
