@@ -11,15 +11,15 @@ _RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the s
 _TINY = 1e-12
 
 
-def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float) -> Tensor:
+def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square: float, of_noise: Tensor) -> Tensor:
     """(B, 3, h, w) xx, xy, yy of the noise of both images, in the same light.
 
     Where J changes little within its reach, a component along which J is l has the variance of noise of density s^2
     that passed through l K(k) / (l + alpha k^2): with the two boxes as a Gaussian of variance rho^2 each way,
     s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha. `alpha` may differ from cell to cell, (B, 1, h, w), or is
-    (B, 1, 1, 1); the variance of noise is (B,).
+    (B, 1, 1, 1); the variance of noise is (B,), as the eigenvalues of J that noise alone has.
     """
-    variance = variance[:, None, None, None]
+    variance, of_noise = variance[:, None, None, None], of_noise[:, None, None, None]
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2
     apart = (half * half + xy * xy).sqrt()
@@ -31,7 +31,7 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
     # A function of a symmetric matrix: f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
     slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
     base = of_smaller - slope * (mean - apart)
-    textured = mean + apart > limits.TEXTURE_TO_NOISE * limits.GRADIENT_NOISE * variance
+    textured = mean + apart > limits.TEXTURE_TO_NOISE * of_noise
     known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
     return torch.cat((slope * xx + base, slope * xy, slope * yy + base), dim=1) + known
 

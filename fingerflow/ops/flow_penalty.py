@@ -26,7 +26,6 @@ from fingerflow.ops.flow_multigrid import Level, degrees, pyramid
 
 Penalty = Literal["quadratic", "charbonnier"]
 
-LEFT_BY_NOISE = 0.42  # deviation of what noise leaves after the low-pass of the spline, over its own
 # c of the data, in deviations of what noise leaves. At 1, dust leaves a fifth less, a jump of 1.5 px an eighth more.
 _DATA_SCALE = 2.0
 # c of the smoothing, in `roughness`. At 0.3, a jump of 1.5 px leaves half as much again; at 0.03, ridges a third more.
@@ -40,9 +39,9 @@ def check_penalty(penalty: str) -> None:
         raise ValueError(f"penalty must be one of {get_args(Penalty)}, not {penalty!r}")
 
 
-def data_weights(left: Left, variance: Tensor) -> Tensor:
-    """Weights (B, 1, h, w) of cells of which so much is left; variance (B,) of the noise."""
-    expected = LEFT_BY_NOISE**2 * variance[:, None, None, None] * (1 + left.gain * left.gain) / 2
+def data_weights(left: Left, by_noise: Tensor) -> Tensor:
+    """Weights (B, 1, h, w) of cells of which so much is left; `by_noise` (B,), the mean square that noise leaves."""
+    expected = by_noise[:, None, None, None] * (1 + left.gain * left.gain) / 2
     ratio = left.squares / (left.seen.clamp_min(_TINY) * expected)
     return ((_DATA_SCALE**2 + 1) / (_DATA_SCALE**2 + ratio)).sqrt()
 

@@ -107,7 +107,7 @@ def test_warps_lead_to_the_fixed_point_of_the_weighted_equation() -> None:
         finest = template.levels[0]
         departure = known * (flow - course(flow, known))
         right, down = edge_weights(departure, template.roughness)
-        data = integrated(data_weights(left, template.variance) * left.data, template.weights) / left.gain
+        data = integrated(data_weights(left, 0.42**2 * template.variance) * left.data, template.weights)
         smoothing = laplacian(finest._replace(right=finest.right * right, down=finest.down * down), departure)
         inner = (..., slice(12, -12), slice(12, -12))
         return float((data + smoothing)[inner].norm() / smoothing[inner].norm())
@@ -134,7 +134,7 @@ def test_weights_of_the_data() -> None:
     squares = torch.tensor([1.0, 25.0, 1e8, 0.0], dtype=torch.float64).view(1, 1, 1, 4) * expected
     seen = torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64).view(1, 1, 1, 4)
     left = Left(squares, squares, seen, torch.ones(1, 1, 1, 1, dtype=torch.float64))
-    weights = data_weights(left, torch.tensor([noise**2], dtype=torch.float64)).flatten()
+    weights = data_weights(left, torch.tensor([expected], dtype=torch.float64)).flatten()
     assert weights[0] == pytest.approx(1)
     assert weights[1] == pytest.approx(math.sqrt(5 / 29))
     assert weights[2] == pytest.approx(math.sqrt(5) / 1e4, rel=1e-6)
@@ -145,5 +145,5 @@ def test_noise_alone_has_weights_of_one_in_the_mean() -> None:
     first, current, truth = pair(wave, noise=2.0)
     template = prepare_flow(first, noise=torch.tensor([2.0], dtype=torch.float64))
     left = _left(template, spline_coefficients(current), to_cells(truth, template.inside))
-    mean = data_weights(left, template.variance)[left.seen == 1].mean()
+    mean = data_weights(left, 0.42**2 * template.variance)[left.seen == 1].mean()
     assert 0.95 < float(mean) < 1.05
