@@ -18,6 +18,7 @@ from fingerflow import __version__
 from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
+from fingerflow.recordings.identity import identity_of
 from fingerflow.result import is_result, open_result
 from fingerflow.scene import Scene, load_scene
 from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
@@ -113,6 +114,7 @@ def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | Non
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
+            "recording": identity_of(inputs.recording),
         },
     )
 
