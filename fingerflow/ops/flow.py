@@ -120,7 +120,7 @@ def dense_flow(
             covariance is then that of the weighted system with its weights as they are.
         constancy: "gradient" holds the gradient of grey levels constant in place of these, for light that differs from
             place to place: on Dimetrodon half of the error, under even light and noise a fifth more on ridges in all
-            directions, and twice as much at dust.
+            directions, and two to three times as much at dust.
 
     Raises:
         ValueError: shapes that do not fit, or a setting out of range.
