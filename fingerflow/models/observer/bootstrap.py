@@ -75,8 +75,8 @@ def bca_interval(
     Coverage measured on Gaussians in clusters (those of `tests/models/observer`), intervals of 95 %, 2,000 resamples:
     with 20 participants d' was inside in 93.3 % and the area under the ROC in 93.7 % (1,500 draws, error 0.6 %), with
     8 in 94.2 and 93.0 % (500 draws, error 1 %). So some 1.5 % are missing. Student's t on the jackknife had 94.2 and
-    93.9 %, and 95.8 and 95.2 % in the same draws: no more where it matters, and symmetric about the estimate, where
-    an area near 1 or a d' near 0 is not.
+    93.9 %, and 95.8 and 95.2 % in the same draws: nearer, but its intervals are symmetric about the estimate and can
+    pass an area of 1.
 
     Raises:
         ValueError: level or resamples are out of range.
