@@ -35,7 +35,7 @@ from fingerflow.models.partial_slip import critical_stuck_area
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
 from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture, write_recording
 
-SEEDS = range(100, 140)
+SEEDS = range(100, 171)
 _NEAR = 0.02  # of d^2
 _CLOSE = 0.05  # of mu_k / mu_s
 _RATE = 60.0
