@@ -1,6 +1,7 @@
 """The stuck part against truth, the verdict of known trials, and trials that cannot be judged."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.plan import plan
 from fingerflow.scene import Scene, Views
 from fingerflow.stages.inputs import open_inputs
-from fingerflow.stages.slip import SlipStage
+from fingerflow.stages.slip import SlipStage, _incipient
+from fingerflow.stages.slip_grid import SlipGrid
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+from fingerflow.views import View
 
 NAMES = ("abrupt", "fading")
 
@@ -42,10 +45,14 @@ def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
 
 
 def known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Without the frames that were left out; they are few."""
-    finite: NDArray[np.float64] = values[np.isfinite(values)]
-    assert len(finite) >= 0.95 * len(values)
-    return finite
+    """No frame is left out."""
+    assert np.isfinite(values).all()
+    return values
+
+
+def warnings_of(result: xr.Dataset) -> list[str]:
+    """But the one that a small contact has fewer corners than the 700 that a scene asks for."""
+    return [one for one in json.loads(result.attrs["warnings"]) if " of 700 points were found" not in one]
 
 
 def verdict_of(result: xr.Dataset) -> dict[str, Any]:
@@ -120,7 +127,7 @@ def test_the_outputs_agree_with_each_other(name: str, results: dict[str, xr.Data
     np.testing.assert_allclose(result["load_ratio"], expected, atol=0.003)
     assert {result[name].attrs["units"] for name in ("stuck_ratio", "load_ratio", "slip_coverage")} == {"1"}
     assert result["stuck_area"].attrs["units"] == "mm2"
-    assert json.loads(result.attrs["warnings"]) == []
+    assert warnings_of(result) == []
 
 
 def test_only_what_is_needed_runs(slip_trials: Path) -> None:
@@ -293,32 +300,50 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
     for frame in range(0, trial.n_frames, 3):
         true = trial.truth.follow(position[0], 0, frame)
         known = np.isfinite(position[frame]).all(-1)
-        if not known.any():  # a frame that is left out as a whole
-            continue
         tracked.append(known.mean())
         worst = max(worst, float(np.linalg.norm(position[frame] - true, axis=-1)[known].max()))
-    assert len(tracked) > 17
     assert worst < 2
     assert min(tracked) > 0.5
     assert result["stuck_ratio"].values[-5:].max() == 0
 
 
 def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:
-    """Its area is not known: no verdict, and it says why."""
+    """Its area is not known: no d^2 in any frame, no verdict, and it says why. By the ridges it ends up to 8 px before
+    the edge in a third of the frames."""
     folder = small(tmp_path / "trial", semi_axes=(4.6, 3.6), finger=(5.0, 4.0), n_frames=24)
-    result = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])
-    assert np.isnan(result["stuck_ratio"].values).mean() > 0.5
+    result = process(load_scene(folder / "scene.toml"), ["stuck_ratio", "gross_contact_region"])
+    region = result["gross_contact_region"].values
+    assert not region[:, [0, -1]].any((1, 2)).all()
+    for name in ("stuck_ratio", "stuck_area", "slip_annulus_area", "incipient_slip", "slip_direction", "slip_speed"):
+        assert np.isnan(result[name].values).all(), name
+    assert not result["stuck_region"].values.any()
     assert "reaches the edge of the view in the first frame" in verdict_of(result)["reason"]
 
 
 def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -> None:
-    folder = small(tmp_path / "trial", travel=3.0, direction=1.5)
-    ratio = process(load_scene(folder / "scene.toml"), ["stuck_ratio"])["stuck_ratio"].values
-    truth = shares(folder)
-    leaves = np.isnan(ratio)
-    assert leaves[-1]
-    # It starts as far on the other side.
-    assert leaves[0] or np.nanmax(np.abs(ratio - truth)) < 0.1
+    """It slides out on the right of a view that is cut there: d^2 to 0.06 while it is in view, NaN from then on."""
+    folder = small(
+        tmp_path / "trial",
+        finger=(2.6, 2.1),
+        semi_axes=(1.8, 1.5),
+        travel=3.0,
+        creep=0.25,
+        full_slip=0.5,
+        n_frames=100,
+        frame_rate=60.0,
+    )
+    scene, truth = load_scene(folder / "scene.toml"), shares(folder)
+    cut = replace(scene, views=Views({**scene.views, "contact": View((0, 192), (240, 448))}))
+    result = process(cut, ["stuck_ratio", "gross_contact_region"])
+    found = result["stuck_ratio"].values
+    at_edge = result["gross_contact_region"].values[:, :, -2:].any((1, 2))
+    assert at_edge[-1]
+    assert np.isnan(found[at_edge]).all()
+    begins = int(np.flatnonzero(np.isnan(found))[0])
+    assert np.isnan(found[begins:]).all()
+    assert truth[begins] == 0
+    assert at_edge[begins]
+    assert np.abs(found - truth)[:begins].max() < 0.06
 
 
 def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
@@ -364,3 +389,60 @@ def test_incipient_slip_is_what_is_not_rigid(slip_trials: Path, results: dict[st
         values = result[f"incipient_slip_{part}"].values[20:80]
         assert np.isfinite(values).mean() > 0.95
         assert np.nanmin(values) > 0
+
+
+def swirl(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An eddy (..., 2) mm: curl alone, and none of it rigid to more than its mean turn."""
+    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
+    return np.stack((-height * y, height * x), -1)
+
+
+def source(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same turned by a right angle: divergence alone."""
+    height = 0.01 * np.exp(-(x**2 + y**2) / 0.5)
+    return np.stack((height * x, height * y), -1)
+
+
+@pytest.mark.parametrize(("flow", "other"), [(swirl, "irrotational"), (source, "solenoidal")])
+def test_incipient_slip_by_its_parts(flow: Any, other: str) -> None:
+    """An eddy is solenoidal, a source irrotational: the other part is below 5 % of the whole, which is the residual.
+
+    Both die away within the contact, so that no harmonic field is left over; on a grid of 0.13 mm a part leaks by the
+    error of its differences, and the best rigid motion takes the mean turn of the eddy off as a rotation, whose curl
+    is even.
+    """
+    y, x = np.meshgrid(*2 * (np.arange(-2.6, 2.6, 0.13),), indexing="ij")
+    places, region = np.stack((x, y), -1), np.hypot(x, y) < 2.4
+    grid = object.__new__(SlipGrid)
+    grid.places = places
+    moved = flow(x, y) + np.array([0.3, -0.1])
+    whole, irrotational, solenoidal = _incipient(moved.astype(np.float32), region, grid)
+    left = rigid_residual(torch.from_numpy(places[region])[None], torch.from_numpy(moved[region])[None])[0]
+    assert whole == pytest.approx(float(left.square().sum(-1).mean().sqrt()), rel=1e-3)
+    parts = {"irrotational": irrotational, "solenoidal": solenoidal}
+    assert parts.pop(other) < 0.05 * whole
+    assert parts.popitem()[1] == pytest.approx(whole, rel=0.05)
+
+
+def test_noise_beyond_the_limit_is_said(slip_trials: Path) -> None:
+    """Points of 15 px have a noise of some 2 um here: 1 um is no limit, 40 um is one."""
+    said = {}
+    for limit in (0.001, 0.04):
+        scene = by(load_scene(slip_trials / "abrupt" / "scene.toml"), "displacement")
+        scene = replace(scene, slip=replace(scene.slip, stuck_mm=limit))
+        said[limit] = warnings_of(process(scene, ["stuck_ratio"]))
+    assert said[0.04] == []
+    (warning,) = said[0.001]
+    noise = float(re.search(r"standard deviation of ([0-9.]+) µm", warning)[1])
+    assert 1 < noise < 3
+    assert "has moved by 1.0 µm counts as slipped: where the stuck part ends is not known" in warning
+
+
+def test_pictures_too_noisy_for_the_border_are_said(slip_trials: Path, tmp_path: Path) -> None:
+    """With 6 grey levels more of noise where skin is followed."""
+    frames = np.load(slip_trials / "abrupt" / "frames.npy")
+    noisy = frames.astype(np.float64)
+    noisy[:, :, :240] += np.random.default_rng(0).normal(scale=6, size=(*frames.shape[:2], 240))
+    scene = changed(slip_trials / "abrupt", tmp_path, frames=np.rint(noisy).clip(0, 255).astype(np.uint8))
+    warnings = warnings_of(process(scene, ["stuck_ratio"]))
+    assert any("where the stuck part ends is not known" in warning for warning in warnings)

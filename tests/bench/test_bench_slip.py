@@ -1,0 +1,51 @@
+"""The suite of partial slip: two rendered trials, and how rows are counted."""
+
+import pytest
+
+from bench.rows import Cell, number
+from bench.suites import slip
+
+
+def test_two_trials() -> None:
+    """Both verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""
+    total, *rows = slip.run(quick=True)
+    assert (total["trial"], total["right"], total["found"]) == ("all", 2, "of 2")
+    assert [row["trial"] for row in rows] == ["100", "101"]
+    for row in rows:
+        assert row["unknown"] == 0
+        assert number(row, "within_002") > 90
+        assert number(row, "worst") < 0.05
+    assert number(total, "worst") == max(number(row, "worst") for row in rows)
+
+
+def test_trials_of_seeds_differ_and_come_back() -> None:
+    first, again, other = (slip.trial(seed) for seed in (100, 100, 101))
+    assert first == again
+    assert first.static_friction != other.static_friction
+    outcomes = {slip.trial(seed).kinetic_friction < 0.94 * slip.trial(seed).static_friction for seed in range(100, 110)}
+    assert outcomes == {True, False}
+
+
+def row(name: str, right: bool, frames: int, unknown: float, within: float | None, **ratios: float) -> dict[str, Cell]:
+    errors = {"ratio_error": None, "fit_error": None, **ratios}
+    worst = None if within is None else 0.1
+    return {
+        "trial": name, "right": right, "frames": frames, "unknown": unknown, "within_002": within, "worst": worst,
+        "cpu_s": 2.0, **errors,
+    }  # fmt: skip
+
+
+def test_rows_are_counted() -> None:
+    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all."""
+    rows = [
+        row("1", True, 100, 0.0, 100.0, ratio_error=0.04),
+        row("2", False, 50, 50.0, 0.0, ratio_error=-0.2),
+        row("3", True, 50, 100.0, None),
+    ]
+    total, *rest = slip.summed(rows)
+    assert (total["right"], total["found"], total["frames"]) == (2, "of 3", 200)
+    assert total["unknown"] == pytest.approx(100 * 75 / 200)
+    assert total["within_002"] == pytest.approx(100 * 100 / 125)
+    assert (total["worst"], total["ratio_error"], total["fit_error"]) == (0.1, 50.0, None)
+    assert total["cpu_s"] == 6
+    assert [one["trial"] for one in rest] == ["2", "1", "3"]
