@@ -45,6 +45,11 @@ class ThresholdSearch:
             return index % self._EVERY == 0
         return self._asked is not None and index == self._asked + self._lag
 
+    def passed_over(self) -> None:
+        """A frame that does not count: where the threshold was to be measured in it, it is in a later one."""
+        if self._asked is not None and self._found is None:
+            self._asked = None
+
     def see(self, index: int, area: float, measured: float | None) -> bool:
         """The area of real contact in a frame, and the threshold found in it: NaN for none, None where nobody asked.
 
