@@ -99,13 +99,14 @@ class Sink:
         self.folder, self._header, self._numbered = folder, header, numbered
         self._records: BinaryIO | None = None
         self._events: TextIO | None = None
-        self._synced = 0.0
+        self._made, self._synced = False, 0.0
         self._lock = threading.Lock()
 
     def open(self) -> None:
         """Makes the folder; raises PlayerError where it is there already or cannot be made, and leaves nothing then."""
         with self._said():
             self._make()
+        self._made = True
         try:
             with self._said():
                 self._open_files()
@@ -114,12 +115,13 @@ class Sink:
             raise
 
     def discard(self) -> None:
-        """Removes the folder that `open` has made, where no record came."""
-        for name in ("header.json", "events.jsonl", "records.bin"):
+        """Removes the folder that `open` has made: of a stream to which no frame came."""
+        for name in ("header.json", "events.jsonl", "records.bin") if self._made else ():
             with contextlib.suppress(OSError):
                 (self.folder / name).unlink()
-        with contextlib.suppress(OSError):
-            self.folder.rmdir()
+        if self._made:
+            with contextlib.suppress(OSError):
+                self.folder.rmdir()
 
     def _make(self) -> None:
         """Another stream may have begun in the same second: then the name gets a number, unless it was given."""

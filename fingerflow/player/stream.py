@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
 from .records import RecordLayout
-from .renewal import Renewal
 from .results import Sink
 from .scene import Scene
 from .settings import Settings
@@ -33,7 +32,7 @@ from .slip_flag import SlipFlag
 from .sources.closing import close_within
 from .sources.source import OpenSource, Source
 from .stepper import Stepper
-from .upkeep import REKEY, ThresholdSearch, Upkeep
+from .upkeep import REKEY, Change, Renewing, ThresholdSearch, Upkeep
 
 log = logging.getLogger("fingerflow.player")
 
@@ -46,29 +45,6 @@ _RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after whi
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
-
-
-class _Change(NamedTuple):
-    """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
-
-    Decided after frame number `after` of those that were computed.
-    """
-
-    after: int
-    key: Slot
-    points: Array
-    cause: str
-
-
-class _Renewing(NamedTuple):
-    """Templates that are renewed from frame number `due` on of those that are computed.
-
-    Not where the key frame is another than number `key` then.
-    """
-
-    due: int
-    key: int
-    work: Renewal
 
 
 class Player:
@@ -121,8 +97,8 @@ class Player:
         self._unlooked = 0  # frames since templates were looked at
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
-        self._change: _Change | None = None
-        self._renewals: deque[_Renewing] = deque()
+        self._change: Change | None = None
+        self._renewals: deque[Renewing] = deque()
         self._drawing = False  # a frame is on its way to the page
         self._slip = SlipFlag()
         self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
@@ -158,10 +134,14 @@ class Player:
             if page:
                 page.shutdown()
                 page.server_close()
+            if threads[0].ident is None:
+                close_within(_HANGING, self._source)
             try:
                 self._sink.close()
             except PlayerError as error:
                 self._failure = self._failure or error
+            if not self.processed:
+                self._sink.discard()
         if self._failure is not None:
             raise self._failure
         missing = self._findings.missing(math.isfinite(self._stepper.threshold))
@@ -194,7 +174,7 @@ class Player:
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
             "threshold": self._stepper.threshold if math.isfinite(self._stepper.threshold) else None,
-            "results": str(self._sink.folder),
+            "results": str(self._sink.folder) if self.processed else None,
         }
 
     def _said_by_page(self) -> dict[str, Any]:
@@ -379,7 +359,7 @@ class Player:
             self._free.put(change.key)
         return True
 
-    def _choose(self, index: int, change: _Change) -> None:
+    def _choose(self, index: int, change: Change) -> None:
         """Takes new points where they are more than those that are followed."""
         points = self._stepper.choose(change.key)
         if count_known(points) > (0 if change.cause == _PAGE else count_known(change.points)):
@@ -425,7 +405,7 @@ class Player:
             self._look_at_templates(index, outputs)
         drawn = None
         if self._change is None and (cause := self._cause_to_change(slot, index)):
-            self._change = _Change(index, slot, outputs["points"].copy(), cause)
+            self._change = Change(index, slot, outputs["points"].copy(), cause)
         elif not self._drawing and self.live.is_due():
             self._drawing = True
             real_contact_mask = outputs.get("real_contact_mask")
@@ -455,7 +435,7 @@ class Player:
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:
-            self._renewals.append(_Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+from .arrays import Array
+from .handover import Slot
+from .renewal import Renewal
 
 
 class ThresholdSearch:
@@ -107,3 +112,26 @@ class Upkeep:
         if tracked and (self._few >= self._IN_A_ROW or number - self.key_frame >= self._frames):
             return REKEY
         return ""
+
+
+class Change(NamedTuple):
+    """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
+
+    Decided after frame number `after` of those that were computed.
+    """
+
+    after: int
+    key: Slot
+    points: Array
+    cause: str
+
+
+class Renewing(NamedTuple):
+    """Templates that are renewed from frame number `due` on of those that are computed.
+
+    Not where the key frame is another than number `key` then.
+    """
+
+    due: int
+    key: int
+    work: Renewal

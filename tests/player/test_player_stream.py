@@ -484,8 +484,8 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     player.write_table(stream.folder / "results", table)
     lines = table.read_text().splitlines()
     assert lines[0] == (
-        "frame,time (s),latency (s),frame_status (1),key_frame (1),restart (1),contact_threshold (1),real_contact_area (mm2),"
-        "ellipse_center_x (mm),ellipse_center_y (mm)"
+        "frame,time (s),latency (s),frame_status (1),key_frame (1),restart (1),contact_threshold (1),"
+        "real_contact_area (mm2),ellipse_center_x (mm),ellipse_center_y (mm)"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):
