@@ -18,7 +18,9 @@ from fingerflow import __version__
 from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
+from fingerflow.recordings.identity import identity_of
 from fingerflow.result import is_result, open_result
+from fingerflow.room import check_disk, check_memory, size_of_results
 from fingerflow.scene import Scene, load_scene
 from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
 from fingerflow.stages.stage import Batch, Stage, Trial
@@ -74,10 +76,14 @@ def process(
         inputs.engine = runtime
     frames = len(inputs.times)
     with inputs.recording:
+        given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
+        size = size_of_results(given, frames, scene.tracking.points)
         if to is None:
+            check_memory(size)
             store = MemoryStore(VARIABLES, frames)
             _run(wanted, inputs, store, runtime, progress)
             return store.dataset
+        check_disk(to, size)
 
         def write(part: Path) -> None:
             with FileStore(VARIABLES, frames, part) as file:
@@ -113,6 +119,7 @@ def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | Non
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
+            "recording": identity_of(inputs.recording),
         },
     )
 

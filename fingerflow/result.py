@@ -9,6 +9,7 @@ import xarray as xr
 
 from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
+from fingerflow.room import check_write
 from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
 
 MARK = "fingerflow_version"  # the attribute by which a result is known
@@ -17,9 +18,11 @@ MARK = "fingerflow_version"  # the attribute by which a result is known
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
     """Writes HDF5/NetCDF4; the file appears only when it is complete.
 
-    Raises FingerflowError where it cannot be written, and without `overwrite` where a file is there that is no result.
+    Raises FingerflowError where it cannot be written, as on a disk without as much room as the result takes in memory,
+    and without `overwrite` where a file is there that is no result.
     """
     keep_others(path, is_result, overwrite)
+    check_write(path, result.nbytes)
     compressed = {name: {"zlib": True, "complevel": 2} for name, values in result.data_vars.items() if values.ndim > 1}
     write_atomically(path, lambda part: result.to_netcdf(part, engine="h5netcdf", encoding=compressed))
 

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.player.contract.variables import LABELS, TIME, Variable
+from fingerflow.room import check_write
 
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
 _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is compressed once
@@ -94,6 +95,8 @@ class FileStore(Store):
 
     def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
         super().__init__(known, frames)
+        check_write(path, 0)
+        self._path = path
         self._file = h5netcdf.File(path, "w")
 
     def __enter__(self) -> Self:
@@ -117,7 +120,7 @@ class FileStore(Store):
             attributes = {**attributes, "coordinates": "time"}
         stored.attrs.update(attributes)
         # The data set itself: h5netcdf looks it up by its name at every access, which takes as long as the writing.
-        return _Stored(stored._h5ds)
+        return _Stored(stored._h5ds, self._path)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         file = self._file
@@ -134,8 +137,8 @@ class FileStore(Store):
 class _Stored:
     """A variable of a file, read and written by consecutive frames in either order."""
 
-    def __init__(self, variable: Any) -> None:
-        self._variable = variable
+    def __init__(self, variable: Any, path: Path) -> None:
+        self._variable, self._path = variable, path
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -147,6 +150,7 @@ class _Stored:
 
     def __setitem__(self, index: Any, values: Any) -> None:
         first, step = _consecutive(index)
+        check_write(self._path, np.asarray(values).nbytes)
         self._variable[first] = values if step == 1 or np.ndim(values) == 0 else np.asarray(values)[::step]
 
 

@@ -13,6 +13,7 @@ from fingerflow.ops.cells import mask_of
 from fingerflow.ops.light_gain import light_gain
 from fingerflow.ops.morphology import dilate
 from fingerflow.player.contract.variables import CONTACT
+from fingerflow.stages import plausibility
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.stage import Batch, Stage, Trial
@@ -100,6 +101,10 @@ class ContactStage(Stage):
                 f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
                 f"record the empty glass again"
             )
+        area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
+        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
+        radius = self.inputs.scene.contact.gross_radius_px
+        self.inputs.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
         for name, values in self.series.items():
             self.results.put(name, values)
 

@@ -5,6 +5,7 @@ import numpy as np
 from fingerflow.graphs import FieldsGraph, GrossEllipse
 from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.player.contract.variables import FIELDS
+from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.series import nanmedian, rate
@@ -41,6 +42,10 @@ class FieldsStage(Stage):
             self.results.create(name, self._gauge)
         if "rigid_residual" in self.trial.asked:
             self.results.create("rigid_residual")
+        minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
+        widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
+        points = self.trial.stage(DisplacementStage).reference
+        self.inputs.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.scene import Scene
+from fingerflow.stages import plausibility
 from fingerflow.views import View
 
 _REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
@@ -183,6 +184,8 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
                 view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
             except FingerflowError as error:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
+    warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
+    warnings += plausibility.of_frames(len(recording))
     return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings)
 
 

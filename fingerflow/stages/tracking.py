@@ -31,6 +31,7 @@ from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import TRACKING
+from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import nanmedian
@@ -155,6 +156,8 @@ class TrackingStage(Stage):
         self._error[indices] = nanmedian(np.where(tracked, error, np.nan))
 
     def finish(self) -> None:
+        first_frame = self.inputs.scene.recording.first_frame
+        self.inputs.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("forward_backward_median", self._error)
 
@@ -269,6 +272,8 @@ class TrackingStage(Stage):
                 f"contact region of the topographic view, at least 3 are needed. Check [views.topography], "
                 f"[stream] region, the calibration and the focus."
             )
+        asked, apart = self._settings.points, self._settings.min_distance_px
+        self.inputs.warnings.extend(plausibility.of_points(points.shape[1], asked, apart))
         self._create(points.shape[1])
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)

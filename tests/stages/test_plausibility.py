@@ -1,0 +1,113 @@
+"""Settings against the data: each sentence from its numbers, and in a scene that asks for it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import load_scene, process
+from fingerflow.errors import FingerflowError
+from fingerflow.report import write_report
+from fingerflow.scene import Scene
+from fingerflow.stages import plausibility
+from fingerflow.synthetic import Press, write_recording
+
+Array = np.ndarray[Any, Any]
+Change = Callable[..., Scene]
+
+
+def warnings_of(result: xr.Dataset) -> str:
+    return "\n".join(json.loads(result.attrs["warnings"]))
+
+
+def test_what_is_plausible_says_nothing(changed: Change) -> None:
+    nothing = np.full(5, np.nan)
+    areas = np.array([0.0, 1, 2, np.nan, 3])
+    assert plausibility.of_scale(0.0325, (512, 640)) == []
+    assert plausibility.of_frames(2) == []
+    assert plausibility.of_areas(areas, 2 * areas, 100.0, 8, 0) == []
+    assert plausibility.of_areas(nothing, nothing, 100.0, 8, 0) == []
+    assert plausibility.of_points(690, 700, 6.0) == []
+    assert plausibility.of_tracking(np.array([1.0, np.nan, 0.8]), 0) == []
+    grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).reshape(-1, 2)
+    assert plausibility.of_gauge(3.0, grid, 8.0) == []
+    assert plausibility.of_gauge(3.0, nothing.reshape(5, 1).repeat(2, 1), np.nan) == []
+
+
+def test_sentences_name_the_frames_and_the_numbers() -> None:
+    real, gross = np.array([0.0, 5, 5, 5]), np.array([0.0, 6, 4, 3])
+    (more,) = plausibility.of_areas(real, gross, 100.0, 1, 10)
+    assert "in 2 frames, the first is 12," in more
+    assert "(5 and 4 mm2)" in more
+    # A frame that is not usable between the two does not hide a jump.
+    (jump,) = plausibility.of_areas(np.zeros(4), np.array([3.0, np.nan, 60, 61]), 100.0, 8, 0)
+    assert "jumps from 3 to 60 mm2 between frames 0 and 2" in jump
+    (lost,) = plausibility.of_tracking(np.array([1, 0.4, 0.1]), 5)
+    assert "in 2 frames, the first is 6 (40%)" in lost
+    grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).reshape(-1, 2)
+    assert "lie some 0.9 mm apart" in plausibility.of_gauge(1.0, grid, 8.0)[0]
+    assert "more than the contact is wide (8 mm)" in plausibility.of_gauge(9.0, grid, 8.0)[0]
+
+
+@pytest.mark.parametrize(
+    ("replaced", "said"),
+    [
+        ({"gauge_length_mm = 1.6": "gauge_length_mm = 0.2"}, "fields.gauge_length_mm = 0.2, and"),
+        ({"gauge_length_mm = 1.6": "gauge_length_mm = 30.0"}, "fields.gauge_length_mm = 30 is more than the contact"),
+        ({"points = 700": "points = 3"}, "points come into contact: no gradient can be fitted"),
+        ({}, "of 700 points were found: no more corners lie 6 px apart"),
+        ({"mm_per_px = 0.0325": "mm_per_px = 0.9"}, "makes the contact view 108 mm wide"),
+    ],
+)
+def test_a_setting_that_contradicts_the_data_is_said(changed: Change, replaced: dict[str, str], said: str) -> None:
+    assert said in warnings_of(process(changed(replaced)))
+
+
+def test_one_frame_is_said(changed: Change, frames: Array) -> None:
+    scene = changed({"trigger_frame = 1 ": ""}, frames=frames[5:6], forces=False)
+    assert "one frame: nothing has moved" in warnings_of(process(scene, ["global_displacement"]))
+
+
+def test_lamp_that_falls_to_stay(changed: Change, frames: Array) -> None:
+    """To 60 % from one frame to the next, for good: areas cannot be told from contact, and the result says where."""
+    dim = frames.copy()
+    dim[4:, :, 120:] = (0.6 * dim[4:, :, 120:]).astype(dim.dtype)
+    scene = changed({'threshold = "reference_frame"': "threshold = 0.27"}, frames=dim)
+    said = warnings_of(process(scene, ["gross_contact_area"]))
+    assert "mm2 between frames 3 and 4: more likely the light has changed" in said
+
+
+def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array) -> None:
+    """NaN, not 0 mJ: nobody knows it; and 0 where nothing touches."""
+    blank = frames.copy()
+    blank[5:, :, :120] = 90
+    result = process(changed(frames=blank))
+    assert (result["gross_contact_area"].values[5:] > 1).all()
+    for name in ("strain_energy", "median_divergence", "global_displacement"):
+        assert np.isnan(result[name].values[5:]).all(), name
+    assert "less than half of the points are tracked in 3 frames, the first is 5 (0%)" in warnings_of(result)
+    released = np.concatenate([frames, frames[::-1]])
+    result = process(changed({"trigger_frame = 1 ": ""}, frames=released, forces=False))
+    without = result["gross_contact_area"].values == 0
+    assert without[-1]
+    assert (result["strain_energy"].values[without] == 0).all()
+
+
+def test_a_report_of_another_recording_is_refused(tmp_path: Path) -> None:
+    """Two presses of the same size and length; the noise of the camera tells them apart."""
+    small = {"frame_shape": (96, 240), "finger": (1.8, 1.5), "semi_axes": (1.3, 1.1)}
+    press = Press(n_frames=8, frame_rate=8.0, frames_before_trigger=1, **small)  # type: ignore[arg-type]
+    for name in ("one", "other"):
+        write_recording(tmp_path / name, press)
+    frames = np.load(tmp_path / "other" / "frames.npy")
+    np.save(tmp_path / "other" / "frames.npy", frames + np.random.default_rng(0).integers(0, 2, frames.shape, np.uint8))
+    one, other = (load_scene(tmp_path / name / "scene.toml") for name in ("one", "other"))
+    result = process(one, ["real_contact_area"])
+    write_report(result, one, tmp_path / "one")
+    with pytest.raises(FingerflowError, match=r"other.frames\.npy: the result is not of these frames .* from .*one"):
+        write_report(result, other, tmp_path / "other")
+    assert not (tmp_path / "other" / "report.html").exists()
