@@ -12,6 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.variables import (
     CONTACT,
     FIELDS,
+    FRAME_CHECK,
     LABELS,
     STREAM,
     TIME,
@@ -23,7 +24,7 @@ from fingerflow.player.errors import PlayerError
 from fingerflow.player.results import StreamResults, read_results
 
 Array = NDArray[Any]
-_VARIABLES = by_name(CONTACT, TRACKING, FIELDS, STREAM)
+_VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 _WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that hold for a length over which they are fitted
 _TRACKED = 0  # of the flags of `status`
 
@@ -85,7 +86,9 @@ def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
         tracked = found["status"] == _TRACKED
         of_restart = np.array([0, *chosen])[np.clip(found["restart"], 0, len(chosen))]
         with np.errstate(invalid="ignore", divide="ignore"):
-            found["tracked_share"] = tracked.sum(1) / of_restart
+            share = tracked.sum(1) / of_restart
+        usable = records["frame_status"] == 0 if "frame_status" in found else True
+        found["tracked_share"] = np.where(usable, share, np.nan)
         if "forward_backward_error" in found:
             found["forward_backward_median"] = _medians(np.where(tracked, found["forward_backward_error"], np.nan))
     for name, one in _VARIABLES.items():

@@ -15,6 +15,13 @@ from .sources import open_recording
 _STILLS = 64  # of a recording of the empty glass are averaged: its noise is then an eighth of a frame's
 
 
+def touching(view: Array, glass: Array, dark: Array, threshold: float) -> float:
+    """Share of some 20,000 pixels of a contact view (H, W) that lose more of the light of the empty glass."""
+    every = max(1, round((view.size / 20_000) ** 0.5))
+    seen, empty, black = (picture[::every, ::every].astype(np.float32) for picture in (view, glass, dark))
+    return float((seen - black < (1 - threshold) * (empty - black)).mean())
+
+
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
     """A view of the mean of the first frames of a file, (H, W) float32; the frames may be of the view alone.
 

@@ -23,9 +23,10 @@ from .providers import PROVIDERS, Engine
 from .records import RecordLayout
 from .results import RESULTS_FORMAT, Sink
 from .scene import contradictions
+from .settings import Settings
 from .sources import kinds
 from .stepper import Stepper
-from .stream import Player, Settings
+from .stream import Player
 
 log = logging.getLogger("fingerflow.player")
 
@@ -61,7 +62,8 @@ def _stream(options: argparse.Namespace) -> int:
     stepper.warm_up()
     properties = engine.frame.get_modelmeta().custom_metadata_map
     layout = RecordLayout(stepper.outputs, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}")))
-    folder = options.output or scene.output or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
+    named = options.output or scene.output
+    folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
     every = options.policy == "every" if options.policy else not live
     settings = Settings(
@@ -90,8 +92,7 @@ def _stream(options: argparse.Namespace) -> int:
         "record_bytes": layout.dtype.itemsize,
         "fields": layout.fields,
     }
-    log.info("results: %s, %.1f kB a frame", folder, layout.dtype.itemsize / 1e3)
-    sink = Sink(folder, header)
+    sink = Sink(folder, header, numbered=named is None)
     try:
         source = played.open_source(played.first)
     except PlayerError:
@@ -108,7 +109,7 @@ def _stream(options: argparse.Namespace) -> int:
             options.json.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             raise PlayerError(
-                f"{options.json}: cannot be written ({error.strerror}); results are in {folder}"
+                f"{options.json}: cannot be written ({error.strerror}); results are in {sink.folder}"
             ) from None
     return 128 + received[0] if received else 0
 

@@ -140,6 +140,8 @@ class Slot:
         shape = (1, 1, bundle.height, bundle.width)
         self.number = 0
         self.arrival = 0.0
+        self.blocks: dict[str, Array] = {}  # what `FrameCheck.look` says of the frame
+        self.status = 0
         self.views = {name: np.zeros(shape, bundle.dtype) for name in ("contact_view", "topography_view")}
         self.values = {name: ort.OrtValue.ortvalue_from_numpy(view) for name, view in self.views.items()}
 

@@ -1,24 +1,44 @@
-"""The live page: three files, and what they ask of a stream."""
+"""The live page: three files, and what they ask of a stream.
+
+It is for the computer that it is served on and those that it was bound for: names that are none of theirs, other sites'
+pages and requests with a body are refused, and nobody can hold more than some of its threads, or for longer than some
+seconds.
+"""
 
 from __future__ import annotations
 
+import errno
 import logging
+import socket
+import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from .errors import PlayerError
+from .errors import PlayerError, first_line
 from .live import LiveData
 
 log = logging.getLogger("fingerflow.player")
 
-
+_TIMEOUT = 5.0  # s for what a client sends next, and for it to take an answer; the page asks every 66 ms
+_REQUEST = 10.0  # s for a whole request, however slowly its bytes come
+_LINGER, _MOST_BODY = 0.5, 1 << 20  # s and bytes of a body that is refused
+_CLIENTS = 16  # at once
+_NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_WAIT = 0.2  # s, where there is none left
 _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
 }
 
 
@@ -38,44 +58,161 @@ def serve_page(
     folder = Path(__file__).with_name("page")
     files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
 
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
+    class Handler(_Handler):
         def do_GET(self) -> None:
-            if self.path in files:
-                body, kind = files[self.path]
-                self._answer(200, kind, body)
-            elif self.path == "/live":
-                self._answer(200, "application/octet-stream", live.packed(facts()))
-            else:
-                self._answer(404, "text/plain", b"not here")
+            if not self.is_refused():
+                if self.path in files:
+                    body, kind = files[self.path]
+                    self.answer(200, kind, body)
+                elif self.path == "/live":
+                    self.answer(200, "application/octet-stream", live.packed(facts()))
+                else:
+                    self.answer(404, "text/plain", b"not here")
 
         def do_POST(self) -> None:
-            # A page of another site cannot send this header: the stream is restarted by its own page only.
-            if self.path == "/restart" and self.headers.get("X-Fingerflow"):
-                restart()
-                self._answer(204, "text/plain", b"")
-            else:
-                self._answer(403, "text/plain", b"refused")
-
-        def _answer(self, status: int, kind: str, body: bytes) -> None:
-            self.send_response(status)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, format: str, *args: Any) -> None:
-            """Fifteen requests a second are no news."""
+            if not self.is_refused():
+                # A page of another site cannot send this header without being asked for leave, which it is not given.
+                if self.path == "/restart" and self.headers.get("X-Fingerflow"):
+                    restart()
+                    self.answer(204, "text/plain", b"")
+                else:
+                    self.answer(403, "text/plain", b"refused")
 
     try:
-        server = ThreadingHTTPServer(address, Handler)
+        server = _Server(address, Handler)
     except OSError as error:
         raise PlayerError(
             f"live page: {address[0]}:{address[1]} cannot be served ({error.strerror}); give --page another port or off"
         ) from None
-    server.daemon_threads = True
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     log.info("live page: http://%s:%d/", *server.server_address[:2])
     return server
+
+
+class _Server(ThreadingHTTPServer):
+    """At most `_CLIENTS` at once, each with a time for its request."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
+        self._room = threading.BoundedSemaphore(_CLIENTS)
+        self.host = address[0]
+        self.asking: dict[socket.socket, float] = {}  # clients whose request is not whole, and since when
+        self._said = False
+        super().__init__(address, handler)
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Raises OSError where no client can be taken, after a while where all descriptors are in use."""
+        try:
+            return super().get_request()
+        except OSError as error:
+            if error.errno in _NO_DESCRIPTORS:
+                if not self._said:
+                    log.warning("live page: %s; it answers nobody until others are closed", error.strerror)
+                self._said = True
+                time.sleep(_WAIT)  # the client still waits: without this, a core would ask for it without end
+            raise
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """In a thread of its own; those beyond the limit are turned away at once."""
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._room.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Makes room when the client has gone."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self.asking.pop(request, None)
+            self._room.release()
+
+    def service_actions(self) -> None:
+        """Twice a second: ends clients whose request takes too long."""
+        now = time.monotonic()
+        for connection, since in list(self.asking.items()):
+            if now - since > _REQUEST:
+                self.asking.pop(connection, None)
+                try:
+                    connection.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    continue  # it has gone by itself
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Clients that go away are no news; anything else is a line in the log."""
+        error = sys.exc_info()[1]
+        if error is not None and not isinstance(error, OSError):
+            log.warning("live page: %s: %s", type(error).__name__, first_line(error))
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Requests without a body, by a name of this computer, from its own pages."""
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "fingerflow", ""
+    timeout = _TIMEOUT
+    server: _Server
+
+    def handle_one_request(self) -> None:
+        """Counts the time from the first wait for it."""
+        self.server.asking[self.connection] = time.monotonic()
+        super().handle_one_request()
+
+    def is_refused(self) -> bool:
+        """Whether the request is answered already, with a refusal that ends the connection."""
+        self.server.asking.pop(self.connection, None)
+        hosts = self.headers.get_all("Host", [])
+        origin = self.headers.get("Origin")
+        lengths = self.headers.get_all("Content-Length", ["0"])
+        if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
+            # What follows is not read: on a connection that stays open it would be taken for the next request.
+            self.answer(400, "text/plain", b"requests have no body here")
+            self._let_body_pass()
+            return True
+        if len(hosts) != 1 or not self._is_own(_name(hosts[0])):
+            self.answer(421, "text/plain", b"this address is not served under that name")
+            return True
+        if origin is not None and origin.lower() != f"http://{hosts[0]}".lower():
+            self.answer(403, "text/plain", b"pages of other sites are refused")
+            return True
+        return False
+
+    def answer(self, status: int, kind: str, body: bytes) -> None:
+        """The whole answer; one that is no success ends the connection."""
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        if status >= 400:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Fifteen requests a second are no news."""
+
+    def _let_body_pass(self) -> None:
+        """Takes what is still coming, to nowhere: a connection closed before would end without its answer."""
+        self.connection.shutdown(socket.SHUT_WR)
+        self.connection.settimeout(_LINGER)
+        taken = 0
+        while taken < _MOST_BODY and (part := self.connection.recv(65536)):
+            taken += len(part)
+
+    def _is_own(self, name: str) -> bool:
+        """Whether a name can only mean this computer: a site of another name can be made to point here (rebinding)."""
+        here = str(self.connection.getsockname()[0])
+        own = {here, self.server.host.lower(), self.server.server_name.lower(), socket.gethostname().lower()}
+        return name in own - {"", "0.0.0.0"} or (name == "localhost" and here.startswith("127."))
+
+
+def _name(host: str) -> str:
+    """Without the port."""
+    name, _, port = host.strip().lower().rpartition(":")
+    return name if name and port.isdigit() else host.strip().lower()

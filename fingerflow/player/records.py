@@ -8,9 +8,20 @@ from typing import NamedTuple
 import numpy as np
 
 from .arrays import Array, Tensor
-from .contract.variables import CONTACT, FIELDS, FRAME, STREAM, TIME, TRACKING, Variable, by_name
+from .contract.variables import (
+    CONTACT,
+    FIELDS,
+    FRAME,
+    FRAME_CHECK,
+    STREAM,
+    TIME,
+    TRACK_STATUS,
+    TRACKING,
+    Variable,
+    by_name,
+)
 
-_VARIABLES = by_name((TIME,), CONTACT, TRACKING, FIELDS, STREAM)
+_VARIABLES = by_name((TIME,), FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 _OF_GRAPHS = {  # outputs that are variables of another name, and the power of mm_per_px that their units take
     "real_area_px": ("real_contact_area", 2),
     "gross_area_px": ("gross_contact_area", 2),
@@ -27,10 +38,14 @@ _FRAME_NUMBER = Variable(
     "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
 )
 # What the player itself adds to a record.
-_OWN = (_FRAME_NUMBER, *(_VARIABLES[name] for name in ("time", "latency", "key_frame", "restart", "contact_threshold")))
+_OWN = (
+    _FRAME_NUMBER,
+    *(_VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
+)
 # And where the graphs give points, their noise, and which of them the contact covers.
 _OF_SLIP = tuple(_VARIABLES[name] for name in ("slip_residual", "slip_flag"))
 _FOR_SLIP = ("points", "position_std", "covered")
+_NOT_USABLE = TRACK_STATUS.index("frame_not_usable")
 _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": "int32", "i8": "int64"}
 _STORED = {np.dtype(np.bool_): "|u1", np.dtype(np.float16): "<f4"}
 
@@ -86,3 +101,9 @@ class RecordLayout:
         for name, stored, factor in self._copied:
             value = outputs[name][0]
             records[stored][place] = value if factor is None else value * factor
+
+    def fill_unknown(self, records: Mapping[str, Array], place: int) -> None:
+        """Stores that a frame counts in no result: NaN, and 0 in integers, but for the status of points."""
+        for _, stored, _ in self._copied:
+            kind = records[stored].dtype.kind
+            records[stored][place] = np.nan if kind == "f" else _NOT_USABLE if stored == "status" else 0

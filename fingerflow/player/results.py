@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import threading
@@ -87,25 +88,59 @@ class Sink:
     """Appends records to a new folder; a kill loses at most what came since the last second.
 
     header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when.
+
+    Args:
+        folder: a new one.
+        header: what header.json says.
+        numbered: take the first of folder, folder-2, folder-3 ... that is new.
     """
 
-    def __init__(self, folder: Path, header: Mapping[str, Any]) -> None:
-        self.folder, self._header = folder, header
+    def __init__(self, folder: Path, header: Mapping[str, Any], numbered: bool = False) -> None:
+        self.folder, self._header, self._numbered = folder, header, numbered
         self._records: BinaryIO | None = None
         self._events: TextIO | None = None
-        self._synced = 0.0
+        self._made, self._synced = False, 0.0
         self._lock = threading.Lock()
 
     def open(self) -> None:
-        """Makes the folder; raises PlayerError where it is there already or cannot be made."""
+        """Makes the folder; raises PlayerError where it is there already or cannot be made, and leaves nothing then."""
         with self._said():
-            self.folder.mkdir(parents=True)
-            with open(self.folder / "header.json", "x", encoding="utf-8") as file:
-                file.write(json.dumps(self._header, indent=1) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            self._events = open(self.folder / "events.jsonl", "x", encoding="utf-8")  # noqa: SIM115
-            self._records = open(self.folder / "records.bin", "xb")  # noqa: SIM115
+            self._make()
+        self._made = True
+        try:
+            with self._said():
+                self._open_files()
+        except PlayerError:
+            self.discard()
+            raise
+
+    def discard(self) -> None:
+        """Removes the folder that `open` has made: of a stream to which no frame came."""
+        for name in ("header.json", "events.jsonl", "records.bin") if self._made else ():
+            with contextlib.suppress(OSError):
+                (self.folder / name).unlink()
+        if self._made:
+            with contextlib.suppress(OSError):
+                self.folder.rmdir()
+
+    def _make(self) -> None:
+        """Another stream may have begun in the same second: then the name gets a number, unless it was given."""
+        named = self.folder
+        for number in itertools.count(2):
+            try:
+                return self.folder.mkdir(parents=True)
+            except FileExistsError:
+                if not self._numbered:
+                    raise
+                self.folder = named.with_name(f"{named.name}-{number}")
+
+    def _open_files(self) -> None:
+        with open(self.folder / "header.json", "x", encoding="utf-8") as file:
+            file.write(json.dumps(self._header, indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._events = open(self.folder / "events.jsonl", "x", encoding="utf-8")  # noqa: SIM115
+        self._records = open(self.folder / "records.bin", "xb")  # noqa: SIM115
 
     def write(self, record: Array) -> None:
         """A record as bytes; once a second all of them go to the disk."""

@@ -33,13 +33,16 @@ class SlipFlag:
     not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
     of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
     full slip. Skin that slides as a whole is rigid; what it was stretched by before stays, and with it the flag.
+
+    Attributes:
+        slipping: what the last frame said.
     """
 
     def __init__(self) -> None:
         self._restart = -1
         self._touched: Array = np.empty((0, 2))
         self._run = 0
-        self._slipping = False
+        self.slipping = False
 
     def see(self, points: Array, std: Array, covered: Array, restart: int) -> SlipState:
         """A frame, in their order.
@@ -51,7 +54,7 @@ class SlipFlag:
             restart: number of the restart: others are other points.
         """
         if restart != self._restart:
-            self._restart, self._run, self._slipping = restart, 0, False
+            self._restart, self._run, self.slipping = restart, 0, False
             self._touched = np.full(points.shape, np.nan)
         covered = covered.astype(bool)
         begins = covered & np.isnan(self._touched[:, 0]) & np.isfinite(points[:, 0])
@@ -63,10 +66,10 @@ class SlipFlag:
             residual = rigid_residual_rms(self._touched[used], points[used])
             noise = math.sqrt(float(np.mean(np.square(std[used], dtype=np.float64))))
         above = residual > _RAISED * noise
-        self._run = self._run + 1 if above != self._slipping else 0
+        self._run = self._run + 1 if above != self.slipping else 0
         if self._run >= _FRAMES:
-            self._slipping, self._run = above, 0
-        return SlipState(residual, self._slipping)
+            self.slipping, self._run = above, 0
+        return SlipState(residual, self.slipping)
 
 
 def rigid_residual_rms(before: Array, after: Array) -> float:

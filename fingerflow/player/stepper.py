@@ -10,6 +10,7 @@ import numpy as np
 import onnxruntime as ort
 
 from .arrays import Array, Tensor
+from .background import touching
 from .bundle import GRAPHS, MEASURING
 from .errors import PlayerError
 from .handover import Slot
@@ -18,6 +19,7 @@ from .providers import Engine
 from .renewal import Renewal
 from .scene import Scene, View
 
+_EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
 _OF_TEMPLATES = ("stale", "warp")  # outputs of `frame` that say which templates to renew, and how
 LAG = 2  # frames: each begins from what the one before the last has found, whether or not a newer one has ended
 
@@ -42,6 +44,7 @@ class Stepper:
         lag: frames that have begun and are not finished, at most.
         outputs: of both graphs, by name; states are left out.
         threshold: relative intensity loss above which a pixel touches; NaN while unknown.
+        glass, dark: (H, W) contact view of the empty glass, and without light.
         measures: whether the threshold is found in frames, by the graph `contact`.
         found, keyed: points found at the last restart, and given to the last key frame.
     """
@@ -94,7 +97,7 @@ class Stepper:
         self._field_bindings = [self._field_binding(side, constants) for side in range(2)]
         self._of_frame = [name for name in inputs["fields"] if name in outputs["frame"]]
 
-        self._glass = {"background": background[None, None], "dark": dark[None, None]}
+        self.glass, self.dark = background, dark
         self.use(self.threshold)
 
     def warm_up(self) -> None:
@@ -156,7 +159,8 @@ class Stepper:
     def use(self, threshold: float) -> None:
         """Makes this the relative intensity loss above which a pixel touches."""
         self.threshold = threshold
-        self._hold(self._run("background", {**self._glass, "threshold": np.array([threshold])}))
+        empty = {"background": self.glass[None, None], "dark": self.dark[None, None]}
+        self._hold(self._run("background", {**empty, "threshold": np.array([threshold])}))
 
     def begin(self, slot: Slot, measure: bool = False) -> int:
         """Makes ready to compute a frame, and to measure the threshold in it.
@@ -177,9 +181,19 @@ class Stepper:
         self._engine.frame.run_with_iobinding(self._bindings[side])
         slot = self._slots[side]
         if slot is not None:
-            found = self._run(MEASURING, {"contact_view": slot.views["contact_view"]})["threshold"][0]
-            # An empty glass has a threshold too, of noise or below none.
-            self._measured[side] = float(found) if 0 < found < 1 else math.nan
+            view = slot.views["contact_view"]
+            found = float(self._run(MEASURING, {"contact_view": view})["threshold"][0])
+            # An empty glass has a threshold too, of noise or below none; and valleys of the skin do not touch.
+            physical = 0 < found < 1 and touching(view[0, 0], self.glass, self.dark, found) < _EVERYTHING
+            self._measured[side] = found if physical else math.nan
+
+    def found_in(self, side: int) -> int:
+        """Points found in a frame that has run."""
+        return count_known(self._results[side]["points"])
+
+    def skip(self, side: int) -> None:
+        """In place of `finish`, of a frame that does not count: motion and states are as before it."""
+        self._motions[side] = self._motions[(side - 1) % len(self._motions)]
 
     def finish(self, side: int) -> dict[str, Array]:
         """Outputs by name, (1, ...), of a frame that has run; valid until the next one is finished."""

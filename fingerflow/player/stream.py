@@ -8,14 +8,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from .arrays import Array
 from .bundle import Bundle
+from .contract.variables import FRAME_STATUS
 from .errors import PlayerError, first_line
+from .findings import Findings
+from .frame_check import USABLE, FrameCheck
 from .handover import Channel, InOrder, Slot
 from .latency import Latencies
 from .live import LiveData, LiveViews
@@ -23,38 +25,16 @@ from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
 from .records import RecordLayout
-from .renewal import Renewal
 from .results import Sink
 from .scene import Scene
+from .settings import Settings
 from .slip_flag import SlipFlag
+from .sources.closing import close_within
 from .sources.source import OpenSource, Source
 from .stepper import Stepper
-from .upkeep import REKEY, ThresholdSearch, Upkeep
+from .upkeep import REKEY, Change, Renewing, ThresholdSearch, Upkeep
 
 log = logging.getLogger("fingerflow.player")
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a stream runs.
-
-    Attributes:
-        every: process every frame, the source waits for room; else the newest frame, those it overtakes are dropped.
-        queue: frames that wait at most; 1 in the policy `latest`.
-        rate: Hz at which a recording is played, None as fast as it goes.
-        first: number of the first frame in the source.
-        frames: end after so many, None at the source's end.
-        give_up: s without a frame after which the stream ends with an error.
-        page: host and port of the live page, None for none; port 0 takes a free one.
-    """
-
-    every: bool = True
-    queue: int = 32
-    rate: float | None = None
-    first: int = 0
-    frames: int | None = None
-    give_up: float = 30.0
-    page: tuple[str, int] | None = None
 
 
 _STALL_WARNING = 2.0  # s
@@ -65,29 +45,6 @@ _RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after whi
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
-
-
-class _Change(NamedTuple):
-    """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
-
-    Decided after frame number `after` of those that were computed.
-    """
-
-    after: int
-    key: Slot
-    points: Array
-    cause: str
-
-
-class _Renewing(NamedTuple):
-    """Templates that are renewed from frame number `due` on of those that are computed.
-
-    Not where the key frame is another than number `key` then.
-    """
-
-    due: int
-    key: int
-    work: Renewal
 
 
 class Player:
@@ -136,10 +93,12 @@ class Player:
         self._computing = stepper.parallel  # threads
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
+        self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
+        self._unlooked = 0  # frames since templates were looked at
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
-        self._change: _Change | None = None
-        self._renewals: deque[_Renewing] = deque()
+        self._change: Change | None = None
+        self._renewals: deque[Renewing] = deque()
         self._drawing = False  # a frame is on its way to the page
         self._slip = SlipFlag()
         self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
@@ -158,9 +117,11 @@ class Player:
         ]
         self._started = time.perf_counter()
         address = self.settings.page
-        page = serve_page(address, self.live, self._said_by_page, self.restart_wanted.set) if address else None
+        page = None
         try:
+            page = serve_page(address, self.live, self._said_by_page, self.restart_wanted.set) if address else None
             self._sink.open()
+            log.info("results: %s, %.1f kB a frame", self._sink.folder, self._layout.dtype.itemsize / 1e3)
             for thread in threads:
                 thread.start()
             self._watch()
@@ -173,13 +134,20 @@ class Player:
             if page:
                 page.shutdown()
                 page.server_close()
+            if threads[0].ident is None:
+                close_within(_HANGING, self._source)
             try:
                 self._sink.close()
             except PlayerError as error:
                 self._failure = self._failure or error
+            if not self.processed:
+                self._sink.discard()
         if self._failure is not None:
             raise self._failure
-        return self.summary()
+        missing = self._findings.missing(math.isfinite(self._stepper.threshold))
+        for sentence in missing:
+            log.warning("%s", sentence)
+        return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
         """Ends the stream cleanly; frames that came in are still processed."""
@@ -201,11 +169,12 @@ class Player:
             "stalls": self.stalls,
             "restarts": self.restarts,
             "key_frames": self.keys,
+            "not_usable": dict(self._findings.not_usable),
             "seconds": round(seconds, 3),
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
             "threshold": self._stepper.threshold if math.isfinite(self._stepper.threshold) else None,
-            "results": str(self._sink.folder),
+            "results": str(self._sink.folder) if self.processed else None,
         }
 
     def _said_by_page(self) -> dict[str, Any]:
@@ -297,7 +266,7 @@ class Player:
         finally:
             self._waiting_since = None
             if source is not None:
-                _close_quietly(source)
+                close_within(_HANGING, source)
 
     def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
         """After an error of the source: it is closed and opened again, later and later."""
@@ -307,7 +276,7 @@ class Player:
         log.warning("%s: %s; trying again in %.1f s", self.source_name, self._last_trouble, delay)
         self._sink.event("reconnect", self.settings.first + self.frames_in, error=self._last_trouble)
         if source is not None:
-            _close_quietly(source)
+            close_within(_HANGING, source)
         self._stop.wait(delay)
 
     def _take(self, frame: Array, arrival: float, cannot_wait: bool) -> None:
@@ -319,6 +288,7 @@ class Player:
             return
         slot.number, slot.arrival = self.settings.first + self.frames_in, arrival
         slot.fill(frame, self.scene, self.bundle, self.source_name)
+        slot.blocks, slot.status = self._check.look(slot.views)
         self.frames_in += 1
         if self.settings.every:
             self._frames.put(slot)
@@ -364,15 +334,17 @@ class Player:
         change, threshold = self._change, self._search.due(index)
         if index == 0:
             self._first = slot.arrival
-            self._restart(index, slot, self._stepper.choose(slot), "start")
+        starting = not self.restarts and slot.status == USABLE
         if change is not None and index < change.after + self._stepper.lag:
             change = None
         due = self._renewals and index >= self._renewals[0].due
-        if change is None and threshold is None and not due:
+        if change is None and threshold is None and not due and not starting:
             return True
         templates = self._renewals[0].work.templates(self._stepper.prepared) if due else {}
         if not self._order.wait_for_all():  # they read what changes now
             return False
+        if starting:
+            self._restart(index, slot, self._stepper.choose(slot), "start")
         if threshold is not None:
             self._stepper.use(threshold)
             self._search.used()
@@ -387,7 +359,7 @@ class Player:
             self._free.put(change.key)
         return True
 
-    def _choose(self, index: int, change: _Change) -> None:
+    def _choose(self, index: int, change: Change) -> None:
         """Takes new points where they are more than those that are followed."""
         points = self._stepper.choose(change.key)
         if count_known(points) > (0 if change.cause == _PAGE else count_known(change.points)):
@@ -412,17 +384,28 @@ class Player:
     def _end(self, computed: tuple[Slot, int]) -> bool:
         """Hands a record on and decides whether something is to change; False where the stream has failed."""
         slot, side = computed
-        outputs = self._stepper.finish(side)
         index = self.processed
         place = index % len(self._room)
-        self._fill(slot, outputs, place)
+        found = self._stepper.found_in(side)
+        status = self._check.see(slot.number, slot.blocks, slot.status, found)
+        self._unlooked += 1
+        if status != USABLE:
+            return self._skip(slot, side, place, status)
+        outputs = self._stepper.finish(side)
+        self.tracked = found
+        self._layout.fill(self._fields, place, outputs)
+        self._fill(slot, place, status)
+        self._fill_slip(outputs, place)
+        area = float(outputs["real_area_px"][0])
+        self._findings.count(found, area)
         if self._stepper.measures:
-            self._learn_threshold(slot, index, float(outputs["real_area_px"][0]), self._stepper.measured(side))
-        if (index + 1) % _RENEWAL_FRAMES == 0:
+            self._learn_threshold(slot, index, area, self._stepper.measured(side))
+        if self._unlooked >= _RENEWAL_FRAMES:
+            self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
         if self._change is None and (cause := self._cause_to_change(slot, index)):
-            self._change = _Change(index, slot, outputs["points"].copy(), cause)
+            self._change = Change(index, slot, outputs["points"].copy(), cause)
         elif not self._drawing and self.live.is_due():
             self._drawing = True
             real_contact_mask = outputs.get("real_contact_mask")
@@ -431,12 +414,28 @@ class Player:
             self._free.put(slot)
         return self._records.put((place, drawn))
 
+    def _skip(self, slot: Slot, side: int, place: int, status: int) -> bool:
+        """A frame that is no picture of the trial: its numbers are NaN, and nothing is learnt from it."""
+        self._stepper.skip(side)
+        if self._stepper.measured(side) is not None:
+            self._search.passed_over()
+        if self._findings.skip(status):
+            self._sink.event("not_usable", slot.number, status=FRAME_STATUS[status])
+            log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[status])
+        self._layout.fill_unknown(self._fields, place)
+        self._fill(slot, place, status)
+        if self._layout.tells_slip:
+            self._fields["slip_residual"][place] = math.nan
+            self._fields["slip_flag"][place] = self._slip.slipping
+        self._free.put(slot)
+        return self._records.put((place, None))
+
     def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
         key = self.restarts + self.keys
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:
-            self._renewals.append(_Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
@@ -450,24 +449,24 @@ class Player:
             self._sink.event("threshold", slot.number, threshold=measured)
             log.info("frame %d: threshold %.4f of the intensity lost", slot.number, measured)
 
-    def _fill(self, slot: Slot, outputs: dict[str, Array], place: int) -> None:
-        self._layout.fill(self._fields, place, outputs)
-        self.tracked = int(np.isfinite(outputs["points"][0, :, 0]).sum())
+    def _fill(self, slot: Slot, place: int, status: int) -> None:
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
-            *(("key_frame", self._upkeep.key_frame), ("restart", self.restarts)),
-            ("contact_threshold", self._stepper.threshold),
+            *(("key_frame", self._upkeep.key_frame), ("restart", self.restarts), ("frame_status", status)),
+            ("contact_threshold", self._stepper.threshold if status == USABLE else math.nan),
         ):
             self._fields[name][place] = value
+        self.latencies.add(latency)
+        self._recent.add(latency)
+        self.processed += 1
+
+    def _fill_slip(self, outputs: dict[str, Array], place: int) -> None:
         if self._layout.tells_slip:
             points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
             slip = self._slip.see(points, std, covered, self.restarts)
             self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
             self._fields["slip_flag"][place] = slip.slipping
-        self.latencies.add(latency)
-        self._recent.add(latency)
-        self.processed += 1
 
     # Sink: records -> disk and page.
 
@@ -487,11 +486,3 @@ class Player:
             self._sink.write(as_bytes[place])
             if self._records.is_empty():  # to be woken for several records instead of for each
                 time.sleep(_STORE_INTERVAL)
-
-
-def _close_quietly(source: Source) -> None:
-    """A source that fails to close is gone all the same."""
-    try:
-        source.close()
-    except Exception as error:
-        log.warning("closing the source: %s", first_line(error))

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+from .arrays import Array
+from .handover import Slot
+from .renewal import Renewal
 
 
 class ThresholdSearch:
@@ -44,6 +49,11 @@ class ThresholdSearch:
         if self._searching:
             return index % self._EVERY == 0
         return self._asked is not None and index == self._asked + self._lag
+
+    def passed_over(self) -> None:
+        """A frame that does not count: where the threshold was to be measured in it, it is in a later one."""
+        if self._asked is not None and self._found is None:
+            self._asked = None
 
     def see(self, index: int, area: float, measured: float | None) -> bool:
         """The area of real contact in a frame, and the threshold found in it: NaN for none, None where nobody asked.
@@ -102,3 +112,26 @@ class Upkeep:
         if tracked and (self._few >= self._IN_A_ROW or number - self.key_frame >= self._frames):
             return REKEY
         return ""
+
+
+class Change(NamedTuple):
+    """The next key frame, and the points found in it: they are followed where the cause is REKEY, else chosen anew.
+
+    Decided after frame number `after` of those that were computed.
+    """
+
+    after: int
+    key: Slot
+    points: Array
+    cause: str
+
+
+class Renewing(NamedTuple):
+    """Templates that are renewed from frame number `due` on of those that are computed.
+
+    Not where the key frame is another than number `key` then.
+    """
+
+    due: int
+    key: int
+    work: Renewal

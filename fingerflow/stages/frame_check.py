@@ -7,12 +7,10 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.frame_distances import LONGEST, block_distances, block_means
-from fingerflow.player.contract.variables import FRAME_CHECK, FRAME_STATUS
+from fingerflow.player.contract.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.stages.frame_returns import jumps_and_returns, repeats
 from fingerflow.stages.stage import Batch, Stage, Trial
 
-_DARK = 0.1  # of the empty glass's light: a contact leaves half
-_SATURATED = 0.5  # of the blocks, at the highest level that there is
 _REPEATED_SHARE = 0.2  # of the frames, beyond which they are the recording's own and not the camera's fault
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
@@ -83,9 +81,9 @@ class FrameCheckStage(Stage):
         reasons = self.inputs.recording.unreadable
         status[list(reasons)] = _UNREADABLE
         sound = status == _USABLE
-        status[sound & (self._light < _DARK * self._glass)] = _DARK_FRAME
-        if self._glass_saturated < _SATURATED:
-            status[sound & (self._saturated > _SATURATED)] = _SATURATED_FRAME
+        status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
+        if self._glass_saturated < SATURATED_SHARE:
+            status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())

@@ -365,7 +365,10 @@ def test_a_restart_that_finds_nothing_is_not_kept(stream: Stream, monkeypatch: p
     black[:, :WIDTH] = 0
     frames = [frame()] * 4 + [black] * 10 + [frame()] * 10
     ended = stream.run(*stream.frames(frames), "--policy", "every")
-    assert [event["event"] for event in ended.results.events] == ["restart"]
+    events = [(event["event"], event["frame"]) for event in ended.results.events]
+    assert events == [("restart", 0), ("not_usable", 4)]
+    # The first three could be frames of another moment; the fourth is what there is now.
+    np.testing.assert_array_equal(np.flatnonzero(ended.results.records["frame_status"]), [4, 5, 6])
     np.testing.assert_array_equal(
         np.isfinite(ended.results.records["position_px"][..., 0]).sum(1), [10] * 4 + [0] * 10 + [10] * 10
     )
@@ -481,8 +484,8 @@ def test_a_table_of_the_scalars(stream: Stream) -> None:
     player.write_table(stream.folder / "results", table)
     lines = table.read_text().splitlines()
     assert lines[0] == (
-        "frame,time (s),latency (s),key_frame (1),restart (1),contact_threshold (1),real_contact_area (mm2),"
-        "ellipse_center_x (mm),ellipse_center_y (mm)"
+        "frame,time (s),latency (s),frame_status (1),key_frame (1),restart (1),contact_threshold (1),"
+        "real_contact_area (mm2),ellipse_center_x (mm),ellipse_center_y (mm)"
     )
     assert [float(line.split(",")[0]) for line in lines[1:]] == [0, 1, 2, 3, 4]
     with pytest.raises(player.PlayerError, match="exists"):

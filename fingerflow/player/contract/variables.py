@@ -61,6 +61,8 @@ TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first fr
 
 #: Why a frame counts or not.
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
+DARK_SHARE = 0.1  # of the empty glass's light, below which a frame is dark: a contact leaves half
+SATURATED_SHARE = 0.5  # of the blocks at the highest level that there is, above which it is saturated
 FRAME_CHECK = (
     Variable(
         "frame_status",

@@ -6,6 +6,9 @@ import importlib
 import os
 import sys
 from collections.abc import Callable
+from typing import Any
+
+import numpy as np
 
 from ..arrays import Array
 from ..errors import PlayerError
@@ -13,20 +16,43 @@ from .source import Source
 
 
 class Camera:
-    """Any callable that gives the next frame; `close` is called where it has one."""
+    """Any callable that gives the next frame, or (ok, frame) as OpenCV does; `close` is called where it has one.
+
+    Args:
+        grab: the callable.
+        name: what it is called in messages.
+    """
 
     live = True
 
-    def __init__(self, grab: Callable[[], Array | None]) -> None:
-        self._grab = grab
+    def __init__(self, grab: Callable[[], Any], name: str) -> None:
+        self._grab, self._name = grab, name
 
     def read(self) -> Array | None:
-        """The next frame (H, W); None at the end."""
-        return self._grab()
+        """The next frame (H, W); None at the end.
+
+        Raises OSError where the camera says that it has none now, and PlayerError where it gives something else.
+        """
+        frame = self._grab()
+        if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], (bool, np.bool_)):
+            there, frame = frame
+            if not there:
+                raise OSError("the camera gave (False, ...) in place of a frame")
+            if frame is None:
+                raise self._refused("(True, None)")
+        if frame is None or isinstance(frame, np.ndarray):
+            return frame
+        raise self._refused(f"a {type(frame).__name__}")
 
     def close(self) -> None:
         """Lets go of the camera."""
         getattr(self._grab, "close", lambda: None)()
+
+    def _refused(self, given: str) -> PlayerError:
+        return PlayerError(
+            f"camera {self._name!r}: gave {given} in place of a frame; it must return a NumPy array (H, W), "
+            "(ok, array), or None at the end: for a list numpy.asarray(list, dtype) with the depth of the bundle"
+        )
 
 
 def open_camera(name: str) -> Source:
@@ -42,4 +68,4 @@ def open_camera(name: str) -> Source:
     grab = make()
     if not callable(grab):
         raise PlayerError(f"camera {name!r}: its factory gave {type(grab).__name__}; it must return a callable")
-    return Camera(grab)
+    return Camera(grab, name)

@@ -1,0 +1,55 @@
+"""What a stream has found at all, for its summary: nothing found is said, and not left to be seen in the numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from .contract.variables import FRAME_STATUS
+from .frame_check import USABLE
+
+
+class Findings:
+    """Counts frame after frame.
+
+    Attributes:
+        not_usable: frames that count in no result, by the names of `frame_status`.
+    """
+
+    def __init__(self) -> None:
+        self.not_usable: Counter[str] = Counter()
+        self._usable = 0
+        self._last = USABLE
+        self._points = self._contact = False
+
+    def skip(self, status: int) -> bool:
+        """A frame that does not count; whether it is the first of its kind after others."""
+        self.not_usable[FRAME_STATUS[status]] += 1
+        begins, self._last = status != self._last, status
+        return begins
+
+    def count(self, tracked: int, area: float) -> None:
+        """A usable frame with so many points, and its area of real contact, in any unit."""
+        self._last = USABLE
+        self._usable += 1
+        self._points |= tracked > 0
+        self._contact |= area > 0
+
+    def missing(self, threshold_known: bool) -> list[str]:
+        """What was found in no frame, a sentence each."""
+        if not self._usable:
+            counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
+            return [
+                f"no frame could be measured ({counts}): check the camera, and [background] and [views] of the scene"
+            ]
+        said = []
+        if not self._points:
+            said.append(
+                "no point was found in any frame: check [views.topography] and the region of [stream], focus and light"
+            )
+        if not threshold_known:
+            said.append("no frame showed a contact from which its threshold could be measured: areas are unknown or 0")
+        elif not self._contact:
+            said.append(
+                "no frame showed a contact: if there was one, check [background], [views.contact] and contact.threshold"
+            )
+        return said

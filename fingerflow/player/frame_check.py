@@ -1,0 +1,120 @@
+"""Which frames are pictures of the trial: what a stream can tell of a frame without the ones to come."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from .arrays import Array
+from .contract.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
+
+USABLE = FRAME_STATUS.index("usable")
+_DARK, _SATURATED, _JUMPS = (FRAME_STATUS.index(name) for name in ("dark", "saturated", "jumps_and_returns"))
+# As `fingerflow.ops.frame_distances` has them: blocks wider than ridges, some 20,000 pixels read.
+_BLOCK_PX, _BLOCKS, _SAMPLES = 24, 16, (128, 160)
+LONGEST = 3  # frames in a row that may jump: a picture that stays for a fourth is the new state of the trial
+_FAR, _LEAST = 3.0, 0.03  # times the steps before, and of the light of a row of blocks; skin that slips moves 0.07
+_LOST = 0.25  # of the points of the frame before, at once
+_FEWEST = 8  # points, below which their number says nothing
+_LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
+_STEPS = 8  # between usable frames that are remembered
+
+
+class FrameCheck:
+    """Tells frames that cannot be from their own light, and from the last usable frame.
+
+    A dark or saturated frame is known by itself, with the limits of `process`. A frame far from the last usable one
+    has come from another moment, is torn or shifted, where points are lost with it; where nine tenths of the contact
+    view become lighter or darker at once, it is the lamp: a contact never covers all of it. `process` knows the frames
+    behind it too, a stream does not: what stays for more than `LONGEST` frames is taken for the new state, and of one
+    that stays the first `LONGEST` frames do not count. Repeated frames are not told.
+
+    Args:
+        glass, dark: (H, W) contact view of the empty glass, and without light.
+        bit_depth: of the frames.
+    """
+
+    def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
+        self._rows, self._columns = (_means(side, most) for side, most in zip(glass.shape, _SAMPLES, strict=True))
+        self._black = float(self._blocks(dark).mean())
+        empty = self._blocks(glass)
+        self._least = self._black + DARK_SHARE * (float(empty.mean()) - self._black)
+        self._top = 2**bit_depth - 1.5
+        self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
+        self._last: dict[str, Array] | None = None
+        self._number = self._tracked = self._jumped = 0
+        self._before: deque[float] = deque(maxlen=_STEPS)
+
+    def look(self, views: Mapping[str, Array]) -> tuple[dict[str, Array], int]:
+        """Block means of each view (1, 1, H, W), and the status that a frame has by itself; in any thread."""
+        blocks = {name: self._blocks(view[0, 0]) for name, view in views.items()}
+        contact = blocks["contact_view"]
+        if float(contact.mean()) < self._least:
+            return blocks, _DARK
+        if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
+            return blocks, _SATURATED
+        return blocks, USABLE
+
+    def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int) -> int:
+        """The status of a frame, in their order.
+
+        Args:
+            number: of the frame.
+            blocks, status: of `look`.
+            tracked: points found in it.
+        """
+        if status != USABLE:
+            return status
+        step, light = 0.0, 0.0
+        if self._last is not None:
+            # The motion of frames that were dropped or did not count comes on top.
+            gap = max(1, min(number - self._number, LONGEST + 1))
+            step = max(_farthest_row(blocks[name], self._last[name]) for name in blocks)
+            light = _change_of_light(blocks["contact_view"], self._last["contact_view"])
+            usual = max(self._before, default=_LEAST)
+            lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked
+            far = lost and step > max(_LEAST, _FAR * gap * usual)
+            if (far or light > _LIGHT) and self._jumped < LONGEST:
+                self._jumped += 1
+                return _JUMPS
+            if not self._jumped:
+                self._before.append(step / gap)
+        self._last, self._number, self._tracked, self._jumped = blocks, number, tracked, 0
+        return USABLE
+
+    def _blocks(self, view: Array) -> Array:
+        """(rows, columns) float32, means of blocks of a view (H, W)."""
+        (down, rows), (along, columns) = self._rows, self._columns
+        sampled = view[down // 2 :: down, along // 2 :: along].astype(np.float32)
+        means: Array = rows @ sampled @ columns.T
+        return means
+
+
+def _means(side: int, most: int) -> tuple[int, Array]:
+    """Every which pixel is read along a side, and the weights (blocks, pixels read) that give the blocks' means."""
+    every = max(1, side // most)
+    read = len(range(every // 2, side, every))
+    count = min(max(1, side // _BLOCK_PX), _BLOCKS, read)
+    weights = np.zeros((count, read), np.float32)
+    for place in range(count):
+        first, end = place * read // count, -(-(place + 1) * read // count)
+        weights[place, first:end] = 1 / (end - first)
+    return every, weights
+
+
+def _farthest_row(blocks: Array, before: Array) -> float:
+    """How far a row of blocks is at most from that before, over the light of its frame, whatever the lamp does."""
+    tiny = np.finfo(np.float32).tiny
+    now, then = blocks / max(float(blocks.mean()), tiny), before / max(float(before.mean()), tiny)
+    return float(np.abs(now - then).mean(1).max())
+
+
+def _change_of_light(blocks: Array, before: Array) -> float:
+    """By how much nine tenths of the blocks at least have become lighter, or darker: logarithm of the quotient."""
+    if blocks.size < _FEWEST_BLOCKS:
+        return 0.0
+    change = np.log(np.maximum(blocks, 1) / np.maximum(before, 1))
+    low, high = np.quantile(change, (0.1, 0.9))
+    return float(max(low, -high, 0.0))

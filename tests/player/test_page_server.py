@@ -1,0 +1,195 @@
+"""The server of the live page against what is not its page, by bare sockets."""
+
+import errno
+import logging
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fingerflow.player import page as page_module
+from fingerflow.player.live import LiveData
+
+RESTART = "POST /restart HTTP/1.1\r\nHost: {host}\r\nX-Fingerflow: 1\r\n"
+
+
+class Page:
+    """A page that counts restarts."""
+
+    def __init__(self) -> None:
+        self.restarts = 0
+        bundle: Any = SimpleNamespace(height=8, width=8, bit_depth=8, folder=Path())
+        self.server = page_module.serve_page(("127.0.0.1", 0), LiveData(bundle), dict, self._restart)
+        self.port = int(self.server.server_address[1])
+        self.host = f"127.0.0.1:{self.port}"
+
+    def _restart(self) -> None:
+        self.restarts += 1
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), timeout=20)
+
+    def say(self, text: str) -> str:
+        """The answer to a request and whatever follows it, until the server ends the connection."""
+        with self.connect() as client:
+            client.sendall(text.format(host=self.host).encode())
+            return _rest(client)
+
+
+def _rest(client: socket.socket) -> str:
+    parts = []
+    while part := client.recv(65536):
+        parts.append(part)
+    return b"".join(parts).decode("latin-1")
+
+
+@pytest.fixture
+def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+    monkeypatch.setattr(page_module._Handler, "timeout", 0.25)
+    monkeypatch.setattr(page_module, "_REQUEST", 1.0)
+    served = Page()
+    yield served
+    served.server.shutdown()
+    served.server.server_close()
+
+
+@pytest.mark.parametrize("host", ["{host}", "localhost:1", "127.0.0.1", "LOCALHOST"])
+def test_names_of_this_computer_are_served(page: Page, host: str) -> None:
+    """Whatever the port: a tunnel has another one."""
+    assert page.say(f"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith("HTTP/1.1 200 ")
+
+
+@pytest.mark.parametrize(
+    "hosts",
+    ["Host: evil.example:{port}\r\n", "Host: 127.0.0.1.evil.example\r\n", "", "Host: {host}\r\nHost: evil.example\r\n"],
+)
+@pytest.mark.parametrize("line", ["GET /live", "POST /restart"])
+def test_other_names_are_not(page: Page, hosts: str, line: str) -> None:
+    """A site whose name is made to point here reads nothing and restarts nothing."""
+    hosts = hosts.replace("{port}", str(page.port))
+    answer = page.say(f"{line} HTTP/1.1\r\n{hosts}X-Fingerflow: 1\r\n\r\n")
+    assert answer.startswith("HTTP/1.1 421 ")
+    assert "Connection: close" in answer
+    assert page.restarts == 0
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [
+        ("", 204),
+        ("Origin: http://{host}\r\n", 204),
+        ("Origin: http://evil.example\r\n", 403),
+        ("Origin: https://{host}\r\n", 403),
+        ("Origin: http://localhost:1\r\n", 403),
+        ("Origin: null\r\n", 403),
+    ],
+)
+def test_a_restart_is_for_one_origin(page: Page, origin: str, status: int) -> None:
+    assert page.say(f"{RESTART}{origin}\r\n").startswith(f"HTTP/1.1 {status} ")
+    assert page.restarts == (status == 204)
+
+
+@pytest.mark.parametrize("first", ["POST /restart", "POST /other", "GET /live", "GET /nowhere"])
+@pytest.mark.parametrize("body", ["Content-Length: {length}", "Transfer-Encoding: chunked", "Content-Length: 0, 9"])
+def test_a_body_is_never_a_second_request(page: Page, first: str, body: str) -> None:
+    """A form of another site may send any text as its body, this request with its header among them."""
+    second = RESTART.format(host=page.host) + "\r\n"
+    head = body.replace("{length}", str(len(second)))
+    answer = page.say(f"{first} HTTP/1.1\r\nHost: {page.host}\r\n{head}\r\n\r\n{second}")
+    assert answer.startswith("HTTP/1.1 400 ")
+    assert answer.count("HTTP/1.1") == 1
+    assert page.restarts == 0
+
+
+def test_a_large_body_is_refused_in_words(page: Page) -> None:
+    answer = page.say(f"POST /restart HTTP/1.1\r\nHost: {page.host}\r\nContent-Length: 300000\r\n\r\n" + 300000 * "a")
+    assert answer.endswith("requests have no body here")
+
+
+def test_one_connection_serves_many_requests_and_no_more_after_an_error(page: Page) -> None:
+    good = f"GET /page.css HTTP/1.1\r\nHost: {page.host}\r\n\r\n"
+    answer = page.say(good + good + good.replace("page.css", "nothing") + good)
+    assert [part.split(" ")[0] for part in answer.split("HTTP/1.1 ")[1:]] == ["200", "200", "404"]
+
+
+@pytest.mark.parametrize("begun", ["", "GET / HTT", "GET / HTTP/1.1\r\nHost: x"])
+def test_a_client_that_says_nothing_more_is_left(page: Page, begun: str) -> None:
+    began = time.monotonic()
+    with page.connect() as client:
+        client.sendall(begun.encode())
+        assert _rest(client) == ""
+    assert time.monotonic() - began < 10
+
+
+def test_a_request_that_never_ends_is_left(page: Page) -> None:
+    """A byte now and then is no silence."""
+    with page.connect() as client:
+        for _ in range(100):
+            try:
+                client.sendall(b"G")
+            except OSError:
+                break
+            threading.Event().wait(0.1)
+        else:
+            raise AssertionError("it was listened to for 10 s")
+
+
+def test_clients_beyond_the_limit_are_turned_away(page: Page) -> None:
+    threads = threading.active_count()
+    idle = [page.connect() for _ in range(60)]
+    try:
+        threading.Event().wait(0.2)
+        assert threading.active_count() - threads <= page_module._CLIENTS
+    finally:
+        for client in idle:
+            client.close()
+    for _ in range(100):  # and there is room again when they have gone
+        try:
+            if page.say("GET / HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").startswith("HTTP/1.1 200 "):
+                return
+        except ConnectionError:
+            pass
+        threading.Event().wait(0.05)
+    raise AssertionError("the page did not come back")
+
+
+def test_clients_that_go_away_are_no_news(
+    page: Page, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    for _ in range(5):
+        client = page.connect()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # a reset instead of an end
+        client.sendall(f"GET /page.js HTTP/1.1\r\nHost: {page.host}\r\n\r\n".encode() * 20)
+        client.close()
+    assert page.say("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").startswith("HTTP/1.1 200 ")
+    assert caplog.text == ""
+    assert capsys.readouterr() == ("", "")
+
+
+def test_no_descriptor_left_is_no_busy_loop(page: Page, caplog: pytest.LogCaptureFixture) -> None:
+    """A client that cannot be taken still waits: it is asked for a few times a second, and said once."""
+    asked = 0
+
+    def accept(server: Any) -> Any:
+        nonlocal asked
+        asked += 1
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with pytest.MonkeyPatch.context() as patch, page.connect() as client:
+        patch.setattr(page_module.ThreadingHTTPServer, "get_request", accept)
+        client.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        threading.Event().wait(1.0)
+        assert 2 <= asked <= 7
+    assert caplog.text.count("Too many open files") == 1
+
+
+def test_other_sites_cannot_frame_the_page(page: Page) -> None:
+    answer = page.say("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n")
+    assert "frame-ancestors 'none'" in answer
+    assert "Cross-Origin-Resource-Policy: same-origin" in answer

@@ -1,0 +1,144 @@
+"""What a stream leaves behind when it cannot start, and how it ends whatever its camera does."""
+
+import socket
+import threading
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Stream
+from tiny_bundle import HEIGHT, WIDTH, frame
+
+from fingerflow import player
+from fingerflow.player import cli
+from fingerflow.player import stream as stream_module
+
+START = ("--threads", "1", "--no-spin", "--provider", "cpu")
+
+
+def _wrong_frames(stream: Stream) -> tuple[str, ...]:
+    return stream.frames([np.zeros((HEIGHT, WIDTH), np.uint8)])
+
+
+def _no_frame(stream: Stream) -> tuple[str, ...]:
+    return stream.frames([])
+
+
+def _no_camera(stream: Stream) -> tuple[str, ...]:
+    def make() -> Any:
+        raise OSError("no such camera")
+
+    return stream.camera(make)
+
+
+@pytest.mark.parametrize("start", [_wrong_frames, _no_frame, _no_camera])
+def test_a_start_that_fails_leaves_no_results(stream: Stream, start: Any) -> None:
+    ended = stream.run(*start(stream))
+    assert ended.code == (0 if start is _no_frame else 2)
+    assert ended.results is None
+    if start is _no_frame:
+        assert ended.summary["results"] is None
+        assert ended.summary["warnings"][0].startswith("no frame could be measured (none came)")
+
+
+def test_a_page_that_cannot_be_served_leaves_no_results_and_closes_the_camera(stream: Stream) -> None:
+    closed = threading.Event()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        ended = stream.run(*stream.camera(lambda: _Camera(closed.set)), "--page", str(taken.getsockname()[1]))
+    assert ended.code == 2
+    assert "cannot be served" in ended.said
+    assert ended.results is None
+    assert closed.is_set()
+
+
+def test_results_of_another_are_not_removed(stream: Stream) -> None:
+    stream.run(*stream.frames([frame()]))
+    again = stream.run(*stream.frames([frame()]))
+    assert again.code == 2
+    assert len(again.results.records) == 1
+
+
+def test_two_starts_in_one_second(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under the same name the second gets a number; a name that was given is refused instead (above)."""
+
+    class Standing(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> "Standing":
+            return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.setattr(cli, "datetime", Standing)
+    monkeypatch.chdir(stream.folder)
+    for count in (3, 4, 5):
+        source = stream.frames(frame() for _ in range(count))
+        assert player.main([str(stream.bundle), *START, *source, "--policy", "every", "--page", "off"]) == 0
+    for name, count in (("", 3), ("-2", 4), ("-3", 5)):
+        assert len(player.read_results(Path(f"results-20260102-030405{name}")).records) == count
+
+
+class _Camera:
+    """Two frames and the end, or an error; `close` does what the test says."""
+
+    def __init__(self, close: Any, then: Exception | None = None) -> None:
+        self.close, self._then = close, then
+        self._left = [frame(), frame()]
+
+    def __call__(self) -> Any:
+        if self._left:
+            return self._left.pop()
+        if self._then is not None:
+            raise self._then
+        return None
+
+
+def test_a_camera_that_never_closes_is_left_behind(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
+    never = threading.Event()
+    ended = stream.run(*stream.camera(lambda: _Camera(never.wait)), "--policy", "every")
+    never.set()
+    assert ended.code == 0
+    assert len(ended.results.records) == 2
+    assert "it is left behind" in ended.said
+
+
+def test_a_camera_that_fails_and_never_closes_is_opened_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream_module, "_HANGING", 0.1)
+    never, made = threading.Event(), 0
+
+    def make() -> Any:
+        nonlocal made
+        made += 1
+        return _Camera(never.wait, OSError("cable") if made == 1 else None)
+
+    ended = stream.run(*stream.camera(make), "--policy", "every")
+    never.set()
+    assert (ended.code, made) == (0, 2)
+    assert len(ended.results.records) == 4
+
+
+def test_a_camera_may_say_whether_it_has_a_frame(stream: Stream) -> None:
+    """As OpenCV's `read` does; without a frame it is tried again, as after an error."""
+    frames = [(True, frame()), (np.True_, frame()), (False, None), (True, frame())]
+    ended = stream.run(*stream.frames(frames), "--policy", "every")
+    assert (ended.code, len(ended.results.records), ended.summary["reconnects"]) == (0, 3, 1)
+    assert "the camera gave (False, ...)" in ended.said
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (frame().tolist(), "gave a list in place of a frame"),
+        ((True, None), "gave (True, None) in place of a frame"),
+        ((frame(), 3), "gave a tuple in place of a frame"),
+        ("frame", "gave a str in place of a frame"),
+    ],
+)
+def test_what_is_no_frame_is_refused_in_words(stream: Stream, given: Any, said: str) -> None:
+    ended = stream.run(*stream.frames([given]), "--policy", "every")
+    assert ended.code == 2
+    assert said in ended.said
+    assert "numpy.asarray" in ended.said
+    assert ended.results is None
