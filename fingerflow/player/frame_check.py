@@ -20,6 +20,7 @@ _LOST = 0.25  # of the points of the frame before, at once
 _FEWEST = 8  # points, below which their number says nothing
 _LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
 _STEPS = 8  # between usable frames that are remembered
+_FLICKER, _CHANGES = 4, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
 
 
 class FrameCheck:
@@ -27,9 +28,10 @@ class FrameCheck:
 
     A dark or saturated frame is known by itself, with the limits of `process`. A frame far from the last usable one
     has come from another moment, is torn or shifted, where points are lost with it; where nine tenths of the contact
-    view become lighter or darker at once, it is the lamp: a contact never covers all of it. `process` knows the frames
-    behind it too, a stream does not: what stays for more than `LONGEST` frames is taken for the new state, and of one
-    that stays the first `LONGEST` frames do not count. Repeated frames are not told.
+    view become lighter or darker at once, it is the lamp: a contact never covers all of it. One that flickers does so
+    again and again, and its frames count. `process` knows the frames behind a frame too, a stream does not: what stays
+    for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
+    count. Repeated frames are not told.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
@@ -46,6 +48,8 @@ class FrameCheck:
         self._last: dict[str, Array] | None = None
         self._number = self._tracked = self._jumped = 0
         self._before: deque[float] = deque(maxlen=_STEPS)
+        self._previous: Array | None = None  # blocks of the contact view of the frame before, whether it counts or not
+        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # of its light, by more than the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[dict[str, Array], int]:
         """Block means of each view (1, 1, H, W), and the status that a frame has by itself; in any thread."""
@@ -68,11 +72,16 @@ class FrameCheck:
         if status != USABLE:
             return status
         step, light = 0.0, 0.0
+        contact = blocks["contact_view"]
+        if self._previous is not None:
+            self._changes.append(_change_of_light(contact, self._previous) > _LIGHT)
+        self._previous = contact
         if self._last is not None:
             # The motion of frames that were dropped or did not count comes on top.
             gap = max(1, min(number - self._number, LONGEST + 1))
             step = max(_farthest_row(blocks[name], self._last[name]) for name in blocks)
-            light = _change_of_light(blocks["contact_view"], self._last["contact_view"])
+            if sum(self._changes) < _FLICKER:
+                light = _change_of_light(contact, self._last["contact_view"])
             usual = max(self._before, default=_LEAST)
             lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked
             far = lost and step > max(_LEAST, _FAR * gap * usual)
