@@ -13,7 +13,7 @@ from fingerflow import kernels
 from fingerflow.models import skin_implicit
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import Press, follow, press
-from fingerflow.models.skin_explicit import REAL_LIMIT, largest_step, march
+from fingerflow.models.skin_explicit import REAL_LIMIT, Values, largest_step, march, rates
 from fingerflow.models.skin_forces import elastic_forces, energy
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 
@@ -166,6 +166,22 @@ def test_the_same_rest_by_explicit_runge_kutta() -> None:
     assert np.abs(explicit.place - implicit.place).max() < 1e-8
     assert np.abs(explicit.friction - implicit.friction).max() < 3e-5
     assert np.abs(implicit.place - chain.reference).max() > 1e-4
+
+
+def test_the_published_integrator_keeps_the_limit_where_it_falls() -> None:
+    """Pressed and then lifted: what no longer touches is held by no friction, between steps nor within one."""
+    chain = chain_of(elements=41)._replace(bone_damping=5.0)
+    mu, state = np.full(41, 0.3), begun(chain)
+    march(chain, state, mu, held_load(3.0), 0.03, 0.98 * largest_step(chain))
+    assert np.abs(state.friction).max() > 1e-2
+    march(chain, state, mu, held_load(-1.0), 0.03, 0.98 * largest_step(chain))
+    limit = mu * chain.contact * np.maximum(-state.place[:, 1], 0)
+    assert (np.abs(state.friction) <= limit * (1 + 1e-12)).all()
+    assert (limit == 0).any()
+    none, left = (
+        rates(chain, mu, Values(state.place, state.bone, np.full(41, force)), np.zeros(2)).place for force in (0.0, 1.0)
+    )
+    np.testing.assert_array_equal(left[limit == 0], none[limit == 0])
 
 
 def test_the_published_integrator_is_of_fourth_order_and_adds_the_load() -> None:
