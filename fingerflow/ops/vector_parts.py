@@ -102,8 +102,7 @@ def _kernels(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
     """
     # In float64 the differences of the antiderivative keep their digits at any distance that a frame has.
     x, y = (
-        torch.cat((torch.arange(size), torch.arange(-size, 0))).to(device=like.device, dtype=torch.float64)
-        for size in (width, height)
+        torch.fft.fftfreq(2 * size, 1 / (2 * size), device=like.device, dtype=torch.float64) for size in (width, height)
     )
     down, right = torch.meshgrid(y, x, indexing="ij")
     return _integral(right, down).to(like.dtype), _integral(down, right).to(like.dtype)
