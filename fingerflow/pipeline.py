@@ -119,7 +119,8 @@ def _run(wanted: Plan, inputs: Inputs, store: Store, runtime: "OnnxRuntime | Non
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
-            "recording": identity_of(inputs.recording),
+            # Of forces alone no picture is looked at.
+            **({"recording": identity_of(inputs.recording)} if any(one.reads_frames for one in wanted.stages) else {}),
         },
     )
 

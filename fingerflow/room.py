@@ -52,7 +52,7 @@ def check_write(path: Path, bytes_more: int) -> None:
 
 
 def _check_free(path: Path, needed: float) -> None:
-    folder = next(parent for parent in path.absolute().parents if parent.is_dir())
+    folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise FingerflowError(

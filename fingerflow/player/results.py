@@ -45,11 +45,11 @@ def read_results(folder: str | Path) -> StreamResults:
                 "of the bundle that wrote them"
             )
         dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
-        for field in header["fields"]:
-            tuple(map(str, field["dims"])), str(field["unit"])
         lacking = {"frame", "time"} - set(dtype.names or ())
         if lacking:
             raise ValueError(f"its records have no {' and no '.join(sorted(lacking))}")
+        for field in header["fields"]:
+            tuple(map(str, field["dims"])), str(field["unit"])
         count = (folder / "records.bin").stat().st_size // dtype.itemsize
         lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
         events = [json.loads(line) for line in lines if line.endswith("\n")]

@@ -201,7 +201,10 @@ def test_a_frame_that_fails_ends_the_stream_with_all_before_it(
     monkeypatch.setattr(Stepper, "run", fail)
     with pytest.raises(RuntimeError, match="broken graph"):
         stream.run(*stream.frames(frame() for _ in range(9)), "--policy", "every", "--parallel-frames", "3")
-    np.testing.assert_array_equal(player.read_results(stream.folder / "results").records["frame"], np.arange(failing))
+    results = stream.folder / "results"
+    assert results.is_dir() == (failing > 0)  # an empty folder is not left
+    if failing:
+        np.testing.assert_array_equal(player.read_results(results).records["frame"], np.arange(failing))
 
 
 def _darkened(level: int) -> Any:
