@@ -20,7 +20,7 @@ _LOST = 0.25  # of the points of the frame before, at once
 _FEWEST = 8  # points, below which their number says nothing
 _LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
 _STEPS = 8  # between usable frames that are remembered
-_FLICKER, _CHANGES = 4, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
+_FLICKER, _CHANGES = 8, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
 
 
 class FrameCheck:
@@ -49,7 +49,7 @@ class FrameCheck:
         self._number = self._tracked = self._jumped = 0
         self._before: deque[float] = deque(maxlen=_STEPS)
         self._previous: Array | None = None  # blocks of the contact view of the frame before, whether it counts or not
-        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # of its light, by more than the limit
+        self._changes: deque[bool] = deque(maxlen=_CHANGES)  # of its light, by more than half of the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[dict[str, Array], int]:
         """Block means of each view (1, 1, H, W), and the status that a frame has by itself; in any thread."""
@@ -74,7 +74,7 @@ class FrameCheck:
         step, light = 0.0, 0.0
         contact = blocks["contact_view"]
         if self._previous is not None:
-            self._changes.append(_change_of_light(contact, self._previous) > _LIGHT)
+            self._changes.append(_change_of_light(contact, self._previous) > _LIGHT / 2)
         self._previous = contact
         if self._last is not None:
             # The motion of frames that were dropped or did not count comes on top.

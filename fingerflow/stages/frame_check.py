@@ -85,6 +85,7 @@ class FrameCheckStage(Stage):
         if self._glass_saturated < SATURATED_SHARE:
             status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
+        self._distances, self._before = [], []  # more than all results hold of a frame without points
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())
         if share <= _REPEATED_SHARE:

@@ -36,7 +36,7 @@ def test_a_range_of_the_scene_and_a_background_may_be_pictures(stream: Stream) -
 def test_sixteen_bits_stay(stream: Stream) -> None:
     stream.bundle = write_bundle(stream.folder / "deep", bit_depth=12)
     stream.scene.rename(stream.bundle / "scene.toml")
-    for name, level in (("press", 100), ("empty", 2000)):
+    for name, level in (("press", 600), ("empty", 2000)):
         (stream.bundle / name).mkdir()
         cv2.imwrite(str(stream.bundle / name / "0.png"), np.full((HEIGHT, 2 * WIDTH), level, np.uint16))
     path = stream.bundle / "scene.toml"

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from fingerflow.pipeline import _pass
 from fingerflow.plan import VARIABLES
 from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.stage import Stage, Trial
@@ -20,7 +21,9 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     trial = Trial(inputs, MemoryStore(VARIABLES, frames), (), frozenset(given), {})
     stage = object.__new__(ContactStage)
     stage.series, stage.inputs, stage.cell_px = contact, inputs, 4
-    trial.stages = {ContactStage: stage, LoadingStage: LoadingStage(trial)}
+    check = object.__new__(FrameCheckStage)
+    check.usable = np.ones(frames, dtype=bool)
+    trial.stages = {ContactStage: stage, LoadingStage: LoadingStage(trial), FrameCheckStage: check}
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})
