@@ -140,7 +140,7 @@ class Player:
                 self._sink.close()
             except PlayerError as error:
                 self._failure = self._failure or error
-            if self._failure is not None and not self.processed:
+            if not self.processed:
                 self._sink.discard()
         if self._failure is not None:
             raise self._failure

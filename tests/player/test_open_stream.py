@@ -59,9 +59,10 @@ def test_values_are_those_of_the_records(played: Path) -> None:
     assert np.isnan(result["position"].values[6:, 7:]).all()
 
 
-def test_a_stream_without_frames_opens(stream: Stream) -> None:
+def test_a_stream_without_frames_leaves_nothing_to_open(stream: Stream) -> None:
     assert stream.run(*stream.frames([])).code == 0
-    assert fingerflow.open_stream(stream.folder / "results").sizes["frame"] == 0
+    with pytest.raises(FingerflowError, match="is no results folder of a stream"):
+        fingerflow.open_stream(stream.folder / "results")
 
 
 def test_no_folder_of_results_is_named(tmp_path: Path) -> None:

@@ -181,10 +181,11 @@ def test_no_descriptor_left_is_no_busy_loop(page: Page, caplog: pytest.LogCaptur
         asked += 1
         raise OSError(errno.EMFILE, "Too many open files")
 
-    with pytest.MonkeyPatch.context() as patch, page.connect() as client:
-        patch.setattr(page_module.ThreadingHTTPServer, "get_request", accept)
-        client.sendall(b"GET / HTTP/1.1\r\n\r\n")
-        threading.Event().wait(1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page_module.ThreadingHTTPServer, "get_request", accept)  # before anybody is taken
+        with page.connect() as client:
+            client.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            threading.Event().wait(1.0)
         assert 2 <= asked <= 7
     assert caplog.text.count("Too many open files") == 1
 
