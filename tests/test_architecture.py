@@ -30,6 +30,9 @@ ARROWS: dict[str, set[str]] = {
     "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "scene", "store", "views"},
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
+    "dictionary": {"contract", "stages"},
+    "tables": {"atomic_write", "errors"},
+    "reuse": {"__init__", "errors", "kernels", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
@@ -38,6 +41,7 @@ ARROWS: dict[str, set[str]] = {
         "plan",
         "recordings",
         "result",
+        "reuse",
         "room",
         "scene",
         "stages",

@@ -54,6 +54,10 @@ class DisplacementStage(Stage):
     gives = DISPLACEMENT
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
+    settings = (
+        *("fields.gauge_length_mm", "tracking.template", "recording.first_frame"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact"),
+    )
 
     onset: NDArray[np.int32]
     reference: Points
