@@ -68,14 +68,23 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """[forces]: channels by their names in the file."""
+    """[forces]: channels by their names in the file or their numbers, from 1; ``tangential`` may be two components.
+
+    ``units`` is that of all forces, None for that of each heading; ``gain``, ``sign`` and ``offset`` are one number for
+    all or one each, normal first (`recordings.forces.newtons.Sensor`).
+    """
 
     file: Path
-    normal: str
-    tangential: str | None
-    trigger: str | None
+    normal: str | int
+    tangential: str | int | tuple[str | int, ...] | None
+    units: Literal["N", "mN", "g", "kgf", "V"] | None
+    gain: float | tuple[float, ...] | None
+    sign: float | tuple[float, ...]
+    offset: float | tuple[float, ...] | None
+    tare: tuple[float, float] | None
+    trigger: str | int | None
     trigger_level: float | None
-    time: str | None
+    time: str | int | None
     sample_rate: float | None
 
 
@@ -298,8 +307,13 @@ frames = {toml_string(background)}       # without a finger; several frames are 
 
 {mark}[forces]
 {mark}file = {toml_string(forces or "forces.csv")}           # CSV, HDF5, .mat or TDMS
-{mark}normal = "normal_force"       # names of the channels in the file
-{mark}tangential = "tangential_force"
+{mark}normal = "normal_force"       # names of the channels in the file, or their numbers, from 1
+{mark}tangential = "tangential_force"  # or two components, ["fx", "fy"]
+# units = "N"                 # or "mN", "g", "kgf", "V"; only where the file does not state it
+# gain = 1.0                  # of the sensor: N/V where units = "V"; or one a channel, normal first, [2.5, 1.2]
+# sign = 1                    # or -1, where pressing is negative; or one a channel, [-1, 1]
+# offset = 0.0                # reading without a load, in the file's unit; or
+# tare = [-0.5, -0.1]         # s from the trigger, in which nothing touches: the mean there is the zero
 {mark}trigger = "trigger"           # its first rise through trigger_level is time 0
 {mark}trigger_level = 2.5
 

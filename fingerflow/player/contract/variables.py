@@ -76,8 +76,35 @@ FRAME_CHECK = (
 
 LOADING = (
     Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
-    Variable("tangential_force", FRAME, "N", "tangential force", needs=("forces.tangential",)),
-    Variable("load_ratio", FRAME, "1", "tangential over normal force, T/N", needs=("forces.tangential",)),
+    Variable(
+        "tangential_force",
+        FRAME,
+        "N",
+        "tangential force; its length where two components are given",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "tangential_direction",
+        FRAME,
+        "rad",
+        "direction of the tangential force from the first component towards the second, of one channel 0 or pi by its "
+        "sign; NaN below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "load_ratio",
+        FRAME,
+        "1",
+        "friction ratio: tangential over normal force, T/N; NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "force_angle",
+        FRAME,
+        "rad",
+        "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
 )
 
 CONTACT = (
