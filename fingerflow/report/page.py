@@ -22,6 +22,8 @@ from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
 from fingerflow.report.views import ViewPainter
 from fingerflow.scene import Scene
 
+_DEFORMATION = "Deformation, medians over the gross contact"
+
 
 def write_report(
     result: xr.Dataset,
@@ -39,6 +41,7 @@ def write_report(
     """
     frame = _most_contact(result)
     sections: list[tuple[str, bytes]] = []
+    notes: dict[str, Sequence[str]] = {}
     if scene is not None:
         for output in ("report.html", "overlay.mp4"):
             spare(folder / output, *scene.files())
@@ -53,7 +56,9 @@ def write_report(
     if "gross_slip" in result:
         sections.append(("Slip of what touches the gel", figures.sensor_slip(result)))
     if "median_divergence" in result:
-        sections.append(("Deformation, medians over the gross contact", figures.medians(result)))
+        sections.append((_DEFORMATION, figures.medians(result)))
+        if since := result["median_divergence"].attrs.get("reference"):
+            notes[_DEFORMATION] = [f"Displacement counts from {since}."]
     if "strain" in result and "divergence" in result and result.sizes["triangle"]:
         sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
@@ -63,7 +68,6 @@ def write_report(
         sections.append((verdict_line(trial), drawn.getvalue()))
     if "tracked_share" in result and "position_std_px" in result:
         sections.append(("Quality", figures.quality(result)))
-    notes = {}
     if chain is not None:
         sections.append(("Beside the skin chain", draw(chain)))
         notes["Beside the skin chain"] = chain.notes()
