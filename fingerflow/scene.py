@@ -145,11 +145,13 @@ class FieldSettings:
 class SlipSettings:
     """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another.
 
-    ``stuck_mm`` is of the criteria "displacement" and "relative".
+    ``stuck_mm`` is of the criteria "displacement" and "relative"; ``displacement`` is that of tracked points, or of all
+    skin by dense flow.
     """
 
     criterion: Literal["border", "displacement", "relative"]
     stuck_mm: float
+    displacement: Literal["points", "dense_flow"]
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,11 @@ class Scene:
     def soft_sensor(self) -> bool | None:
         """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
         return True if self.kind == "soft_sensor" else None
+
+    @property
+    def dense_flow_slip(self) -> bool | None:
+        """True where slip is looked for by dense flow, None else: as `soft_sensor`."""
+        return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
@@ -350,6 +357,7 @@ rate_window_s = 0.05
 {loaded}criterion = "border"          # of stuck skin: no slip at all; or "displacement" below stuck_mm, as in the
 {loaded}                              # paper; or "relative": below it against the rigid motion of the skin that sticks
 {loaded}# stuck_mm = 0.04             # the paper has 0.04
+{loaded}displacement = "points"       # or "dense_flow": of all skin, compared with the points
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points
