@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.atomic_write import keep_others, spare, unfinished, write_atomically
+from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.unfinished import unfinished
 from fingerflow.result import is_result, load_result, save_result
 
 ROOT = Path(__file__).resolve().parents[1]

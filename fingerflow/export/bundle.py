@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from fingerflow.atomic_write import unfinished
+from fingerflow.player.contract.unfinished import unfinished
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from fingerflow.atomic_write import unfinished as hidden
+from fingerflow.player.contract.unfinished import unfinished as hidden
 from fingerflow.errors import FingerflowError
 from fingerflow.scene import scene_text
 from fingerflow.synthetic.camera import Camera
