@@ -252,6 +252,7 @@ def report(
         ),
     ] = None,
     chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
+    overwrite: Overwrite = False,
 ) -> None:
     """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
@@ -268,18 +269,19 @@ def report(
             )
         if friction:
             raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
-        typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
+        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite)}")
         return
     loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
     stored = load_result(result or scene.parent / "result.h5")
     beside = compare_with_chain(stored, friction, chain) if friction else None
-    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside)}")
+    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite)}")
 
 
 @app.command()
 def slip(
     scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
     figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Judge whether the stuck area of each trial vanishes abruptly or fades."""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
@@ -299,7 +301,7 @@ def slip(
             typer.echo(f"warning: {path}: {warning}", err=True)
     typer.echo(summary(trials, failed))
     if figure is not None and trials:
-        typer.echo(f"figures: {write_figures(trials, figure)}")
+        typer.echo(f"figures: {write_figures(trials, figure, overwrite)}")
     if not trials:
         raise typer.Exit(2)
 
@@ -332,6 +334,7 @@ def figures(
             "of any with _difference behind its name, comparison less reference."
         ),
     ] = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
@@ -346,7 +349,7 @@ def figures(
         tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
         trials=None if trials is None else load_trials(trials),
     )
-    written = write_supplement(sources, folder, progress=not as_json)
+    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
     if as_json:
         _print_json(
             [
@@ -389,26 +392,28 @@ def stream(context: typer.Context) -> None:
 def export_table(
     result: Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")],
     table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")],
+    overwrite: Overwrite = False,
 ) -> None:
     """Write a result as CSV (one row a frame) or .mat (everything)."""
     if result.is_dir() and table.suffix == ".csv":
-        _export_stream(result, table)
+        _export_stream(result, table, overwrite)
         return
     from fingerflow import result as results
     from fingerflow.stream_result import open_stream
 
-    if table.exists() and not _is_table(table):
-        raise FingerflowError(f"{table} exists and was not written by export-table; give another name or remove it")
-    results.export_table(open_stream(result) if result.is_dir() else results.load_result(result), table)
+    results.export_table(open_stream(result) if result.is_dir() else results.load_result(result), table, overwrite)
     typer.echo(f"{table} was written")
 
 
-def _export_stream(folder: Path, table: Path) -> None:
+def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
     """The player's own table has the same columns, and needs no torch."""
+    from fingerflow.atomic_write import keep_others
     from fingerflow.player import PlayerError, write_table
+    from fingerflow.result import is_table
 
+    keep_others(table, is_table, overwrite)
     try:
-        write_table(folder, table)
+        write_table(folder, table, overwrite=True)
     except PlayerError as error:
         raise FingerflowError(str(error)) from None
     typer.echo(f"{table} was written")
@@ -420,12 +425,6 @@ def _pairs(option: str, given: list[str] | None) -> dict[str, str]:
         if not (name and equals and value):
             raise FingerflowError(f"{option} {name}{equals}{value}: give two names with = between them")
     return {name: value for name, _, value in pairs}
-
-
-def _is_table(path: Path) -> bool:
-    """Whether a file is what export-table writes: a .mat file of a result, or a .csv that begins with its frames."""
-    with path.open("rb") as file:
-        return file.read(6) in (b"MATLAB", b"frame,")
 
 
 def _remove_demo(folder: Path) -> None:

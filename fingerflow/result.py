@@ -13,6 +13,7 @@ from fingerflow.room import check_write
 from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
 
 MARK = "fingerflow_version"  # the attribute by which a result is known
+_TABLE_BEGINS = b"frame,time (s)"
 
 
 def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
@@ -34,6 +35,17 @@ def load_result(path: Path) -> xr.Dataset:
     """
     with open_result(path) as stored, reading(path, "a result"):
         return stored.load()
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is what :func:`export_table` writes: by its first columns, or the variables of them all."""
+    try:
+        if path.suffix == ".mat":
+            return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}
+        with path.open("rb") as file:
+            return file.read(len(_TABLE_BEGINS)) == _TABLE_BEGINS
+    except Exception:  # whatever SciPy raises at a file that is none
+        return False
 
 
 def is_result(path: Path) -> bool:
@@ -64,11 +76,12 @@ def open_result(path: Path) -> xr.Dataset:
     return result
 
 
-def export_table(result: xr.Dataset, path: Path) -> None:
+def export_table(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
     """Writes a table: .csv with one row a frame and one column a quantity, or .mat with every variable.
 
-    Raises FingerflowError for another suffix.
+    Raises FingerflowError for another suffix, and without ``overwrite`` where a file is there that is no such table.
     """
+    keep_others(path, is_table, overwrite)
     if path.suffix == ".csv":
         columns = {}
         for name, values in {"time": result["time"], **result.data_vars}.items():

@@ -18,8 +18,7 @@ PARENT = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {WORKS!
 def test_only_what_stands_still_is_ended(program: str, ended: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Five looks, fewer than those at which the others are at work."""
     monkeypatch.setattr(idle, "_LOOK_SECONDS", 0.1)
-    with subprocess.Popen([sys.executable, "-c", program]) as process:
-        with IdleLimit(process.pid, 0.5) as limit:
-            status = process.wait()
+    with subprocess.Popen([sys.executable, "-c", program]) as process, IdleLimit(process.pid, 0.5) as limit:
+        status = process.wait()
     assert limit.reached == ended
     assert (status != 0) == ended

@@ -61,10 +61,10 @@ def read_results(folder: str | Path) -> StreamResults:
     return StreamResults(records, header, events)
 
 
-def write_table(folder: str | Path, table: str | Path) -> None:
+def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
     """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
 
-    Raises PlayerError where the file exists.
+    Raises PlayerError where the file cannot be written, or exists and is not to be replaced.
     """
     records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
@@ -78,13 +78,13 @@ def write_table(folder: str | Path, table: str | Path) -> None:
     table = Path(table)
     part = unfinished(table)
     try:
-        if table.exists():
+        if table.exists() and not overwrite:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
         with open(part, "x", encoding="utf-8") as file:
             file.write(",".join(columns) + "\n")
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
                 file.write(",".join(f"{value:.9g}" for value in row) + "\n")
-        part.rename(table)
+        part.replace(table)
     except OSError as error:
         raise PlayerError(
             f"{table}: cannot be written ({error.strerror}); name a new file where there is room"

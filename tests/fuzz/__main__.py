@@ -92,7 +92,7 @@ def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tu
 
 
 def _lines(worker: subprocess.Popen[bytes], answers: IO[bytes]) -> Iterator[bytes]:
-    """The first comes when the samples are made and the libraries loaded, which takes as long as the machine is busy."""
+    """The first comes when samples are made and libraries loaded, which takes as long as the machine is busy."""
     with IdleLimit(worker.pid, MOST_IDLE_SECONDS):
         yield from (line for line in answers if line.endswith(b"\n"))
 
