@@ -10,6 +10,7 @@ from tomlkit.items import Table as TomlTable
 from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.scene_check import check_scene
+from fingerflow.player.contract.scene_keys import SCENE
 from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.recordings import Recording
 from fingerflow.scene import Scene, scene_of_text, scene_text
@@ -80,7 +81,7 @@ class Draft:
         return scene_of_text(self.text, self.path)
 
     def set(self, keys: Keys, value: Any) -> None:
-        """Sets a key; None takes it out, and its table with its last one.
+        """Sets a key; None takes it out, and its table with its last one, where a scene can be without it.
 
         Raises FingerflowError where a key stands in the place of a table.
         """
@@ -101,7 +102,7 @@ class Draft:
         elif last in place:
             del place[last]
             for outer, name in reversed(around):
-                if not len(outer[name]):
+                if not len(outer[name]) and not _is_needed(name):
                     del outer[name]
 
     def set_kind(self, kind: str, frame_shape: tuple[int, int]) -> None:
@@ -157,6 +158,11 @@ def _views_of(kind: str, height: int, width: int) -> dict[str, Any]:
             "topography": {"rows": rows, "columns": [0, half]},
         }
     return {name: {"rows": rows, "columns": [0, width]} for name in KINDS[kind].views}
+
+
+def _is_needed(table: str) -> bool:
+    """Whether a scene must have a table, which then stays, to say which of its keys is missing."""
+    return table in SCENE and "process" in SCENE[table].needed_by
 
 
 def _free(path: Path) -> Path:

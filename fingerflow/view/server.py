@@ -45,6 +45,7 @@ class Served:
         except (OSError, OverflowError) as error:
             self._socket.close()
             raise FingerflowError(f"port {port} of {_HOST} cannot be served ({error}); give another --port") from None
+        self._socket.listen()  # who asks before it runs waits, and is answered
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
@@ -81,7 +82,6 @@ def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print
         FingerflowError: it cannot be opened, or the port is taken.
     """
     served = Served(path, port)
-    served._socket.listen()  # who follows the address from here on waits, and is answered
     opened(served.address)
     served.run()
 

@@ -37,7 +37,7 @@ export class ResultsView {
   async rangeOf(key) { return (await get(`api/result/range?key=${encodeURIComponent(key)}`)).range; }
   async enter() {
     const { app } = this;
-    app.picture.layers = (pen, at) => this.draw(pen, at);
+    app.picture.layers = (pen, at, size) => this.draw(pen, at, size);
     app.picture.gestures = { down: (...a) => this.hold(...a), move: (x, y) => this.outline(x, y), up: () => this.close(),
       click: (x, y) => this.pick(x, y), hover: () => this.drawing ? "crosshair" : "pointer" };
     const has = name => this.facts.curves.some(one => one.key.startsWith(name));
@@ -130,7 +130,7 @@ export class ResultsView {
     return () => "#7dff9b";
   }
   places() { return marks.placesIn(this.views, this.facts.mm_per_px, this.facts.topography_to_contact); }
-  draw(pen, at) {
+  draw(pen, at, size) {
     if (!this.found) return;
     const { numbers, arrays: found } = this.found, places = this.places(), of = this.maps.get(this.shown)?.of;
     const position = found.position?.values;
@@ -147,7 +147,7 @@ export class ResultsView {
     }
     if (this.layer.ellipse) marks.drawEllipse(pen, at, places, numbers.ellipse_center, numbers.ellipse_semi_axes, numbers.ellipse_angle);
     if (position) {
-      const chosen = new Set(this.chosen), colour = this.colourOf(), radius = of === "triangle" ? 1.5 : 3.2;
+      const chosen = new Set(this.chosen), colour = this.colourOf(), radius = Math.max(1.2, Math.min(6, (of === "triangle" ? 1.8 : 4.2) * size));
       for (const { of: to } of places) {
         if (this.layer.arrows && found.displacement) marks.drawArrows(pen, at, to, position, found.displacement.values, this.arrows);
         if (this.layer.points) {

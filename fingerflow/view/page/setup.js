@@ -171,7 +171,7 @@ export class Setup {
     }
     const points = this.points?.arrays?.points, view = this.views.topography || this.views.camera;
     if (points && view && this.layer.points) {
-      drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: 2.2 });
+      drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: Math.max(1.2, Math.min(4, 3 * scale)) });
     }
     drawViews(pen, at, this.views, true);
   }
