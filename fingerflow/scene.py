@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_check import Checked
-from fingerflow.player.contract.scene_file import SceneError, read_scene
+from fingerflow.player.contract.scene_check import Checked, check_scene
+from fingerflow.player.contract.scene_file import SceneError, parse_scene, read_scene
+from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
@@ -230,6 +231,40 @@ def load_scene(path: str | Path) -> Scene:
         return _scene(path, read_scene(path, "process"))
     except SceneError as error:
         raise FingerflowError(str(error)) from None
+
+
+def scene_of_text(text: str, path: Path) -> Scene:
+    """What :func:`load_scene` will give of a file of this content, before it is written; it raises the same."""
+    try:
+        return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
+    except SceneError as error:
+        raise FingerflowError(str(error)) from None
+
+
+def scene_of_settings(settings: str) -> Scene:
+    """The scene that a result was computed from, by what :meth:`Scene.as_json` has left in its attribute `settings`.
+
+    Raises:
+        FingerflowError: a file that it names has gone, or a key is no longer what it was; with the remedy.
+    """
+    said = json.loads(settings)
+    path = Path(said.pop("path"))
+    kind = said.setdefault("kind", default_kind(said))
+    shown = (*KINDS[kind].views, *KINDS[kind].optional_views) if kind in KINDS else ()
+    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # roles are not written
+    said["calibration"].pop("file", None)  # its values stand beside it
+    checked, problems = check_scene(_without_none(said), path.parent, "process")
+    if problems:
+        lines = [f"settings of the result: {'.'.join(one.keys)} {one.said}" for one in problems]
+        raise FingerflowError("\n".join(lines))
+    return _scene(path, checked)
+
+
+def _without_none(value: Any) -> Any:
+    """Settings that are None are those that were left out."""
+    if isinstance(value, dict):
+        return {name: _without_none(one) for name, one in value.items() if one is not None}
+    return value
 
 
 def _scene(path: Path, checked: Checked) -> Scene:

@@ -58,6 +58,19 @@ ARROWS: dict[str, set[str]] = {
     },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "stream_result": {"contract", "errors", "player"},
+    "view": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "plan",
+        "recordings",
+        "result",
+        "scene",
+        "stages",
+        "store",
+        "untrusted",
+    },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)
