@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
@@ -33,6 +34,8 @@ class LoadingStage(Stage):
 
     name = "loading"
     gives = LOADING
+    settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
+    restored = True
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -61,7 +64,7 @@ class LoadingStage(Stage):
         if settings.trigger is not None and settings.trigger_level is not None:
             forces = forces.align(settings.trigger_level)
             if inputs.scene.recording.trigger_frame is None and not inputs.recording.has_trigger:
-                inputs.warnings.append(
+                self.warnings.append(
                     f"forces are aligned to the trigger {settings.trigger!r}, and nothing says in which frame it came: "
                     "frame 0 is taken; give [recording] trigger_frame"
                 )
@@ -69,11 +72,11 @@ class LoadingStage(Stage):
         _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
         # Forces are resampled in the order of time, whatever part of the recording was chosen.
         values = forces.resample(inputs.times)
-        inputs.warnings.extend(forces.warnings)
+        self.warnings.extend(forces.warnings)
         for name, column in names.items():
             unknown = int(np.isnan(forces.channels[name]).sum())
             if unknown:
-                inputs.warnings.append(
+                self.warnings.append(
                     f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
                     f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
                 )
@@ -96,6 +99,11 @@ class LoadingStage(Stage):
         for name, values in given.items():
             if values is not None:
                 self.results.put(name, values)
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        found = {name: earlier[name].values for name in ("normal_force", "tangential_force") if name in earlier}
+        self.normal, self.tangential = found.get("normal_force"), found.get("tangential_force")
 
     @property
     def ratio(self) -> Series | None:

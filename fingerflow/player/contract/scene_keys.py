@@ -203,6 +203,7 @@ SCENE: dict[str, Key | Table] = {
         {
             "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
             "stuck_mm": Key(POSITIVE, default=0.04),
+            "displacement": Key(Choice(("points", "dense_flow")), default="points"),
         }
     ),
     "stream": Table(

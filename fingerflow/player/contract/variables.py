@@ -277,6 +277,28 @@ SLIP = (
         "mm",
         "root mean square of the part of incipient_slip that its curl makes",
     ),
+    Variable(
+        "skin_displacement",
+        (*CELLS, "xy"),
+        "mm",
+        "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame",
+        "f4",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference",
+        FRAME,
+        "mm",
+        "median over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference_95",
+        FRAME,
+        "mm",
+        "95th percentile over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
+    ),
 )
 
 #: Of a soft sensor, where markers on a gel are followed.
