@@ -30,6 +30,9 @@ ARROWS: dict[str, set[str]] = {
     "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "scene", "store", "views"},
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
+    "dictionary": {"contract", "stages"},
+    "tables": {"atomic_write", "errors"},
+    "reuse": {"__init__", "errors", "kernels", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
@@ -38,6 +41,7 @@ ARROWS: dict[str, set[str]] = {
         "plan",
         "recordings",
         "result",
+        "reuse",
         "room",
         "scene",
         "stages",
@@ -54,6 +58,19 @@ ARROWS: dict[str, set[str]] = {
     },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "stream_result": {"contract", "errors", "player"},
+    "view": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "plan",
+        "recordings",
+        "result",
+        "scene",
+        "stages",
+        "store",
+        "untrusted",
+    },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)

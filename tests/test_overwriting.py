@@ -164,7 +164,7 @@ def test_slip_figures_are_refused_before_one_is_drawn(tmp_path: Path) -> None:
 def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
     import scipy.io
 
-    from fingerflow.result import export_table, is_table
+    from fingerflow.tables import export_table, is_table
 
     trial = result().assign_coords(time=("frame", np.arange(3.0), {"units": "s"}), frame=np.arange(3))
     trial["area"].attrs["units"] = "mm2"

@@ -26,6 +26,7 @@ class FieldsStage(Stage):
     needs = ("views.topography",)
     beside = (DisplacementStage,)
     after = (ContactStage,)
+    settings = ("fields.gauge_length_mm", "fields.strain", "fields.rate_window_s", "recording.times")
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -46,7 +47,7 @@ class FieldsStage(Stage):
         minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
         widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
         points = self.trial.stage(DisplacementStage).reference
-        self.inputs.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
+        self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)

@@ -25,6 +25,10 @@ class StrainStage(Stage):
     needs = ("views.topography",)
     beside = (DisplacementStage,)
     after = (ContactStage,)
+    settings = (
+        *("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm"),
+        *("fields.rate_window_s", "tracking.window_px", "recording.times"),
+    )
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)

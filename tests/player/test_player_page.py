@@ -5,12 +5,10 @@
 
 import http.client
 import json
-import shutil
 import socket
 import struct
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,20 +129,6 @@ def test_a_restart_is_for_the_page_only(served: Served) -> None:
             return
         threading.Event().wait(0.02)
     raise AssertionError("points were not chosen anew")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Playwright's own Chromium, or the system's."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as engine:
-        own = Path(engine.chromium.executable_path)
-        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-        if not own.exists() and system is None:
-            pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
-        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 COLOURS = """id => {
