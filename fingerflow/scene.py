@@ -69,14 +69,23 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """[forces]: channels by their names in the file."""
+    """[forces]: channels by their names in the file or their numbers, from 1; ``tangential`` may be two components.
+
+    ``units`` is that of all forces, None for that of each heading; ``gain``, ``sign`` and ``offset`` are one number for
+    all or one each, normal first (`recordings.forces.newtons.Sensor`).
+    """
 
     file: Path
-    normal: str
-    tangential: str | None
-    trigger: str | None
+    normal: str | int
+    tangential: str | int | tuple[str | int, ...] | None
+    units: Literal["N", "mN", "g", "kgf", "V"] | None
+    gain: float | tuple[float, ...] | None
+    sign: float | tuple[float, ...]
+    offset: float | tuple[float, ...] | None
+    tare: tuple[float, float] | None
+    trigger: str | int | None
     trigger_level: float | None
-    time: str | None
+    time: str | int | None
     sample_rate: float | None
 
 
@@ -118,8 +127,13 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """[fields]: deformation of the skin, and its elasticity."""
+    """[fields]: deformation of the skin, and its elasticity.
 
+    ``reference`` is what displacement counts from: "onset", "first_frame", a frame, or a time from the trigger, such
+    as "0.25 s".
+    """
+
+    reference: str | int
     gauge_length_mm: float
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"]
     young_modulus_mpa: float
@@ -132,11 +146,13 @@ class FieldSettings:
 class SlipSettings:
     """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another.
 
-    ``stuck_mm`` is of the criteria "displacement" and "relative".
+    ``stuck_mm`` is of the criteria "displacement" and "relative"; ``displacement`` is that of tracked points, or of all
+    skin by dense flow.
     """
 
     criterion: Literal["border", "displacement", "relative"]
     stuck_mm: float
+    displacement: Literal["points", "dense_flow"]
 
 
 @dataclass(frozen=True)
@@ -183,6 +199,11 @@ class Scene:
     def soft_sensor(self) -> bool | None:
         """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
         return True if self.kind == "soft_sensor" else None
+
+    @property
+    def dense_flow_slip(self) -> bool | None:
+        """True where slip is looked for by dense flow, None else: as `soft_sensor`."""
+        return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
@@ -328,8 +349,13 @@ frames = {toml_string(background)}       # without a finger; several frames are 
 
 {mark}[forces]
 {mark}file = {toml_string(forces or "forces.csv")}           # CSV, HDF5, .mat or TDMS
-{mark}normal = "normal_force"       # names of the channels in the file
-{mark}tangential = "tangential_force"
+{mark}normal = "normal_force"       # names of the channels in the file, or their numbers, from 1
+{mark}tangential = "tangential_force"  # or two components, ["fx", "fy"]
+# units = "N"                 # or "mN", "g", "kgf", "V"; only where the file does not state it
+# gain = 1.0                  # of the sensor: N/V where units = "V"; or one a channel, normal first, [2.5, 1.2]
+# sign = 1                    # or -1, where pressing is negative; or one a channel, [-1, 1]
+# offset = 0.0                # reading without a load, in the file's unit; or
+# tare = [-0.5, -0.1]         # s from the trigger, in which nothing touches: the mean there is the zero
 {mark}trigger = "trigger"           # its first rise through trigger_level is time 0
 {mark}trigger_level = 2.5
 
@@ -353,6 +379,8 @@ search_px = 8                 # how far to search for points that a jolt has car
 gain_offset = true            # windows are compared whatever the light's gain and offset
 
 [fields]
+reference = "onset"           # displacement since each point's own onset of contact; or, for all points, since
+                              # "first_frame", since a frame as it stands in the file, 120, or a time, "0.25 s"
 gauge_length_mm = 1.6         # diameter over which a gradient is fitted
 strain = "green_lagrange"     # or "as_printed" (Willemet et al. 2021, eq. 1), "infinitesimal"
 young_modulus_mpa = 1.0
@@ -364,6 +392,7 @@ rate_window_s = 0.05
 {loaded}criterion = "border"          # of stuck skin: no slip at all; or "displacement" below stuck_mm, as in the
 {loaded}                              # paper; or "relative": below it against the rigid motion of the skin that sticks
 {loaded}# stuck_mm = 0.04             # the paper has 0.04
+{loaded}displacement = "points"       # or "dense_flow": of all skin, compared with the points
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points

@@ -181,7 +181,7 @@ def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-PROCESS = ("process", "{trial}/scene.toml", "--to", "{new}/result.h5", "--json")
+PROCESS = ("process", "{trial}/scene.toml", "--output", "{new}/result.h5", "--json")
 TABLE = ("export-table", "{trial}/result.h5")
 CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calibration.toml")
 
@@ -249,8 +249,8 @@ def test_an_interrupted_report_leaves_whole_files_only(
 def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "result.h5").write_bytes(b"of before")
     monkeypatch.setattr("fingerflow.store.FileStore.finish", interrupt_after(0))
-    arguments = ("process", str(trial / "scene.toml"), "--output", "real_contact_area")
-    arguments += ("--to", str(tmp_path / "result.h5"))
+    arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
+    arguments += ("--output", str(tmp_path / "result.h5"))
     assert main_with(monkeypatch, *arguments) == 2  # it is no result
     assert main_with(monkeypatch, *arguments, "--overwrite") == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
@@ -284,7 +284,7 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
     from fingerflow.atomic_write import spare
-    from fingerflow.cli import _remove_demo
+    from fingerflow.cli.synthetic import _remove_demo
 
     frame = tmp_path / "calibration.png"
     frame.write_bytes(b"a frame")

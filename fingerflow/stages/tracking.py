@@ -1,8 +1,9 @@
 """Points of the skin through all frames of the topography view."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -56,6 +57,11 @@ class TrackingStage(Stage):
     beside = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (
+        *("tracking", "views.topography", "stream.region", "background", "contact.gross_radius_px"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact", "recording.first_frame"),
+    )
+    restored = True
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -87,6 +93,10 @@ class TrackingStage(Stage):
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
         self._share, self._error = np.full((2, len(trial)), np.nan)
 
+    @classmethod
+    def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
+        return any(stage.follows_border for stage in planned)
+
     @property
     def backward(self) -> bool:
         return self._settings.direction == "backward"
@@ -95,10 +105,10 @@ class TrackingStage(Stage):
         """Finds out where skin touches; where none does there is none to follow, which a warning says."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
-        border = any(stage.follows_border for stage in self.trial.planned)
+        border = self.depends_on(self.trial.planned)
         self._region = contact.first_and_largest(self._settings.window_px) if border else contact.largest()
         if not self._region.any():
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
                 f"where most of it was expected: there are no points and no deformation"
             )
@@ -157,7 +167,7 @@ class TrackingStage(Stage):
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.inputs.warnings.extend(plausibility.of_tracking(self._share, first_frame))
+        self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("forward_backward_median", self._error)
 
@@ -273,7 +283,7 @@ class TrackingStage(Stage):
                 f"[stream] region, the calibration and the focus."
             )
         asked, apart = self._settings.points, self._settings.min_distance_px
-        self.inputs.warnings.extend(plausibility.of_points(points.shape[1], asked, apart))
+        self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart))
         self._create(points.shape[1])
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
