@@ -61,7 +61,8 @@ class DisplacementStage(Stage):
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
     settings = (
-        *("fields.gauge_length_mm", "tracking.template", "recording.first_frame"),
+        *("fields.reference", "fields.gauge_length_mm", "tracking.template"),
+        *("recording.first_frame", "recording.times"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
@@ -85,7 +86,7 @@ class DisplacementStage(Stage):
     def begin(self) -> None:
         self._usable = self.trial.stage(FrameCheckStage).usable
         inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
-        self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], inputs.warnings)
+        self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
         self._attributes = self.since.attributes(first_frame)
         points = self.results["position"].shape[1]
         if self.since.frame is not None:
@@ -157,7 +158,7 @@ class DisplacementStage(Stage):
         touching = self.onset >= 0
         unknown = touching & ~np.isfinite(self.reference).all(1)
         if unknown.any():
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"{int(unknown.sum())} of the {int(touching.sum())} points that come into contact are not known in "
                 f"fields.reference, frame {self._attributes['reference_frame']}: their displacement and what follows "
                 f"from it is NaN (field_coverage says in how much of the contact something is known)"

@@ -84,7 +84,7 @@ def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
     reach = _gauge_mm(result) / 2
     components = tuple(map(str, result[parts[0]].values)) if parts else ()
     values = np.full((len(position), max(1, len(components)), len(y), len(x)), np.nan, np.float32)
-    corners = result["triangles"].values if of[1] == "triangle" else None
+    corners = result["triangles"].values if "triangle" in dims else None
     for frame, points in enumerate(position):
         of_frame = given[frame].values
         of_frame = of_frame if parts else of_frame[:, None]
