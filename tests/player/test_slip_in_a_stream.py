@@ -1,7 +1,5 @@
 """The flag of slip in a played stream: not while nothing slips, soon after it begins, at any share of the noise."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 

@@ -323,7 +323,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
         n_frames=frames,
         frame_rate=rate,
         frames_before_trigger=2,
-        jumps=(0.44, 0.5, 0.7),
+        jumps=(0.48, 0.51, 0.7),
         collapse=0.05,
         force_noise=0.02,
         force_drift=0.05,
@@ -332,7 +332,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     scene = load_scene(folder / "scene.toml")
     scene = replace(scene, slip=replace(scene.slip, displacement=displacement))
     result = process(scene, ["position_px", "stuck_ratio"])
-    first_jump, second_jump, last = np.searchsorted(trial.times, (0.44, 0.5, 0.7))
+    first_jump, second_jump, last = np.searchsorted(trial.times, (0.48, 0.51, 0.7))
     assert truth[first_jump] < 0.65
     assert truth[second_jump] > 0.25
     position = result["position_px"].values
