@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.abscissa import abscissa
 from fingerflow.plot.axes_style import BAND, GREEN, GREY, INK, RED, YELLOW, finished, given_or_new
+from fingerflow.plot.wording import followed
 
 Values = NDArray[np.float64]
 _MICRO = 1000.0  # mm to µm, and 1 to µm/mm
@@ -122,7 +123,7 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
     x = abscissa(result, against)
     curves = [("share that has slipped", result["slip_ratio"].values, None)]
     drawn = _draw(result, axes, against, curves, "slip ratio", "Slip of what touches the gel")
-    drawn.set(ylim=(-0.03, 1.03), xlim=_whole(x.values))
+    drawn.set_ylim(-0.03, 1.03)
     for k, where in enumerate(x.values[result["gross_slip"].values > 0]):
         drawn.axvline(where, color=YELLOW, linewidth=2, zorder=0, label=None if k else "gross slip")
     return finished(drawn)
@@ -131,8 +132,8 @@ def slip_ratio(result: xr.Dataset, axes: Axes | None = None, against: str | None
 def tracked_share(result: xr.Dataset, axes: Axes | None = None, against: str | None = "time") -> Axes:
     """Share of the points that are tracked (%), by default against time; arguments as of `contact_area`."""
     need(result, "tracked_share")
-    drawn = _draw(result, axes, against, [("tracked", 100 * result["tracked_share"].values, None)], "points (%)",
-                  "Points tracked")  # fmt: skip
+    name, curves = followed(result), [("tracked", 100 * result["tracked_share"].values, None)]
+    drawn = _draw(result, axes, against, curves, f"{name} (%)", f"{name.capitalize()} tracked")
     drawn.set_ylim(0, 103)
     return drawn
 
@@ -163,7 +164,7 @@ def position_std(result: xr.Dataset, axes: Axes | None = None, against: str | No
     for fraction in (0.5, 0.9):
         rows = np.full(len(values), np.nan)
         rows[known] = np.nanquantile(values[known], fraction, axis=1)
-        curves.append((f"{fraction:.0%} of the points below", rows, None))
+        curves.append((f"{fraction:.0%} of the {followed(result)} below", rows, None))
     drawn = _draw(result, axes, against, curves, "standard deviation (px)", "Uncertainty of a position")
     drawn.set_ylim(bottom=0)
     return drawn
@@ -196,15 +197,16 @@ def _draw(
         known = np.isfinite(values) & np.isfinite(x.values)
         beside = np.pad(known, 1)
         alone = known & ~beside[:-2] & ~beside[2:]  # a line does not show these
-        dots = known if known.sum() < _FEW else alone
-        style = {"marker": ".", "markevery": list(np.flatnonzero(dots))} if dots.any() else {}
-        axes.plot(x.values, values, color=colour, label=name, **style)
+        axes.plot(x.values, values, ".-" if known.sum() < _FEW else "-", color=colour, label=name)
+        if alone.any():
+            axes.plot(x.values[alone], values[alone], ".", color=colour, label="_alone")
         if spread is not None:
             low, high = values - BAND * spread, values + BAND * spread
             axes.fill_between(x.values, low, high, color=colour, alpha=0.2, linewidth=0)
-    axes.set(xlabel=x.label, ylabel=label, title=title)
+    axes.set(xlabel=x.label, ylabel=label, title=title, xlim=_whole(x.values))
     if not any(np.isfinite(values).any() for _, values, _ in curves):
         axes.text(0.5, 0.5, "not known in any frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
+        axes.set_yticks([])
     finished(axes)
     if len(curves) == 1 and (legend := axes.get_legend()) is not None:
         legend.remove()

@@ -16,7 +16,8 @@ from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
 from fingerflow.plot.outlines import contact_outline
 
 Values = NDArray[np.float64]
-_SHOWN = 0.98  # of the values that a colour scale holds
+_SHOWN = 0.98  # of the values that a colour scale holds,
+_OF_MEDIAN = 3.0  # but no more than this times their median: torn triangles may be more than 2 %
 _ARROWS = 220  # that are drawn at most
 _DIRECTIONS = 260
 _MARGIN_MM = 0.3
@@ -108,7 +109,7 @@ def field_map(
     chosen = _needed(result, quantity)
     if not 0 <= frame < result.sizes["frame"]:
         raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
-    axes = given_or_new(axes, 4.6, 3.9)
+    axes = given_or_new(axes, 4.6, 3.5)
     one = result.isel(frame=frame)
     axes.set(title=chosen.title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     axes.set_axisbelow(True)  # the grid beside the colours, not over them
@@ -140,25 +141,28 @@ def field_map(
     colours.set_rasterized(True)  # thousands of triangles are small as pixels alone
     if quantity == "displacement":
         _arrows(axes, one, chosen.title)
-    elif quantity in ("major_strain", "minor_strain"):
+    elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
         _directions(axes, one, shown, corners, minor=quantity == "minor_strain")
     _frame(axes, used if outline is None else np.concatenate((used, outline)))
     most = float(np.nanmax(np.abs(values)))
     beyond = "neither" if most <= limit else "both" if chosen.signed else "max"
-    axes.get_figure(root=True).colorbar(colours, ax=axes, label=chosen.unit, extend=beyond)
+    axes.get_figure(root=True).colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
     return finished(axes)
 
 
 def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
-    """The limit of colours that holds 98 % of the values in each of these frames, in the unit of the map."""
+    """The limit of colours, in the unit of the map: the largest over these frames of the 0.98 quantile of the values,
+    or of three times their median where that is less; 1 where all are 0.
+    """
     chosen = _needed(result, quantity)
     largest = 0.0
     for frame in frames:
         values = np.abs(chosen.values(result.isel(frame=frame)))
         values = values[np.isfinite(values)]
         if len(values):
-            largest = max(largest, float(np.quantile(values, _SHOWN)))
-    return largest or 1e-9
+            middle, high = np.quantile(values, (0.5, _SHOWN))
+            largest = max(largest, float(min(high, _OF_MEDIAN * middle) or high))
+    return largest or 1.0
 
 
 def drawable(result: xr.Dataset) -> list[str]:

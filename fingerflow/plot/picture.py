@@ -15,6 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph, LightGraph
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.outlines import contact_outline, stuck_outline
+from fingerflow.plot.wording import followed
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
 from fingerflow.scene import Scene
@@ -85,7 +86,7 @@ def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = No
 
     one = result.isel(frame=frame)
     _outlines(axes, one, pixels)
-    _points(axes, result, frame, pixels, "markers" if scene.soft_sensor else "points")
+    _points(axes, result, frame, pixels, followed(result))
     _scale_bar(axes, size / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(f"{name.capitalize()} view, {said(one)}", fontsize="medium")
@@ -182,5 +183,5 @@ def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
     edge = [withStroke(linewidth=2.5, foreground="black")]
     axes.plot([left, right], [y, y], color="white", linewidth=3, solid_capstyle="butt", label="_scale bar",
               path_effects=[withStroke(linewidth=4.5, foreground="black")])  # fmt: skip
-    axes.text((left + right) / 2, y - 0.02 * height, f"{length:g} mm", color="white", ha="center", va="bottom",
-              fontsize="small", path_effects=edge)  # fmt: skip
+    axes.annotate(f"{length:g} mm", ((left + right) / 2, y), (0, 4), textcoords="offset points", color="white",
+                  ha="center", va="bottom", fontsize="small", path_effects=edge)  # fmt: skip

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import xarray as xr
 
+from fingerflow.plot.wording import followed, is_sensor
+
 _MOST_LOST = 0.2  # of the points, above which what is known is of a selection
 _LARGE_STRAIN = 0.5  # of a triangle, above which skin is torn or its points come from different onsets
 _LARGE_SHARE = 0.02  # of the triangles that may be beyond
@@ -12,7 +14,12 @@ _LARGE_SHARE = 0.02  # of the triangles that may be beyond
 
 def cautions(result: xr.Dataset) -> list[str]:
     """The warnings of the run, and what the results themselves show: frames left out, points lost, strain beyond skin."""
-    return [*json.loads(result.attrs.get("warnings", "[]")), *_of_frames(result), *_of_points(result), *_of_strain(result)]
+    return [
+        *json.loads(result.attrs.get("warnings", "[]")),
+        *_of_frames(result),
+        *_of_points(result),
+        *_of_strain(result),
+    ]
 
 
 def _of_frames(result: xr.Dataset) -> list[str]:
@@ -34,9 +41,11 @@ def _of_frames(result: xr.Dataset) -> list[str]:
             unknown = touching & ~np.isfinite(result["median_divergence"].values)
             if unknown.all() or unknown.sum() > touching.sum() / 10:
                 last = int(result["frame"].values[np.flatnonzero(unknown)[-1]])
+                none = "strain_energy" in result and bool((result["strain_energy"].values[unknown] == 0).any())
+                energy = ", and a strain energy of 0 there means that none is known" if none else ""
                 said.append(
                     f"In {int(unknown.sum())} of the {int(touching.sum())} frames with contact the deformation is not "
-                    f"known, the last is {last}: too few points are followed there."
+                    f"known, the last is {last}: too few {followed(result)} are followed there{energy}."
                 )
     return said
 
@@ -52,14 +61,14 @@ def _of_points(result: xr.Dataset) -> list[str]:
     if share[worst] > 1 - _MOST_LOST:
         return []
     return [
-        f"{1 - share[worst]:.0%} of the {result.sizes['point']} points are lost in frame "
+        f"{1 - share[worst]:.0%} of the {result.sizes['point']} {followed(result)} are lost in frame "
         f"{int(result['frame'].values[worst])}, the worst: medians and maps are those of the others."
     ]
 
 
 def _of_strain(result: xr.Dataset) -> list[str]:
     """Triangles whose points first touched at different times of a slide measure the slide, not the skin."""
-    if "strain" not in result or not result["strain"].size:
+    if "strain" not in result or not result["strain"].size or is_sensor(result):  # a gel may well be
         return []
     largest = np.abs(result["strain"].values).max(-1)
     known = np.isfinite(largest).sum(1)

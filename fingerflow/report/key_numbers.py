@@ -51,6 +51,7 @@ def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
             spread = factor * result[f"{variable}_std"].values
         elif variable in ("gross_contact_area", "real_contact_area"):
             spread = scatter(values)
+            name += " (± scatter)"
         else:
             spread = np.full(len(values), np.nan)
         told = tuple(with_uncertainty(float(values[k]), float(spread[k])) for k in places)

@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 from jinja2 import Environment
 from matplotlib.axes import Axes
@@ -17,6 +18,7 @@ from fingerflow import plot
 from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.plot.abscissa import varies
 from fingerflow.plot.picture import said, views_of
+from fingerflow.plot.wording import followed, is_sensor
 from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.cautions import cautions, lost_points
 from fingerflow.report.inline_svg import curves_of, inline_svg
@@ -80,7 +82,7 @@ class _Figures:
 
     def curves(self, title: str, given: Sequence[tuple[Draw, str]]) -> Section | None:
         """Against what varies: the normal force where it only rises or falls, and time; a loop of the force second."""
-        there = [(one, variable) for one, variable in given if variable in self.result]
+        there = [(one, variable) for one, variable in given if _known(self.result, variable)]
         if not there:
             return None
         first = plot.abscissa(self.result).name
@@ -118,8 +120,7 @@ def write_report(
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
     sections = _sections(result, scene, frames, chain)
-    settings = json.loads(result.attrs["settings"])
-    sensor = settings.get("kind") == "soft_sensor"
+    sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])
     parts = files(__package__)
     curves = {
@@ -136,7 +137,7 @@ def write_report(
         .render(
             attrs=result.attrs,
             heading="Soft sensor with printed markers" if sensor else result.attrs["title"],
-            points="markers" if sensor else "points",
+            points=followed(result),
             css=parts.joinpath("page.css").read_text("utf-8"),
             js=parts.joinpath("page.js").read_text("utf-8"),
             cautions=cautions(result),
@@ -164,7 +165,10 @@ def _sections(
 ) -> list[Section]:
     make = _Figures(result)
     sections: list[Section | None] = []
-    most = next((k for k, one in enumerate(frames) if one.why in ("largest force", "largest contact")), len(frames) - 1)
+    most = next(
+        (k for k, one in enumerate(frames) if one.why in ("largest force", "largest contact", "largest displacement")),
+        len(frames) - 1,
+    )
     if scene is not None:
         pictured = frames or [Telling(0, "first frame")]
         panels = [
@@ -219,7 +223,7 @@ def _sections(
         (plot.position_std, "position_std_px"),
     ]
     # A soft sensor's markers are found in each frame anew: there is no way back to be tracked.
-    shown = [(one, name) for one, name in quality if name in result and bool(result[name].notnull().any())]
+    shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
     if shown:
         figures = [make.drawn(on, name, on.get_title()) for one, name in shown for on in (one(result),)]
         sections.append(Section("Quality", [Panel("", figures)]))
@@ -231,8 +235,8 @@ def _sections(
 
 def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
     """Maps of the telling frames, each quantity with the same colours in all."""
-    there = [name for name in _MAPS if name in plot.drawable(result)]
     places = [one.frame for one in frames]
+    there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
     if not there or not places:
         return None
     limits = {name: plot.colour_limit(result, name, places) for name in there}
@@ -251,9 +255,19 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: 
         )
         for one in frames
     ]
-    surface = "gel" if "gross_slip" in result else "skin"
+    surface = "gel" if is_sensor(result) else "skin"
     note = "Dashed: the gross contact. A quantity has the same colours in all frames; lines lie along the principal strain."
     return Section(f"Maps on the {surface}", panels, (note,), first)
+
+
+def _known(result: xr.Dataset, variable: str) -> bool:
+    return variable in result and bool(np.isfinite(result[variable].values).any())
+
+
+def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
+    """Whether a map has a value in any of these frames."""
+    values = plot.QUANTITIES[quantity].values
+    return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
 
 
 def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:

@@ -15,6 +15,8 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
     """Rows (what, value) by table, of the attribute `settings` of a result; what was not given is left out."""
     tables: dict[str, list[tuple[str, str]]] = {}
     for name, values in json.loads(stored).items():
+        if name == "views" and "camera" in values:
+            values = {"camera": values["camera"]}  # its other names are for stages
         rows = _rows(values, "") if isinstance(values, Mapping) else []
         if rows:
             tables[name.replace("_", " ")] = rows

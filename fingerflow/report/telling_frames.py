@@ -25,8 +25,8 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
     """At most five frames in the order of time, the most telling ones where more are found.
 
     Where the normal force varies: the first at which it is 1, 2 and 3 N, and that of the largest. Where the skin is
-    pulled: half of the largest load ratio, the largest, and the last frame. Of a soft sensor: the largest displacement
-    and the first gross slip. Else half of the largest contact on the way up, the largest, and the last frame in contact.
+    pulled: half of the largest load ratio, the largest, and the last frame. Of a soft sensor: half of the largest
+    displacement on the way up, the largest, and the first gross slip. Else half of the largest contact on the way up, the largest, and the last frame in contact.
     Frames in which nothing is known are left out. Empty where that is all of them.
     """
     known = _known(result)
@@ -88,11 +88,14 @@ def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
     length = np.linalg.norm(result["contact_displacement"].values, axis=1) if "contact_displacement" in result else None
     found = []
     if length is not None and np.isfinite(length).any():
-        found.append(Telling(int(np.nanargmax(length)), "largest displacement in contact"))
+        length = np.where(known, np.nan_to_num(length), 0.0)
+        top = int(np.argmax(length))
+        found.append(Telling(top, "largest displacement"))
+        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of it"))
     slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
     if len(slips):
         found.append(Telling(int(slips[0]), "first gross slip"))
-    return found + _of_contact(result, known)
+    return found
 
 
 def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.recordings import Recording
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.plot.picture import check_recording
+from fingerflow.recordings import Recording
 from fingerflow.scene import Scene
 from fingerflow.views import View
 
