@@ -1,20 +1,21 @@
 """Figures of a result, as functions that draw into matplotlib axes and return them: for papers, and for the report.
 
 Example:
-import fingerflow
-from fingerflow import plot
+    ::
 
-result = fingerflow.process("scene.toml")
-axes = plot.contact_area(result)  # against the normal force where it only rises or falls, else against time
-axes.figure.savefig("area.pdf")
+        import fingerflow
+        from fingerflow import plot
+        from matplotlib.figure import Figure
 
-from matplotlib.figure import Figure
+        result = fingerflow.process("scene.toml")
+        axes = plot.contact_area(result)  # against the normal force where it only rises or falls, else against time
+        axes.figure.savefig("area.pdf")
 
-figure = Figure(figsize=(7, 3), layout="constrained")
-left, right = figure.subplots(1, 2)
-plot.median_divergence(result, left, against="time")
-plot.field_map(result, "major_strain", frame=200, axes=right)
-figure.savefig("strain.svg")
+        figure = Figure(figsize=(7, 3), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        plot.median_divergence(result, left, against="time")
+        plot.field_map(result, "major_strain", frame=200, axes=right)
+        figure.savefig("strain.svg")
 """
 
 from fingerflow.plot.abscissa import abscissa

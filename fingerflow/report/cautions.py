@@ -13,13 +13,9 @@ _LARGE_SHARE = 0.02  # of the triangles that may be beyond
 
 
 def cautions(result: xr.Dataset) -> list[str]:
-    """The warnings of the run, and what the results themselves show: frames left out, points lost, strain beyond skin."""
-    return [
-        *json.loads(result.attrs.get("warnings", "[]")),
-        *_of_frames(result),
-        *_of_points(result),
-        *_of_strain(result),
-    ]
+    """The warnings of the run, and what the results show: frames left out, points lost, strain beyond skin."""
+    warnings = json.loads(result.attrs.get("warnings", "[]"))
+    return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
 
 
 def _of_frames(result: xr.Dataset) -> list[str]:
@@ -78,8 +74,8 @@ def _of_strain(result: xr.Dataset) -> list[str]:
         return []
     first = int(result["frame"].values[int(np.argmax(np.nan_to_num(share) > _LARGE_SHARE))])
     return [
-        f"From frame {first} on more than {_LARGE_SHARE:.0%} of the triangles are strained by over {_LARGE_STRAIN:.0%}, "
-        "which no skin is: displacement counts from the moment each point first touches, and these have points that "
+        f"In frame {first} and later, more than {_LARGE_SHARE:.0%} of the triangles are strained by over "
+        f"{_LARGE_STRAIN:.0%}, which no skin is: displacement counts from the moment each point first touches, and these have points that "
         "touched at different times of a slide. Their strain, and the strain energy, are not those of the skin."
     ]
 
