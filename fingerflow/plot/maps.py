@@ -133,7 +133,7 @@ def field_map(
         used = filled[np.unique(corners[shown])]
     elif dots.any():
         used = position[dots]
-        colours = axes.scatter(*used.T, c=values[dots], s=14, **scale)
+        colours = axes.scatter(used[:, 0], used[:, 1], c=values[dots], s=14, **scale)
     else:
         axes.text(0.5, 0.5, "not known in this frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
         _frame(axes, outline)
@@ -146,7 +146,9 @@ def field_map(
     _frame(axes, used if outline is None else np.concatenate((used, outline)))
     most = float(np.nanmax(np.abs(values)))
     beyond = "neither" if most <= limit else "both" if chosen.signed else "max"
-    axes.get_figure(root=True).colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
+    whole_figure = axes.get_figure(root=True)
+    assert whole_figure is not None
+    whole_figure.colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
     return finished(axes)
 
 

@@ -63,8 +63,8 @@ def _smaller(found: re.Match[str]) -> str:
 def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
     """What the page reads out at the cursor: curves of `count` frames, and where in the figure they stand.
 
-    Of axes that `inline_svg` has drawn, so that their layout is known. None where they have no such curve. ``box`` is left,
-    top, width and height as shares of the figure.
+    Of axes that `inline_svg` has drawn, so that their layout is known. None where they have no such curve. ``box`` is
+    left, top, width and height as shares of the figure.
     """
     named = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
     lines = [line for line in named if len(np.asarray(line.get_xdata())) == count]

@@ -165,10 +165,7 @@ def _sections(
 ) -> list[Section]:
     make = _Figures(result)
     sections: list[Section | None] = []
-    most = next(
-        (k for k, one in enumerate(frames) if one.why in ("largest force", "largest contact", "largest displacement")),
-        len(frames) - 1,
-    )
+    most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
     if scene is not None:
         pictured = frames or [Telling(0, "first frame")]
         panels = [

@@ -24,7 +24,7 @@ def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
 
 
 def transform_rows(stored: str) -> list[tuple[str, str]]:
-    """What the map between the views does, in words, of the attribute `topography_to_contact`; none where it is none."""
+    """What the map between the views does, of the attribute `topography_to_contact`; none where it is none."""
     matrix = np.array(json.loads(stored), dtype=np.float64)
     if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
         return []

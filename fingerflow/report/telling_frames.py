@@ -26,8 +26,9 @@ def telling_frames(result: xr.Dataset) -> list[Telling]:
 
     Where the normal force varies: the first at which it is 1, 2 and 3 N, and that of the largest. Where the skin is
     pulled: half of the largest load ratio, the largest, and the last frame. Of a soft sensor: half of the largest
-    displacement on the way up, the largest, and the first gross slip. Else half of the largest contact on the way up, the largest, and the last frame in contact.
-    Frames in which nothing is known are left out. Empty where that is all of them.
+    displacement on the way up, the largest, and the first gross slip. Else half of the largest contact on the way up,
+    the largest, and the last frame in contact. Frames in which nothing is known are left out. Empty where that is all
+    of them.
     """
     known = _known(result)
     if not known.any():
