@@ -253,7 +253,7 @@ def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: 
         for one in frames
     ]
     surface = "gel" if is_sensor(result) else "skin"
-    note = "Dashed: the gross contact. A quantity has the same colours in all frames; lines lie along the principal strain."
+    note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
     return Section(f"Maps on the {surface}", panels, (note,), first)
 
 
