@@ -117,8 +117,13 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """[fields]: deformation of the skin, and its elasticity."""
+    """[fields]: deformation of the skin, and its elasticity.
 
+    ``reference`` is what displacement counts from: "onset", "first_frame", a frame, or a time from the trigger, such
+    as "0.25 s".
+    """
+
+    reference: str | int
     gauge_length_mm: float
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"]
     young_modulus_mpa: float
@@ -318,6 +323,8 @@ search_px = 8                 # how far to search for points that a jolt has car
 gain_offset = true            # windows are compared whatever the light's gain and offset
 
 [fields]
+reference = "onset"           # displacement since each point's own onset of contact; or, for all points, since
+                              # "first_frame", since a frame as it stands in the file, 120, or a time, "0.25 s"
 gauge_length_mm = 1.6         # diameter over which a gradient is fitted
 strain = "green_lagrange"     # or "as_printed" (Willemet et al. 2021, eq. 1), "infinitesimal"
 young_modulus_mpa = 1.0

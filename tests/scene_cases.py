@@ -199,6 +199,15 @@ WRONG = (
     _number("threshold", '"reference_frame"', "'per_frame', or it should be less than 1", "35"),
     _number("threshold", '"reference_frame"', "'per_frame', or it should be greater than 0", "0"),
     _number("threshold", '"reference_frame"', "contact.threshold is 'auto': it should be 'refer", '"auto"'),
+    WrongScene(
+        "[fields]",
+        '[fields]\nreference = "contact"',
+        "reference",
+        "fields.reference is 'contact': it should be 'onset'",
+    ),
+    WrongScene("[fields]", "[fields]\nreference = -1", "reference", "fields.reference is -1: it should be 'onset'"),
+    WrongScene("[fields]", "[fields]\nreference = 0.25", "reference", 'in quotes and with its unit, "0.25 s"'),
+    WrongScene("[fields]", "[fields]\nreference = true", "reference", "fields.reference is True: it should be"),
     # Pixels.
     _number("rows", "[0, 512]", "views.contact.rows is 512: it should be a list of two whole numbers", "512"),
     _number(

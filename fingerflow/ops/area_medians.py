@@ -45,6 +45,7 @@ class AreaMedians(NamedTuple):
 
     median: Tensor  # (B, 5)
     std: Tensor | None  # (B, 5), its standard deviation from that of the points
+    known: Tensor  # (B,), share of the ellipse in which they are known; NaN where there is no ellipse
 
 
 def area_medians(
@@ -108,10 +109,7 @@ def area_medians(
             )
         )
     planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
-    medians, deviations = medians_of_components(
-        reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes
-    )
-    return AreaMedians(medians, deviations)
+    return medians_of_components(reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes)
 
 
 def medians_of_components(
@@ -123,7 +121,7 @@ def medians_of_components(
     radius: float,
     measure: str,
     covariance: Tensor | None,
-) -> tuple[Tensor, Tensor | None]:
+) -> AreaMedians:
     """The portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv."""
     now = reference + displacement
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
@@ -154,15 +152,16 @@ def medians_of_components(
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor().clamp_max(fields.shape[2] - 1)
     median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
     median = torch.where(enough, median, math.nan)
+    known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
-        return median, None
+        return AreaMedians(median, None, known_share)
     share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
     share = share / share.sum(2, keepdim=True).clamp_min(1)
     by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2)
-    return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan)
+    return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:

@@ -87,7 +87,7 @@ def displacement(result: xr.Dataset, axes: Axes | None = None, against: str | No
         return _draw(result, axes, against, curves, "mean displacement (µm)", "Displacement in contact")
     need(result, "global_displacement")
     curves = [("global displacement", _MICRO * result["global_displacement"].values, None)]
-    drawn = _draw(result, axes, against, curves, "displacement (µm)", "Median displacement since contact")
+    drawn = _draw(result, axes, against, curves, "displacement (µm)", "Median displacement")
     drawn.set_ylim(bottom=0)
     return drawn
 

@@ -73,11 +73,15 @@ def _of_strain(result: xr.Dataset) -> list[str]:
     if not np.nanmax(share, initial=0.0) > _LARGE_SHARE:
         return []
     first = int(result["frame"].values[int(np.argmax(np.nan_to_num(share) > _LARGE_SHARE))])
+    why = "points among them are wrong"
+    if "reference_frame" not in result["strain"].attrs:
+        why = (
+            "displacement counts from the moment each point first touches, and these have points that touched at "
+            "different times of a slide; [fields] reference names one frame for all"
+        )
     return [
         f"In frame {first} and later, more than {_LARGE_SHARE:.0%} of the triangles are strained by over "
-        f"{_LARGE_STRAIN:.0%}, which no skin is: displacement counts from the moment each point first touches, and "
-        "these have points that touched at different times of a slide. Their strain, and the strain energy, are not "
-        "those of the skin."
+        f"{_LARGE_STRAIN:.0%}, which no skin is: {why}. Their strain, and the strain energy, are not those of the skin."
     ]
 
 

@@ -80,7 +80,7 @@ class _Figures:
     def whole(self, figure: Figure, name: str, label: str) -> Drawn:
         return Drawn(name, inline_svg(figure, name, label))
 
-    def curves(self, title: str, given: Sequence[tuple[Draw, str]]) -> Section | None:
+    def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
         """Against what varies: the normal force where it only rises or falls, and time; a loop of the force second."""
         there = [(one, variable) for one, variable in given if _known(self.result, variable)]
         if not there:
@@ -97,6 +97,7 @@ class _Figures:
                 for on, (_, variable) in zip(drawn, there, strict=True)
             ]
             panels.append(Panel(f"against {plot.abscissa(self.result, against).label}", figures))
+        return Section(title, panels, notes)
         return Section(title, panels)
 
 
@@ -208,7 +209,9 @@ def _sections(
     ]
     if "gross_slip" not in result:
         deformation.append((plot.displacement, "global_displacement"))
-    sections.append(make.curves("Deformation, medians over the gross contact", deformation))
+    since = result["median_divergence"].attrs.get("reference") if "median_divergence" in result else None
+    counted = (f"Displacement counts from {since}.",) if since else ()
+    sections.append(make.curves("Deformation, medians over the gross contact", deformation, counted))
     sections.append(_maps(make, result, frames, max(most, 0)))
     if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
         trial = SlipTrial.of(result, "Partial slip")

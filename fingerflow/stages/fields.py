@@ -32,11 +32,12 @@ class FieldsStage(Stage):
         self._settings = self.inputs.scene.fields
         self._graph = self.inputs.engine(FieldsGraph(self.inputs.gauge_length_mm, self._settings.strain))
         self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
-        self._residual = np.full(len(trial), np.nan)
-        self._gauge = {"gauge_length_mm": self.inputs.gauge_length_mm}
+        self._residual, self._known = np.full((2, len(trial)), np.nan)
+        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self.inputs.gauge_length_mm}
 
     def begin(self) -> None:
         self._reference = self.inputs.tensor(self.trial.stage(DisplacementStage).reference)[None]
+        self._gauge |= self.trial.stage(DisplacementStage).since.attributes(self.inputs.scene.recording.first_frame)
         self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
         for name in self._given:
             self.results.create(name, self._gauge)
@@ -70,11 +71,14 @@ class FieldsStage(Stage):
         self._residual[batch.indices] = nanmedian(np.linalg.norm(residual, axis=-1))
         assert found.median is not None
         assert found.median_std is not None
+        assert found.known_share is not None
+        self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)
+        self.results.put("field_coverage", self._known)
         times, window = self.inputs.times, self._settings.rate_window_s
         for name, columns, has_rate in _MEDIANS:
             measure = {"measure": self._settings.strain} if name == "strain" else {}

@@ -34,9 +34,14 @@ class StrainStage(Stage):
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
         triangles = triangulate(moved.reference)
-        measure = {"measure": self._settings.strain}
+        self._since = moved.since.attributes(self.inputs.scene.recording.first_frame)
+        measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        for name, attributes in {"strain": measure, "strain_std": measure, "strain_energy_density": {}}.items():
+        for name, attributes in {
+            "strain": measure,
+            "strain_std": measure,
+            "strain_energy_density": self._since,
+        }.items():
             self.results.create(name, attributes)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.asked
         for name in sorted(self._principal):
@@ -79,7 +84,7 @@ class StrainStage(Stage):
         self._energy_std[batch.indices] = found.energy_std.cpu()
 
     def finish(self) -> None:
-        depth = {"depth_mm": self._settings.depth_mm}
+        depth = {"depth_mm": self._settings.depth_mm} | self._since
         # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
         energy, deviation = (
@@ -98,16 +103,16 @@ def _shared_errors(
 
     Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
     in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
-    displacement's noise is that of onset, which is another one where points touch in other frames. Errors of the time
-    of onset are independent: of neighbours on a press they correlate by less than 0.1.
+    displacement's noise is that of its reference, which is another one where points count from other frames. Errors of
+    the time of onset are independent: of neighbours on a press they correlate by less than 0.1.
     """
-    onset, places = moved.onset, moved.reference_px
+    begins, places = moved.begins, moved.reference_px
     of_onset = np.trace(moved.of_onset, axis1=1, axis2=2) / 2
     share = np.sqrt(moved.noise / np.maximum(moved.noise + of_onset, 1e-30))
 
     def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
         apart = np.abs(places[one] - places[other]) / window_px
-        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(onset[one] == onset[other], 1, 0.5)
+        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(begins[one] == begins[other], 1, 0.5)
         result: NDArray[np.float32] = np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
         return result
 

@@ -51,6 +51,13 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """One of some words, a frame as a whole number from 0, or a time from the trigger as text, "0.25 s"."""
+
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class File:
     """A path relative to the scene file; "file.h5::/dataset" is a data set within a file.
 
@@ -73,7 +80,7 @@ class Transform:
     """[[a, b, x], [c, d, y]] that can be undone."""
 
 
-Type = Number | Switch | Text | Choice | File | PixelRange | Transform
+Type = Number | Switch | Text | Choice | Moment | File | PixelRange | Transform
 
 
 @dataclass(frozen=True)
@@ -158,6 +165,7 @@ SCENE: dict[str, Key | Table] = {
     ),
     "fields": Table(
         {
+            "reference": Key(Moment(("onset", "first_frame")), default="onset"),
             "gauge_length_mm": Key(Number(above=0, most=100), default=1.6),
             "strain": Key(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
             "young_modulus_mpa": Key(POSITIVE, default=1.0),

@@ -1,13 +1,15 @@
 """What a single setting may be: its value, or what is wrong with it in words."""
 
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
 from .calibration_file import can_be_undone
-from .scene_keys import Choice, Number, PixelRange, Switch, Text, Transform, Type, Whole
+from .scene_keys import Choice, Moment, Number, PixelRange, Switch, Text, Transform, Type, Whole
 
 _LEAST_DETERMINANT = 1e-6
+_TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
@@ -26,6 +28,8 @@ def value_of(kind: Type, value: Any) -> Any:
             return _number(kind, value)
         case Choice():
             return _choice(kind, value)
+        case Moment():
+            return _moment(kind, value)
         case PixelRange():
             return _pixel_range(value)
         case Transform():
@@ -88,6 +92,23 @@ def _choice(kind: Choice, value: Any) -> Any:
         return _number(kind.number, value)
     except WrongValue as wrong:
         raise WrongValue(f"{words}, or {wrong}") from None
+
+
+def seconds_of(moment: Any) -> float | None:
+    """Seconds from the trigger that a `Moment` states, "0.25 s"; None where it is a word or a frame."""
+    found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
+    return None if found is None else float(found.group(1))
+
+
+def _moment(kind: Moment, value: Any) -> str | int:
+    if value in kind.words or seconds_of(value) is not None:
+        return str(value)
+    if type(value) is int and value >= 0:
+        return value
+    raise WrongValue(
+        f"it should be {either(kind.words)}, the number of a frame, from 0, or a time from the trigger in quotes and "
+        'with its unit, "0.25 s"'
+    )
 
 
 def _pixel_range(value: Any) -> tuple[int, int]:

@@ -125,6 +125,8 @@ TRACKING = (
     Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
 )
 
+#: From when displacement counts. The attribute ``reference`` of a variable says what it is in this result.
+SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4"
@@ -133,11 +135,12 @@ DISPLACEMENT = (
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position at onset; of points that are touched in passing alone, where they were then",
+        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
+        "touched in passing alone, where they were then",
     ),
-    Variable("displacement", ("frame", "point", "xy"), "mm", "displacement since onset"),
-    Variable("displacement_std", FRAME_POINT, "mm", "standard deviation of a component since onset", "f4"),
-    Variable("global_displacement_vector", ("frame", "xy"), "mm", "median displacement, by component"),
+    Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
+    Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),
+    Variable("global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component"),
     Variable("global_displacement", FRAME, "mm", "length of the median displacement"),
 )
 
@@ -145,8 +148,8 @@ _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = "by the errors of the points alone: those of the ellipse and of the places of onset come on top"
 FIELDS = (
-    Variable("divergence", FRAME_POINT, "1", "divergence of the displacement", "f4"),
-    Variable("curl", FRAME_POINT, "rad", "curl of the displacement", "f4"),
+    Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
+    Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4"),
     Variable(
         "shear",
         ("frame", "point", "shear_component"),
@@ -167,6 +170,12 @@ FIELDS = (
     Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual"),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
+    Variable(
+        "field_coverage",
+        FRAME,
+        "1",
+        "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
+    ),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
     Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}"),
     Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence"),
@@ -179,7 +188,7 @@ FIELDS = (
 
 STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
-    Variable("strain", (*TRIANGLE, "strain_component"), "1", "strain of a triangle", "f4"),
+    Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4"),
     Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
     Variable(
         "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4", unasked=False
