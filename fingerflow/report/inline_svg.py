@@ -18,7 +18,7 @@ _WIDER = 1.5  # than in print, that a figure is shown at most
 _DIGITS = 5
 _LARGE, _QUALITY = 100_000, 88  # bytes of a picture, and of JPEG
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
-_OWN_ID = re.compile(r' id="[A-Za-z]+[0-9A-Za-z]*_\d+"')
+_OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
 _UNIT = re.compile(r"\(([^()]*)\)$")
 
 

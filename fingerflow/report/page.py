@@ -98,7 +98,6 @@ class _Figures:
             ]
             panels.append(Panel(f"against {plot.abscissa(self.result, against).label}", figures))
         return Section(title, panels, notes)
-        return Section(title, panels)
 
 
 def write_report(

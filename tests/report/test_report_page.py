@@ -28,7 +28,6 @@ Trial = tuple[Scene, xr.Dataset]
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     folder = tmp_path_factory.mktemp("press") / "recording"
-    folder = tmp_path_factory.mktemp("press")
     small = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9)}
     write_recording(folder, Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **small))  # type: ignore[arg-type]
     path = folder / "scene.toml"
