@@ -1,7 +1,7 @@
 """The stuck part by the dense flow of the skin, and how far its points agree with that."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -45,6 +45,7 @@ class DenseFlowSlipStage(SlipStage):
     name = "dense_flow_slip"
     instead = True
     reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (*SlipStage.settings, "views.topography")
     clear = 3.0  # the flow shows 2 to 3 um at the border, and has a noise of 1.2 to 1.7 um
 
     def begin(self) -> None:
@@ -73,19 +74,19 @@ class DenseFlowSlipStage(SlipStage):
         self.results.put("dense_flow_difference_95", self._most)
         first = self.inputs.scene.recording.first_frame
         if self._flow is not None and self._flow.renewed:
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"the skin could not be compared with the first frame to the end: {self._flow.renewed} later frames "
                 f"took its place for the dense flow, whose errors add up"
             )
         if self._lost:
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"in {len(self._lost)} frames, the first is {self._lost[0] + first}, dense flow and light explain less "
                 f"than half of the skin: it is left out there"
             )
         apart = np.flatnonzero(self._apart > _DISAGREE)
         if len(apart):
             worst = int(np.nanargmax(self._apart))
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"in {len(apart)} frames dense flow and tracked points differ by more than {_DISAGREE:.0f} of their "
                 f"standard deviations in the median, most in frame {worst + first} "
                 f"({1000 * self._median[worst]:.1f} µm): one of them is wrong. Look at the video, and take [slip] "

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -77,6 +77,10 @@ class SlipStage(Stage):
     needs = ("views.topography",)
     after = (LoadingStage, ContactStage, TrackingStage)
     follows_border = True
+    settings: ClassVar[tuple[str, ...]] = (
+        *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
+    )
     clear = 0.0  # of `StuckBorder`; single points show the border well above their noise
 
     def __init__(self, trial: Trial) -> None:
@@ -105,7 +109,7 @@ class SlipStage(Stage):
         try:
             self._grid = SlipGrid(self._first[self._known], self._cells, size, first_cell, half_window)
         except ValueError as error:
-            self.inputs.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
+            self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
         self._border: StuckBorder | None = None
         if self._grid is not None:
             self._border = StuckBorder(self._grid, half_window, self._how_seen(self._grid), self.clear)
@@ -286,7 +290,7 @@ class SlipStage(Stage):
         deviation = float(np.nanmedian(self._deviation)) if np.isfinite(self._deviation).any() else math.nan
         noise = math.sqrt(2) * deviation * self.inputs.topography_mm_per_px
         if limit < _LEAST_LIMIT * noise:
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
                 f"moved by {1000 * limit:.1f} µm counts as slipped: where the stuck part ends is not known. Record "
                 f'with more light, raise [tracking] window_px, or take [slip] criterion = "displacement" with a '
@@ -295,14 +299,14 @@ class SlipStage(Stage):
 
     def _warn_of_unknown(self) -> None:
         if self._border is not None and self._border.reason and self._settings.criterion == "border":
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"{self._border.reason}: skin that has moved by less than {1000 * FOLLOWED_MM:.0f} µm is taken for "
                 f"stuck"
             )
         low = np.flatnonzero(self._coverage < LEAST_COVERAGE)
         if len(low):
             first = int(low[0]) + self.inputs.scene.recording.first_frame
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less "
                 f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(self._coverage[low]):.0%}: their stuck "
                 f"area is NaN. Points were lost there, or skin came into contact that was in no point's window: raise "
