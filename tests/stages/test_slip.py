@@ -401,9 +401,10 @@ def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> 
         position_std_px=given["position_std_px"].values[:frames],
         gross_contact_region=given["gross_contact_region"].values[:frames],
     )
-    run(trial, DenseFlowSlipStage(trial))
+    stage = DenseFlowSlipStage(trial)
+    run(trial, stage)
     np.testing.assert_allclose(values_of(trial, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
-    assert any("dense flow and tracked points differ" in warning for warning in inputs.warnings)
+    assert any("dense flow and tracked points differ" in warning for warning in stage.warnings)
 
 
 def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:
