@@ -17,7 +17,7 @@ ARROWS: dict[str, set[str]] = {
     "toml_string": set(),
     "untrusted": {"errors"},
     "views": {"contract", "errors"},
-    "atomic_write": {"errors"},
+    "atomic_write": {"contract", "errors"},
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},
     "graphs": {"ops"},
@@ -30,6 +30,9 @@ ARROWS: dict[str, set[str]] = {
     "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "scene", "store", "views"},
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
+    "dictionary": {"contract", "stages"},
+    "tables": {"atomic_write", "errors"},
+    "reuse": {"__init__", "errors", "kernels", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
@@ -38,12 +41,13 @@ ARROWS: dict[str, set[str]] = {
         "plan",
         "recordings",
         "result",
+        "reuse",
         "room",
         "scene",
         "stages",
         "store",
     },
-    "synthetic": {"atomic_write", "errors", "models", "scene", "views"},
+    "synthetic": {"contract", "errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "plot": {"errors", "graphs", "recordings", "scene", "stages"},
     "report": {
@@ -58,7 +62,7 @@ ARROWS: dict[str, set[str]] = {
         "synthetic",
         "views",
     },
-    "export": {"atomic_write", "errors", "graphs", "kernels", "ops", "strict", "synthetic"},
+    "export": {"contract", "errors", "graphs", "kernels", "ops", "strict", "synthetic"},
     "player": {
         "contract",
         "errors",
@@ -66,6 +70,19 @@ ARROWS: dict[str, set[str]] = {
     },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "stream_result": {"contract", "errors", "player"},
+    "view": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "plan",
+        "recordings",
+        "result",
+        "scene",
+        "stages",
+        "store",
+        "untrusted",
+    },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)

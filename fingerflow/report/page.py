@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fingerflow import plot
-from fingerflow.atomic_write import spare, write_atomically
+from fingerflow.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.plot.abscissa import varies
 from fingerflow.plot.picture import said, views_of
 from fingerflow.plot.wording import followed, is_sensor
@@ -106,6 +106,7 @@ def write_report(
     folder: Path,
     comparison: Sequence[Any] = (),
     chain: BesideChain | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
 
@@ -113,10 +114,14 @@ def write_report(
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
     ``chain``: predictions of the skin chain, drawn beside what was measured.
+
+    Raises FingerflowError, before anything is computed, where a file of these names is an input, or without
+    ``overwrite`` one that no report has written.
     """
+    for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
+        spare(folder / output, *(scene.files() if scene is not None else ()))
+        keep_others(folder / output, is_marked, overwrite)
     if scene is not None:
-        for output in ("report.html", "overlay.mp4"):
-            spare(folder / output, *scene.files())
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
     sections = _sections(result, scene, frames, chain)
@@ -135,6 +140,7 @@ def write_report(
         Environment(autoescape=True)
         .from_string(parts.joinpath("page.html").read_text("utf-8"))
         .render(
+            mark=MARK,
             attrs=result.attrs,
             heading="Soft sensor with printed markers" if sensor else result.attrs["title"],
             points=followed(result),

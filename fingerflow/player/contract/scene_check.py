@@ -14,8 +14,12 @@ from .scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
+    Instead,
     Key,
     NotBefore,
+    NotBoth,
+    OneEach,
+    OneOf,
     Reader,
     Rule,
     Table,
@@ -179,10 +183,20 @@ class _Check:
             case Together():
                 if rule.key in self.given and rule.other not in self.given:
                     self._blame(rule.key, f"{rule.why}; {rule.remedy}")
+            case NotBoth():
+                if rule.key in self.given and rule.other in self.given:
+                    self._blame(rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}")
+            case OneEach():
+                self._one_each(rule)
             case InPlaceOf():
                 self._in_place_of(rule)
             case Inside():
                 self._inside(rule)
+            case OneOf():
+                self._one_of(rule)
+            case Instead():
+                if rule.key in self.given and self._at(rule.other) is not None:
+                    self._blame(rule.key, f"{rule.other} says the same, and is there too; keep one of them")
             case FitsTheViews():
                 self._fits_the_views(rule)
 
@@ -208,6 +222,14 @@ class _Check:
                 rule.key,
                 f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
             )
+
+    def _one_each(self, rule: OneEach) -> None:
+        given, named = self._at(rule.key), [self._at(force) for force in rule.forces]
+        if not isinstance(given, tuple) or named[0] is None:
+            return
+        count = sum(len(one) if isinstance(one, tuple) else one is not None for one in named)
+        if len(given) != count:
+            self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
         """The other keys have what the calibration file says from here on."""
@@ -240,6 +262,19 @@ class _Check:
         if region[0][1] > height or region[1][1] > width:
             name = rule.view.rpartition(".")[2]
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
+
+    def _one_of(self, rule: OneOf) -> None:
+        """None where the table is left out; else of its keys the one that is given stays."""
+        place, _, name = rule.key.rpartition(".")
+        table, around = self._at(rule.key), self._at(place)
+        if not table or place not in self.given:  # a role has the region of the view that has it
+            return
+        given = [key for key in table if f"{rule.key}.{key}" in self.given]
+        wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
+        if rule.key in self.given and len(given) != 1 and not wrong:
+            self._blame(rule.key, f"one of {either(table)} is needed, and there are {' and '.join(given) or 'none'}")
+        if rule.key not in self.given:
+            around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
         """Only where there is another view to be mapped: the scale holds whatever part of the frame the view is."""

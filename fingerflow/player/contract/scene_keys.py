@@ -51,6 +51,26 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Column:
+    """The name of a column, or its number, from 1; with ``several`` a list of up to so many."""
+
+    several: int = 1
+
+
+@dataclass(frozen=True)
+class Each:
+    """A number for all forces, or a list of one each, normal first; ``among`` these, where not empty."""
+
+    number: Number = Number()
+    among: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """[t0, t1] s from the trigger, t0 before t1."""
+
+
+@dataclass(frozen=True)
 class Moment:
     """One of some words, a frame as a whole number from 0, or a time from the trigger as text, "0.25 s"."""
 
@@ -76,11 +96,37 @@ class PixelRange:
 
 
 @dataclass(frozen=True)
+class Corners:
+    """[[x, y], ...], three or more px of a view."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """[x, y], two numbers."""
+
+    each: Number = Number()
+
+
+@dataclass(frozen=True)
 class Transform:
     """[[a, b, x], [c, d, y]] that can be undone."""
 
 
-Type = Number | Switch | Text | Choice | Moment | File | PixelRange | Transform
+Type = (
+    Number
+    | Switch
+    | Text
+    | Choice
+    | Column
+    | Each
+    | TimeRange
+    | Moment
+    | File
+    | PixelRange
+    | Transform
+    | Corners
+    | Pair
+)
 
 
 @dataclass(frozen=True)
@@ -102,6 +148,20 @@ class Table:
 
 POSITIVE, FROM_0 = Number(above=0), Whole(least=0)
 RECTANGLE = {"rows": Key(PixelRange(), needed_by=BOTH), "columns": Key(PixelRange(), needed_by=BOTH)}
+#: A part of a view, px of the view with whole numbers at pixel centres: one of these.
+REGION = Table(
+    {
+        "polygon": Key(Corners()),
+        "ellipse": Table(
+            {
+                "center": Key(Pair(), needed_by=BOTH),
+                "semi_axes": Key(Pair(POSITIVE), needed_by=BOTH),
+                "angle": Key(Number(), default=0.0),
+            }
+        ),
+        "mask": Key(File(there_for=PROCESS)),
+    }
+)
 
 SCENE: dict[str, Key | Table] = {
     "recording": Table(
@@ -133,11 +193,16 @@ SCENE: dict[str, Key | Table] = {
     "forces": Table(
         {
             "file": Key(File(there_for=PROCESS), needed_by=BOTH),
-            "normal": Key(Text(), needed_by=BOTH),
-            "tangential": Key(Text()),
-            "trigger": Key(Text()),
+            "normal": Key(Column(), needed_by=BOTH),
+            "tangential": Key(Column(several=2)),
+            "units": Key(Choice(("N", "mN", "g", "kgf", "V"))),
+            "gain": Key(Each()),
+            "sign": Key(Each(among=(1, -1)), default=1.0),
+            "offset": Key(Each()),
+            "tare": Key(TimeRange()),
+            "trigger": Key(Column()),
             "trigger_level": Key(Number()),
-            "time": Key(Text()),
+            "time": Key(Column()),
             "sample_rate": Key(POSITIVE),
         },
     ),
@@ -178,6 +243,7 @@ SCENE: dict[str, Key | Table] = {
         {
             "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
             "stuck_mm": Key(POSITIVE, default=0.04),
+            "displacement": Key(Choice(("points", "dense_flow")), default="points"),
         }
     ),
     "stream": Table(
@@ -192,9 +258,10 @@ SCENE: dict[str, Key | Table] = {
 
 
 def views_of(kind: Kind) -> Table:
-    """[views] of a scene of this kind: a rectangle each."""
-    tables: dict[str, Key | Table] = {name: Table(RECTANGLE, needed_by=BOTH) for name in kind.views}
-    tables |= {name: Table(RECTANGLE, needed_by=STREAM) for name in kind.optional_views}
+    """[views] of a scene of this kind: a rectangle each, and a region in it."""
+    keys: dict[str, Key | Table] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    tables: dict[str, Key | Table] = {name: Table(keys, needed_by=BOTH) for name in kind.views}
+    tables |= {name: Table(keys, needed_by=STREAM) for name in kind.optional_views}
     return Table(tables, needed_by=BOTH)
 
 
@@ -226,6 +293,23 @@ class Together:
 
 
 @dataclass(frozen=True)
+class NotBoth:
+    """Two keys of which one is given at most."""
+
+    key: str
+    other: str
+    why: str
+
+
+@dataclass(frozen=True)
+class OneEach:
+    """A list of one number a force, where it is a list."""
+
+    key: str
+    forces: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class InPlaceOf:
     """A calibration file that gives a scale and, it may be, a transform, of which the scale is needed else."""
 
@@ -243,6 +327,21 @@ class Inside:
 
 
 @dataclass(frozen=True)
+class OneOf:
+    """A table of which one key is given, where it is given at all."""
+
+    key: str
+
+
+@dataclass(frozen=True)
+class Instead:
+    """A key that says the same as another one: only one of them is given."""
+
+    key: str
+    other: str
+
+
+@dataclass(frozen=True)
 class FitsTheViews:
     """A calibration that says where the pixels of a view are in the other one, and was made with these views."""
 
@@ -253,14 +352,18 @@ class FitsTheViews:
     into: str
 
 
-Rule = NotBefore | Together | InPlaceOf | Inside | FitsTheViews
+Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | FitsTheViews | OneOf | Instead
 _TRIGGER = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
 RULES: tuple[Rule, ...] = (
     NotBefore("recording.last_frame", "recording.first_frame"),
     Together("forces.trigger", "forces.trigger_level", _TRIGGER, "add trigger_level = 2.5 in the channel's unit"),
     Together("forces.trigger_level", "forces.trigger", _TRIGGER, "add trigger = with the channel's name"),
+    NotBoth("forces.tare", "forces.offset", "both say what the sensor reads without a load"),
+    *(OneEach(f"forces.{key}", ("forces.normal", "forces.tangential")) for key in ("gain", "sign", "offset")),
     InPlaceOf("calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"),
     Inside("stream.region", "views.topography"),
+    *(OneOf(f"views.{view}.region") for view in ("contact", "topography", "camera")),
+    *(Instead("stream.region", f"views.{view}.region") for view in ("topography", "camera")),
     FitsTheViews(
         "calibration.file",
         "calibration.mm_per_px",
