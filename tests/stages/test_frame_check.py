@@ -19,7 +19,7 @@ from tests.small_trials import SPOILED, dim_contact
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
-PLACES = [0, 13, 25, 37, 49, 61, 73, 85, 97, 109, FRAMES - 1]  # ten, and the first
+PLACES = [0, 13, 25, 37, 49, 61, 73, 85, 97, FRAMES - 1]
 SMALL = {"window_px = 25": "window_px = 21", "points = 700": "points = 150"}
 Frame = np.ndarray[Any, Any]
 AREAS = ("real_contact_area", "gross_contact_area", "contact_threshold")
