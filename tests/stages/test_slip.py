@@ -321,7 +321,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
         n_frames=frames,
         frame_rate=rate,
         frames_before_trigger=2,
-        jumps=(0.52, 0.7),
+        jumps=(0.495, 0.7),
         collapse=0.05,
         force_noise=0.02,
         force_drift=0.05,
@@ -330,7 +330,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     scene = load_scene(folder / "scene.toml")
     scene = replace(scene, slip=replace(scene.slip, displacement=displacement))
     result = process(scene, ["position_px", "stuck_ratio"])
-    first, last = (int(at) for at in np.searchsorted(trial.times, (0.52, 0.7)))
+    first, last = (int(at) for at in np.searchsorted(trial.times, (0.495, 0.7)))
     assert 0.25 < truth[first] < 0.5
     position = result["position_px"].values
     tracked = []
