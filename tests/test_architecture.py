@@ -17,7 +17,7 @@ ARROWS: dict[str, set[str]] = {
     "toml_string": set(),
     "untrusted": {"errors"},
     "views": {"contract", "errors"},
-    "atomic_write": {"errors"},
+    "atomic_write": {"contract", "errors"},
     "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
     "ops": {"kernels"},
     "graphs": {"ops"},
@@ -47,10 +47,10 @@ ARROWS: dict[str, set[str]] = {
         "stages",
         "store",
     },
-    "synthetic": {"atomic_write", "errors", "models", "scene", "views"},
+    "synthetic": {"contract", "errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "report": {"atomic_write", "errors", "models", "ops", "recordings", "result", "scene", "synthetic", "views"},
-    "export": {"atomic_write", "errors", "graphs", "kernels", "ops", "strict", "synthetic"},
+    "export": {"contract", "errors", "graphs", "kernels", "ops", "strict", "synthetic"},
     "player": {
         "contract",
         "errors",
@@ -58,6 +58,19 @@ ARROWS: dict[str, set[str]] = {
     },  # only where `--provider compiled` asks for the package; a bundle does without
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "stream_result": {"contract", "errors", "player"},
+    "view": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "plan",
+        "recordings",
+        "result",
+        "scene",
+        "stages",
+        "store",
+        "untrusted",
+    },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
 ARROWS["cli"] = set(ARROWS)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fingerflow.cli.app import AsJson, app, print_json, process_scene
+from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
 from fingerflow.errors import FingerflowError
 
 
@@ -22,6 +22,7 @@ def report(
         ),
     ] = None,
     chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
+    overwrite: Overwrite = False,
 ) -> None:
     """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
@@ -38,18 +39,19 @@ def report(
             )
         if friction:
             raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
-        typer.echo(f"report: {write_report(open_stream(scene), None, scene)}")
+        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite)}")
         return
     loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
     stored = load_result(result or scene.parent / "result.h5")
     beside = compare_with_chain(stored, friction, chain) if friction else None
-    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside)}")
+    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite)}")
 
 
 @app.command()
 def slip(
     scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
     figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Judge whether the stuck area of each trial vanishes abruptly or fades."""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
@@ -69,7 +71,7 @@ def slip(
             typer.echo(f"warning: {path}: {warning}", err=True)
     typer.echo(summary(trials, failed))
     if figure is not None and trials:
-        typer.echo(f"figures: {write_figures(trials, figure)}")
+        typer.echo(f"figures: {write_figures(trials, figure, overwrite)}")
     if not trials:
         raise typer.Exit(2)
 
@@ -102,6 +104,7 @@ def figures(
             "of any with _difference behind its name, comparison less reference."
         ),
     ] = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
@@ -116,7 +119,7 @@ def figures(
         tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
         trials=None if trials is None else load_trials(trials),
     )
-    written = write_supplement(sources, folder, progress=not as_json)
+    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
     if as_json:
         print_json(
             [

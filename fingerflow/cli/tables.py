@@ -29,17 +29,15 @@ def export_table(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a result as CSV (a row a frame, a point or a step of a track) or .mat (everything)."""
-    from fingerflow.atomic_write import keep_others
-
-    keep_others(table, _is_table, overwrite)
     if result.is_dir() and table.suffix == ".csv" and rows == "frame" and not variables:
-        _export_stream(result, table)
+        _export_stream(result, table, overwrite)
         return
     from fingerflow import tables
     from fingerflow.result import load_result
     from fingerflow.stream_result import open_stream
 
-    tables.export_table(open_stream(result) if result.is_dir() else load_result(result), table, rows, variables)
+    given = open_stream(result) if result.is_dir() else load_result(result)
+    tables.export_table(given, table, rows, variables, overwrite)
     typer.echo(f"{table} was written")
 
 
@@ -53,31 +51,21 @@ def export_map(
 ) -> None:
     """Write a variable on a regular grid of the glass: a stack of maps, one a frame."""
     from fingerflow import tables
-    from fingerflow.atomic_write import keep_others
     from fingerflow.result import load_result
 
-    keep_others(picture, _is_table, overwrite)
-    tables.export_map(load_result(result), picture, variable, step_mm)
+    tables.export_map(load_result(result), picture, variable, step_mm, overwrite)
     typer.echo(f"{picture} was written")
 
 
-def _export_stream(folder: Path, table: Path) -> None:
+def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
     """The player's own table has the same columns, and needs no torch."""
+    from fingerflow.atomic_write import keep_others
     from fingerflow.player import PlayerError, write_table
+    from fingerflow.tables import is_table
 
+    keep_others(table, is_table, overwrite)
     try:
-        write_table(folder, table)
+        write_table(folder, table, overwrite=True)
     except PlayerError as error:
         raise FingerflowError(str(error)) from None
     typer.echo(f"{table} was written")
-
-
-def _is_table(path: Path) -> bool:
-    """Whether a file is what these commands write: a .mat file, a stack of maps, or a .csv that begins as theirs."""
-    with path.open("rb") as file:
-        first = file.read(9)
-    if first[:4] in (b"II*\0", b"MM\0*"):
-        from fingerflow.tables import is_map
-
-        return is_map(path)
-    return first.startswith((b"MATLAB", b"frame,", b"track_id,"))

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from jinja2 import Environment
 
-from fingerflow.atomic_write import spare, write_atomically
+from fingerflow.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report import figures
 from fingerflow.report.beside_chain import BesideChain, draw
@@ -31,6 +31,7 @@ def write_report(
     folder: Path,
     comparison: Sequence[Any] = (),
     chain: BesideChain | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
 
@@ -38,13 +39,17 @@ def write_report(
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
     ``chain``: predictions of the skin chain, drawn beside what was measured.
+
+    Raises FingerflowError, before anything is computed, where a file of these names is an input, or without
+    ``overwrite`` one that no report has written.
     """
+    for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
+        spare(folder / output, *(scene.files() if scene is not None else ()))
+        keep_others(folder / output, is_marked, overwrite)
     frame = _most_contact(result)
     sections: list[tuple[str, bytes]] = []
     notes: dict[str, Sequence[str]] = {}
     if scene is not None:
-        for output in ("report.html", "overlay.mp4"):
-            spare(folder / output, *scene.files())
         write_overlay(result, scene, folder / "overlay.mp4")
         with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
             picture = ViewPainter(result, scene, recording).paint(frame)
@@ -75,6 +80,7 @@ def write_report(
     count = result.sizes["frame"]
     template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
     html = template.render(
+        mark=MARK,
         attrs=result.attrs,
         settings={
             name: value for name, value in json.loads(result.attrs["settings"]).items() if isinstance(value, dict)

@@ -61,8 +61,8 @@ class DisplacementStage(Stage):
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
     settings = (
-        *("fields.reference", "fields.gauge_length_mm", "tracking.template"),
-        *("recording.first_frame", "recording.times"),
+        *("fields.gauge_length_mm", "fields.reference", "tracking.template"),
+        *("recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 

@@ -2,4 +2,4 @@
 
 from fingerflow.tables.files import export_map as export_map
 from fingerflow.tables.files import export_table as export_table
-from fingerflow.tables.files import is_map as is_map
+from fingerflow.tables.files import is_table as is_table

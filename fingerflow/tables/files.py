@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import scipy.io
 import tifffile
 import xarray as xr
 
-from fingerflow.atomic_write import write_atomically
+from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.tables.columns import Table, by_frame, by_point, by_track
 from fingerflow.tables.maps import ORIGIN as _ORIGIN
@@ -15,9 +16,16 @@ from fingerflow.tables.maps import Maps, maps_of
 from fingerflow.tables.matlab import save_matlab
 
 ROWS = {"frame": by_frame, "point": by_point, "track": by_track}
+_BEGINNINGS = (b"frame,", b"track_id,")
 
 
-def export_table(result: xr.Dataset, path: Path, rows: str = "frame", variables: Sequence[str] | None = None) -> None:
+def export_table(
+    result: xr.Dataset,
+    path: Path,
+    rows: str = "frame",
+    variables: Sequence[str] | None = None,
+    overwrite: bool = False,
+) -> None:
     """Writes a table as .csv, or everything as .mat.
 
     Args:
@@ -26,10 +34,13 @@ def export_table(result: xr.Dataset, path: Path, rows: str = "frame", variables:
         rows: what is a row of a .csv: "frame"; "point", one a point in each frame; "track", the same as napari's tracks
             are, (ID, t, y, x) with frames and px, where the point is tracked.
         variables: that are columns; None for all that have a value for each row.
+        overwrite: replace any file, not a table or map alone.
 
     Raises:
-        FingerflowError: for another suffix, a variable that the result does not have or that has other rows.
+        FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
+            without ``overwrite`` where a file is there that is no table or map.
     """
+    keep_others(path, is_table, overwrite)
     if rows not in ROWS:
         raise FingerflowError(f"rows of {rows!r} are not known; choose {', '.join(ROWS)}")
     if path.suffix == ".csv":
@@ -43,7 +54,7 @@ def export_table(result: xr.Dataset, path: Path, rows: str = "frame", variables:
         raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {_suffix(path)}")
 
 
-def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1) -> None:
+def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
     """Writes a variable of points or triangles on a regular grid of the glass, in every frame.
 
     Args:
@@ -52,10 +63,13 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
             components, NaN where nothing is known; or .csv, one row a known place with frame, time, x and y.
         variable: with a value for each point, or each triangle, in each frame.
         step_mm: between the places of the grid.
+        overwrite: replace any file, not a table or map alone.
 
     Raises:
-        FingerflowError: for another suffix or step, or a variable that cannot be mapped.
+        FingerflowError: for another suffix or step, a variable that cannot be mapped, or without ``overwrite`` where a
+            file is there that is no table or map.
     """
+    keep_others(path, is_table, overwrite)
     if path.suffix in (".tif", ".tiff"):
         found = maps_of(result, variable, step_mm)
         write_atomically(path, lambda part: _write_tiff(part, found))
@@ -66,12 +80,17 @@ def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0
         raise FingerflowError(f"{path}: a map is written as .tif or .csv, not {_suffix(path)}")
 
 
-def is_map(path: Path) -> bool:
-    """Whether a TIFF file is what `export_map` writes."""
+def is_table(path: Path) -> bool:
+    """Whether a file is a table or map of this module: by how it begins, its variables, or what its tags say."""
     try:
-        with tifffile.TiffFile(path) as file:
-            return _ORIGIN in str((file.imagej_metadata or {}).get("Info", ""))
-    except (tifffile.TiffFileError, OSError, ValueError):
+        if path.suffix == ".mat":
+            return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}
+        if path.suffix in (".tif", ".tiff"):
+            with tifffile.TiffFile(path) as file:
+                return _ORIGIN in str((file.imagej_metadata or {}).get("Info", ""))
+        with path.open("rb") as table:
+            return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
+    except Exception:  # whatever the libraries raise at a file that is none
         return False
 
 

@@ -14,9 +14,10 @@ from .scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
-    Instead,
     Key,
     NotBefore,
+    NotBoth,
+    OneEach,
     OneOf,
     Reader,
     Rule,
@@ -181,15 +182,17 @@ class _Check:
             case Together():
                 if rule.key in self.given and rule.other not in self.given:
                     self._blame(rule.key, f"{rule.why}; {rule.remedy}")
+            case NotBoth():
+                if rule.key in self.given and rule.other in self.given:
+                    self._blame(rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}")
+            case OneEach():
+                self._one_each(rule)
             case InPlaceOf():
                 self._in_place_of(rule)
             case Inside():
                 self._inside(rule)
             case OneOf():
                 self._one_of(rule)
-            case Instead():
-                if rule.key in self.given and self._at(rule.other) is not None:
-                    self._blame(rule.key, f"{rule.other} says the same, and is there too; keep one of them")
             case FitsTheViews():
                 self._fits_the_views(rule)
 
@@ -215,6 +218,14 @@ class _Check:
                 rule.key,
                 f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
             )
+
+    def _one_each(self, rule: OneEach) -> None:
+        given, named = self._at(rule.key), [self._at(force) for force in rule.forces]
+        if not isinstance(given, tuple) or named[0] is None:
+            return
+        count = sum(len(one) if isinstance(one, tuple) else one is not None for one in named)
+        if len(given) != count:
+            self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
         """The other keys have what the calibration file says from here on."""

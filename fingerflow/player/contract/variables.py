@@ -76,8 +76,35 @@ FRAME_CHECK = (
 
 LOADING = (
     Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
-    Variable("tangential_force", FRAME, "N", "tangential force", needs=("forces.tangential",)),
-    Variable("load_ratio", FRAME, "1", "tangential over normal force, T/N", needs=("forces.tangential",)),
+    Variable(
+        "tangential_force",
+        FRAME,
+        "N",
+        "tangential force; its length where two components are given",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "tangential_direction",
+        FRAME,
+        "rad",
+        "direction of the tangential force from the first component towards the second, of one channel 0 or pi by its "
+        "sign; NaN below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "load_ratio",
+        FRAME,
+        "1",
+        "friction ratio: tangential over normal force, T/N; NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "force_angle",
+        FRAME,
+        "rad",
+        "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
 )
 
 CONTACT = (
@@ -238,6 +265,28 @@ SLIP = (
         FRAME,
         "mm",
         "root mean square of the part of incipient_slip that its curl makes",
+    ),
+    Variable(
+        "skin_displacement",
+        (*CELLS, "xy"),
+        "mm",
+        "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame",
+        "f4",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference",
+        FRAME,
+        "mm",
+        "median over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference_95",
+        FRAME,
+        "mm",
+        "95th percentile over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
     ),
 )
 
