@@ -39,6 +39,9 @@ EQUATIONS: dict[str, str] = {
     "status": "first test that a point has not passed",
     "in_contact": "1[position inside the gross contact]",
     "tracked_share": "mean of 1[status = 0] over the points",
+    "window_differs_share": (
+        "mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows then and now"
+    ),
     "forward_backward_median": "median of forward_backward_error over the tracked points",
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
     "reference_position": "X = position in the frame from which displacement counts",
