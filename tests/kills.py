@@ -25,7 +25,7 @@ import tempfile
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -43,6 +43,7 @@ from fingerflow.player.errors import PlayerError
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources
 from fingerflow.untrusted.idle import IdleLimit
+from tests.small_trials import TINY_PRESS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "player"))
 import tiny_bundle
@@ -59,7 +60,7 @@ width = 120
 [tracking]
 points = 20
 [export]
-graphs = ["background", "contact"]
+graphs = ["background"]
 """
 _OPERATIONS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree")
 
@@ -115,8 +116,9 @@ def _readable_stream(path: Path, reference: Path) -> bool:
 
 
 COMMANDS = {
-    "process": Command(("process", "press/scene.toml", "--to", "result.h5"), ("result.h5",), ("press",), _same_result,
-                       True),
+    "process": Command(
+        ("process", "press/scene.toml", "--output", "result.h5"), ("result.h5",), ("press",), _same_result, True,
+    ),
     "report": Command(
         ("report", "press/scene.toml", "--result", "given.h5"),
         ("press/report.html", "press/overlay.mp4"), ("press", "given.h5"), _same_pictures, True,
@@ -158,6 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
             for fault in said:
                 faults.append(f"{number} {name}, {ending}: {fault}")
                 print(faults[-1], flush=True)
+            if (number + 1) % 10 == 0:
+                print(f"{number + 1} runs, {len(faults)} faults", flush=True)
     print(f"{'':10}" + "".join(f"{ending:>16}" for ending in endings))
     for name in names:
         print(f"{name:10}" + "".join(f"{counts[name, ending]:16}" for ending in endings))
@@ -169,11 +173,8 @@ def _make_small() -> None:
     """Scenes, figures and graphs of a size that a second or two of a processor is enough for."""
     from fingerflow import synthetic
 
-    press = functools.partial(
-        synthetic.Press, n_frames=24, frame_rate=24.0, frames_before_trigger=1, frame_shape=(96, 240),
-        finger=(1.8, 1.5), semi_axes=(1.3, 1.1),
-    )  # fmt: skip
-    synthetic.Press = press  # type: ignore[misc, assignment]
+    press = replace(TINY_PRESS, n_frames=24, frame_rate=24.0)
+    synthetic.Press = lambda: press  # type: ignore[misc, assignment]
     supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
     sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
     exporting.bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has
@@ -201,7 +202,7 @@ def _references(base: Path, names: list[str]) -> dict[str, tuple[float, int]]:
     (base / "given" / "recipe.toml").write_text(RECIPE)
     tiny_bundle.write_bundle(base / "given" / "tiny")
     told = base / "told"
-    for arguments in (("simulate", "press", "press"), ("process", "press/scene.toml", "--to", "given.h5")):
+    for arguments in (("simulate", "press", "press"), ("process", "press/scene.toml", "--output", "given.h5")):
         assert _fork(arguments, base / "given", told)[0] == 0, told.read_text()
     costs = {}
     for name in names:

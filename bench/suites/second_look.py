@@ -6,9 +6,9 @@ and presses that are disturbed from the middle on, as in the suite `disturbances
 out of focus, the light flickers, frames went through a lossy codec.
 
 In the last frames one point in twenty at a time is put beside its place, in any direction, by 1 to 2, 2 to 4, 4 to 8
-and 8 to 16 px; `found_1_2` ... is the share of them that fails. Beside it what `process` gives: `wrong` positions more than
-1 px from the truth, in all frames, `wrong_found` how many of them fail, of `right` others `right_dropped`. look_ms is
-the median processor time of a look, one thread, for eight frames.
+and 8 to 16 px; `found_1_2` ... is the share of them that fails. Beside it what `process` gives: `wrong` positions more
+than 1 px from the truth, in all frames, `wrong_found` how many of them fail, of `right` others `right_dropped`. look_ms
+is the median processor time of a look, one thread, for eight frames.
 """
 
 import math

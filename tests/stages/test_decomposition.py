@@ -18,14 +18,14 @@ FRAMES, SCALE = 4, 0.03
 
 def inputs() -> Inputs:
     fields = SimpleNamespace(
-        gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4, depth_mm=2.0,
-        rate_window_s=0.05,
+        reference="onset", gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4,
+        depth_mm=2.0, rate_window_s=0.05,
     )  # fmt: skip
     scene = SimpleNamespace(
         fields=fields,
         forces=None,
         recording=SimpleNamespace(first_frame=0),
-        tracking=SimpleNamespace(template="keyframe", window_px=25),
+        tracking=SimpleNamespace(template="keyframe", direction="forward", window_px=25),
         calibration=SimpleNamespace(mm_per_px=SCALE, topography_to_contact=np.eye(2, 3)),
     )
     return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])

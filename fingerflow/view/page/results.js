@@ -72,13 +72,13 @@ export class ResultsView {
       ({ key: one.key, label: words(one.key), group: group[one.of] }))];
     return select(options, this.shown, key => this.show(key), { id: "map" });
   }
-  async show(key) {
-    this.shown = key;
-    this.range = key && key !== STATUS_KEY ? await this.rangeOf(key) : null;
-    this.legend();
+  show = newest(async key => {
+    const range = key && key !== STATUS_KEY ? await this.rangeOf(key) : null;
+    [this.shown, this.range] = [key, range];
     await this.app.show();
+    this.legend();
     this.selected();
-  }
+  });
   panel() {
     const { facts } = this, wrong = facts.recording_error;
     this.numbers = make("dl", { className: "numbers" });
@@ -95,8 +95,9 @@ export class ResultsView {
     ].filter(Boolean));
   }
   async frame(k) {
-    const query = `frame=${k}${this.shown ? `&shown=${encodeURIComponent(this.shown)}` : ""}${this.layer.contact && this.app.ready ? "&contact" : ""}`;
-    this.found = await arrays(`api/result/frame?${query}`);
+    const { shown, range } = this;  // of this frame, whatever is chosen meanwhile
+    const query = `frame=${k}${shown ? `&shown=${encodeURIComponent(shown)}` : ""}${this.layer.contact && this.app.ready ? "&contact" : ""}`;
+    this.found = { key: shown, range, ...await arrays(`api/result/frame?${query}`) };
     const place = this.found.arrays.position?.values, status = this.found.arrays.status?.values;
     if (place) for (let i = 0; i < status.length; i++) {
       if (Number.isFinite(place[2 * i])) this.last.set(i, [place[2 * i], place[2 * i + 1]]);
@@ -121,10 +122,10 @@ export class ResultsView {
     this.app.chart.cursor(k);
   }
   colourOf() {
-    const { status, shown } = this.found.arrays;
-    if (this.shown === STATUS_KEY) return i => marks.statusColour(status.values[i]);
-    if (shown && this.maps.get(this.shown)?.of === "point") {
-      const colour = scale(this.range);
+    const { key, range, arrays: { status, shown } } = this.found;
+    if (key === STATUS_KEY) return i => marks.statusColour(status.values[i]);
+    if (shown && this.maps.get(key)?.of === "point") {
+      const colour = scale(range);
       return i => colour(shown.values[i]);
     }
     return () => "#7dff9b";
@@ -132,14 +133,14 @@ export class ResultsView {
   places() { return marks.placesIn(this.views, this.facts.mm_per_px, this.facts.topography_to_contact); }
   draw(pen, at, size) {
     if (!this.found) return;
-    const { numbers, arrays: found } = this.found, places = this.places(), of = this.maps.get(this.shown)?.of;
+    const { numbers, arrays: found } = this.found, places = this.places(), of = this.maps.get(this.found.key)?.of;
     const position = found.position?.values;
     if (!Object.keys(this.views).length) {
       pen.text(14, 26, "The recording is not where it was: curves and tables alone.", { fill: "#fff" });
       return;
     }
     if (of === "triangle" && position && this.triangles && found.shown) {
-      const colour = scale(this.range), angles = found.principal_angle?.values;
+      const colour = scale(this.found.range), angles = found.principal_angle?.values;
       for (const { of: to } of places) marks.drawTriangles(pen, at, to, position, this.triangles, found.shown.values, colour, angles, 0.9);
     }
     if (this.layer.regions) for (const name of this.facts.cells) if (found[name] && (name === "stuck_region" || !this.layer.ellipse)) {
@@ -178,7 +179,7 @@ export class ResultsView {
           const range = [...this.range];
           range[k] = +box.value;
           if (!(range[0] < range[1])) return say("the range of colours needs a smaller number on its left");
-          this.range = range;
+          this.range = this.found.range = range;
           say("");
           this.legend();
           this.app.picture.redraw();
