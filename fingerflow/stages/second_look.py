@@ -26,7 +26,8 @@ class SecondLook:
     disturbances, none of 220,000 positions that are right fails; of those beside their skin by 1 to 2 px 57 to 64 % do,
     by 2 to 4 px 89 % or more, beyond that 98 % or more (`python -m bench second_look`). Slow departures by 1.0 to
     1.3 px, as a slide has, are not found: the window changes as little. A window without neighbours, by whose motion it
-    would be deformed, is not looked at.
+    would be deformed, is not looked at. Where most points are being lost gradients are poor: of a slide in 16 frames 16
+    of 21 wrong positions are found, and 106 of 1637 right ones are lost.
     """
 
     def __init__(self, image: Tensor, points: Tensor, window: int) -> None:
