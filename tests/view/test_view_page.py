@@ -122,7 +122,7 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
 
         # It is written, and is what was seen.
         page.click("#write")
-        page.wait_for_selector(".good")
+        page.wait_for_selector(".good:has-text('has these settings')")
         scene = load_scene(press / "scene.toml")
         assert scene.views.contact.rows == (0, 96)
         assert scene.views.contact.columns == (120, pytest.approx(232, abs=1))

@@ -96,7 +96,7 @@ function row(key, form, changed, updates) {
   } else if (form.input === "toml") {
     const input = make("input", { type: "text", placeholder });
     add(input, () => input.value === "" ? null : { toml: input.value },
-      value => { input.value = value === null ? "" : JSON.stringify(value); });
+      value => { input.value = value === null ? "" : typeof value === "string" ? value : JSON.stringify(value); });
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });

@@ -55,8 +55,11 @@ export class Setup {
         make("div", { className: "bar" }, this.name,
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
+        toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
+      this.overlay = make("details", { className: "card", hidden: true }, make("summary", {}, "Picture of the calibration"),
+        make("img", { alt: "What the calibration found in its frames", loading: "lazy" })),
       make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
       make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
     this.update();
@@ -121,6 +124,8 @@ export class Setup {
   });
   courses() {
     const found = this.forces?.arrays;
+    this.overlay.hidden = !this.forces?.calibration_picture;
+    if (!this.overlay.hidden) this.overlay.querySelector("img").src = "api/calibration.png";
     const names = Object.keys(found || {}).filter(name => name !== "time");
     $("courses").hidden = !names.length;
     if (!names.length) return;
@@ -270,7 +275,7 @@ export class Setup {
   }
   async process() {
     try {
-      this.follow(await post("api/process", {}));
+      this.follow(await post("api/process", { all: Boolean(this.all) }));
     } catch (error) { say(error.message); }
   }
   async follow(state) {
