@@ -25,7 +25,7 @@ import tempfile
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -43,6 +43,7 @@ from fingerflow.player.errors import PlayerError
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources
 from fingerflow.untrusted.idle import IdleLimit
+from tests.small_trials import TINY_PRESS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "player"))
 import tiny_bundle
@@ -59,7 +60,7 @@ width = 120
 [tracking]
 points = 20
 [export]
-graphs = ["background", "contact"]
+graphs = ["background"]
 """
 _OPERATIONS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree")
 
@@ -169,11 +170,8 @@ def _make_small() -> None:
     """Scenes, figures and graphs of a size that a second or two of a processor is enough for."""
     from fingerflow import synthetic
 
-    press = functools.partial(
-        synthetic.Press, n_frames=24, frame_rate=24.0, frames_before_trigger=1, frame_shape=(96, 240),
-        finger=(1.8, 1.5), semi_axes=(1.3, 1.1),
-    )  # fmt: skip
-    synthetic.Press = press  # type: ignore[misc, assignment]
+    press = replace(TINY_PRESS, n_frames=24, frame_rate=24.0)
+    synthetic.Press = lambda: press  # type: ignore[misc, assignment]
     supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
     sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
     exporting.bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has

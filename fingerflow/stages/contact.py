@@ -17,6 +17,7 @@ from fingerflow.player.contract.variables import CONTACT
 from fingerflow.stages import plausibility
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.loading import LoadingStage
+from fingerflow.stages.regions import region_mask
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 _LEAST_LIGHT = 0.1
@@ -69,6 +70,10 @@ class ContactStage(Stage):
         light = self.inputs.engine(LightGraph())
         self._usable = self.trial.stage(FrameCheckStage).usable
         self._light, self._black, _ = light(self.inputs.reference(self._view), self.inputs.dark(self._view), unknown)
+        drawn = region_mask(self.inputs.scene, "contact")
+        if drawn is not None:  # where no light is, nothing touches
+            inside = torch.from_numpy(drawn).to(self._light.device)
+            self._light = torch.where(inside, self._light, 0.0)
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
         if "gross_contact_region" in self.trial.asked:

@@ -27,7 +27,19 @@ _BESIDE_PX = 12  # of skin around what the points tell of, for the flow at their
 class DenseFlowSlipStage(SlipStage):
     """As `SlipStage`, by dense flow since the first frame in place of points ([slip] displacement = "dense_flow").
 
-    The motion of the points is compared with it in each frame, where they lay in the first one.
+    The motion of the points is compared with it in each frame, where they lay in the first one: median and 95th
+    percentile of the distance, and a warning where the median is above what their deviations allow four times.
+
+    Which is better where, on ten of the trials of `python -m bench slip` (seeds 100, 107 ... 163; 920 frames), d² by
+    the criterion "border":
+
+    - points: within 0.02 in 82 % of the frames, error 0.015 RMS, the worst frame 0.054; 33 ms of CPU a frame;
+    - dense flow: 77 %, 0.016, 0.040; 67 ms of CPU a frame. It is the better one at noise above 2 grey levels as often
+      as not, and comes out too small by 0.007 in the mean: with noise of 1 to 2 grey levels points are better.
+
+    The flow itself is the quieter one and looks less far: beside a stuck part it shows 2 um where windows of 17 px show
+    6, and of skin that sticks 1.2 to 1.7 um of noise where single points have 2. So it is the one for maps
+    (`skin_displacement`), and for skin on which there are few corners.
     """
 
     name = "dense_flow_slip"

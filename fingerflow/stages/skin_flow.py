@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.ops.flow import Flow, find_flow, prepare_flow
+from fingerflow.ops.flow_constancy import LEFT_BY_NOISE
 
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -17,7 +18,7 @@ Mask = NDArray[np.bool_]
 ROUGHNESS = 0.2  # of `ops.dense_flow`: skin beside a stuck part is stretched by 0.15 to 0.3
 _TEXTURE_PX = 17  # side of the window over which texture is measured: a period of ridges
 _LEFT = 0.35  # of the texture's deviation that may be left unexplained: 0.8 px of a ridge; rightly found skin has 0.2
-_FEWEST = 0.8  # of the pixels must be believed, before another start is tried
+_FEWEST = 0.5  # of what may be left unexplained is left on average, before another start is tried
 
 
 class SkinMotion(NamedTuple):
@@ -26,10 +27,12 @@ class SkinMotion(NamedTuple):
     Attributes:
         displacement: (H, W, 2) px of what stood at each pixel of the first picture; NaN where it is not believed.
         variance: (H, W) px^2 of a component, of the noise of the pictures.
+        explained: from 1, where nothing is left of the texture, to 0, where nothing is believed; mean over the skin.
     """
 
     displacement: Field
     variance: Field
+    explained: float
 
 
 class SkinFlow:
@@ -40,10 +43,10 @@ class SkinFlow:
     0.020 to 0.035 in place of 0.010 to 0.1 in the part that sticks.
 
     A pixel is believed where flow and light explain seven eighths of the texture's variance around it, and the nearest
-    point that is tracked does not contradict it by a quarter of the ridges' distance. Where too few are, the flow is
-    begun anew from the points, and where that does not help either the first picture is left: the last one that was
-    known, drawn as the skin lay in the first one, takes its place. Its errors are from then on in all that follow, and
-    skin that was not known in it is not known any more.
+    tracked point does not contradict it by a quarter of the ridges' distance. Where too little is explained, the flow
+    is begun anew from the points, and where that does not help either the first picture is left: the last one that was
+    explained, drawn as the skin lay in the first one, takes its place. Its errors are from then on in all that follow,
+    and skin that was not known in it is not known any more.
 
     Args:
         image: (1, 1, H, W) the first picture.
@@ -65,7 +68,7 @@ class SkinFlow:
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
         self._unsure = False  # whether skin of the last picture is not known, and begins from what is expected
-        self._known = SkinMotion(np.zeros((*mask.shape, 2), np.float32), self._walked)
+        self._known = SkinMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
         self._picture: Tensor | None = None  # the last one that was known, if it is another than that compared with
 
     def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> SkinMotion:
@@ -84,19 +87,19 @@ class SkinFlow:
             given = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
             start = torch.where(start.isfinite(), start, given)
         found, motion = self._found(image, start, 1, beside)
-        if self._share(motion) < _FEWEST:
+        if motion.explained < _FEWEST:
             start = torch.from_numpy(expected().transpose(2, 0, 1)[None]).to(start)
-            found, motion = self._better((found, motion), self._found(image, start, 2, beside))
-            if self._share(motion) < _FEWEST and self._picture is not None:
+            found, motion = _better((found, motion), self._found(image, start, 2, beside))
+            if motion.explained < _FEWEST and self._picture is not None:
                 self._renew(self._picture)
-                found, motion = self._better((found, motion), self._found(image, start, 2, beside))
+                found, motion = _better((found, motion), self._found(image, start, 2, beside))
         here = torch.from_numpy(motion.displacement.transpose(2, 0, 1)[None]).to(found.displacement)
         self._unsure = bool(np.isnan(motion.variance[self._mask]).any())
         # A jump is no speed: the next picture is expected where this one is.
         step = (here - self._last).nan_to_num(0.0)
         self._speed = step if float(step.norm(dim=1).max()) < self._apart else torch.zeros_like(step)
         self._last = here
-        if self._share(motion) >= _FEWEST:
+        if motion.explained >= _FEWEST:
             self._known, self._picture = motion, image.clone()
         return motion
 
@@ -113,16 +116,14 @@ class SkinFlow:
         flow = find_flow(self.template, image, start, warps)
         displacement, residual = (one[0].permute(1, 2, 0).cpu().numpy() for one in (flow.displacement, flow.residual))
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
-        believed = np.isfinite(variance) & (residual[..., 0] < _LEFT * self._texture) & beside.agrees(displacement)
+        of_noise = LEFT_BY_NOISE["brightness"] ** 2 * float(self.template.variance)
+        left = np.sqrt(np.maximum(residual[..., 0] ** 2 - of_noise, 0)) / np.maximum(_LEFT * self._texture, 1e-6)
+        believed = np.isfinite(variance) & (left < 1) & beside.agrees(displacement)
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
-        return flow, SkinMotion(shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32))
-
-    def _share(self, motion: SkinMotion) -> float:
-        """Of the skin in the picture that is compared with."""
-        return float(np.isfinite(motion.variance[self._compared]).mean())
-
-    def _better(self, one: tuple[Flow, SkinMotion], other: tuple[Flow, SkinMotion]) -> tuple[Flow, SkinMotion]:
-        return max(one, other, key=lambda found: int(np.isfinite(found[1].variance).sum()))
+        explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
+        return flow, SkinMotion(
+            shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained
+        )
 
     def _renew(self, picture: Tensor) -> None:
         """Compares with a picture whose motion is `_known` from now on, drawn as its skin lay in the first one."""
@@ -134,6 +135,10 @@ class SkinFlow:
         self._walked = np.nan_to_num(self._known.variance)
         self._compare_with(torch.from_numpy(back)[None, None].to(picture.device), known)
         self.renewed, self._picture = self.renewed + 1, None
+
+
+def _better(one: tuple[Flow, SkinMotion], other: tuple[Flow, SkinMotion]) -> tuple[Flow, SkinMotion]:
+    return max(one, other, key=lambda found: found[1].explained)
 
 
 class _Nearest:

@@ -59,6 +59,15 @@ class SlipStage(Stage):
       moves. Skin that has come loose does not stick again. Where the last of it comes loose as one, about a seventh of
       the contact on those trials, nothing in view tells: that part stays stuck, and a verdict needs another criterion.
 
+    [slip] displacement = "dense_flow" takes the displacement of all skin by dense flow in place of the points'
+    (`DenseFlowSlipStage`).
+
+    What limits d² is no noise: with 2 um a point, a hundred points along the border and a displacement that has grown
+    by 0.1 um a um beside it, the border is known to 3 um and d² to 0.002. What is left is one shift for all frames of a
+    trial, as the power with which displacement begins is not known: 0.03 between 3/2 and 2. mu_k / mu_s = (1 - 2 A) /
+    (1 - A) of the critical area A to 5 % asks for 0.05 mu_k / mu_s (1 - A)² of A: 0.005 at a ratio of 0.3, 0.011 at
+    0.5, and 0.02 only above 0.69; and with 72 frames of loading the last one before the loss is 0.08 above A at 0.5.
+
     A fit that contradicts the T/N at which adhesion was lost is marked as not identified.
     """
 

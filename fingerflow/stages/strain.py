@@ -3,19 +3,22 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.player.contract.variables import STRAIN
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.displacement import DisplacementStage, Moved
+from fingerflow.stages.counted_skin import CountedSkin
+from fingerflow.stages.displacement import DisplacementStage
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 
 class StrainStage(Stage):
-    """Strain on the Delaunay triangles of the reference positions.
+    """Strain on the Delaunay triangles of the reference positions, and of skin that moved into the contact on its own
+    (`CountedSkin`).
 
     The energy is that of the skin: what the errors of the points add to it on average is taken off.
     """
@@ -37,7 +40,9 @@ class StrainStage(Stage):
 
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
-        triangles = triangulate(moved.reference)
+        usable = np.flatnonzero(self.trial.stage(FrameCheckStage).usable)
+        skin = self._skin = CountedSkin(moved, self.results, usable, len(self.trial))
+        triangles = skin.triangles
         self._since = moved.since.attributes(self.inputs.scene.recording.first_frame)
         measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
@@ -50,23 +55,21 @@ class StrainStage(Stage):
         self._principal = {"principal_strains", "principal_angle"} & self.trial.asked
         for name in sorted(self._principal):
             self.results.create(name, measure)
-        self._reference = self.inputs.tensor(moved.reference)[None]
-        onset = torch.from_numpy(np.where(moved.onset < 0, len(self.trial), moved.onset)).to(device)
-        self._corners = torch.from_numpy(triangles.astype(np.int64)).to(device)
+        self._reference = self.inputs.tensor(skin.reference)[None]
+        self._corners = torch.from_numpy(skin.corners.astype(np.int64)).to(device)
         # The frame in which a triangle touches as a whole.
-        self._begins = onset[self._corners].amax(1) if len(triangles) else onset[:0]
-        window = self.inputs.scene.tracking.window_px
-        shared = _shared_errors(moved, triangles, window)
+        self._begins = torch.from_numpy(skin.begins).to(device)
+        shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
 
     def step(self, batch: Batch) -> None:
-        moved: Moved = batch.of(DisplacementStage)
+        moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         frames = torch.from_numpy(batch.indices).to(self.inputs.device)
         found = triangle_strain(
             self._reference,
             self._corners,
-            self.inputs.tensor(moved.displacement),
-            self.inputs.tensor(self.trial.stage(DisplacementStage).covariance(moved)),
+            self.inputs.tensor(moved),
+            self.inputs.tensor(covariance),
             frames[:, None] >= self._begins,
             self._shared,
             measure=self._settings.strain,
@@ -101,18 +104,18 @@ class StrainStage(Stage):
 
 
 def _shared_errors(
-    moved: DisplacementStage, triangles: NDArray[np.int32], window_px: int
+    skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """`SharedErrors` of the triangles (M, 3).
+    """`SharedErrors` of the triangles.
 
     Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
     in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
     displacement's noise is that of its reference, which is another one where points count from other frames. Errors of
     the time of onset are independent: of neighbours on a press they correlate by less than 0.1.
     """
-    begins, places = moved.begins, moved.reference_px
-    of_onset = np.trace(moved.of_onset, axis1=1, axis2=2) / 2
-    share = np.sqrt(moved.noise / np.maximum(moved.noise + of_onset, 1e-30))
+    begins, places, triangles = skin.since, skin.places_px, skin.corners
+    of_onset = np.trace(skin.of_onset, axis1=1, axis2=2) / 2
+    share = np.sqrt(skin.noise / np.maximum(skin.noise + of_onset, 1e-30))
 
     def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
         apart = np.abs(places[one] - places[other]) / window_px
@@ -125,15 +128,3 @@ def _shared_errors(
     pairs = known[near].astype(np.int64)
     corners = np.stack([correlation(triangles[:, k], triangles[:, (k + 1) % 3]) for k in range(3)], axis=1)
     return corners, pairs, correlation(*pairs.T)
-
-
-def triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
-    finite = np.flatnonzero(np.isfinite(reference).all(-1))
-    if len(finite) < 3:
-        return np.zeros((0, 3), dtype=np.int32)
-    try:
-        result: NDArray[np.int32] = finite[Delaunay(reference[finite]).simplices].astype(np.int32)
-        return result
-    except QhullError:  # all on one line
-        return np.zeros((0, 3), dtype=np.int32)

@@ -35,6 +35,7 @@ from fingerflow.player.contract.variables import TRACKING
 from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
+from fingerflow.stages.regions import region_mask
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -47,11 +48,15 @@ _FASTEST_PX = 0.2  # that the edges of windows may change by until then
 class TrackingStage(Stage):
     """Follows points from frame to frame, in the order of time or against it.
 
+    Attributes:
+        chosen: (N,) frame in which each point was chosen, once it has begun.
+
     With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
     so far: errors do not add up. From frame to frame they do.
     """
 
     name = "tracking"
+    chosen: NDArray[np.intp]
     gives = TRACKING
     needs = ("views.topography",)
     beside = (ContactStage,)
@@ -113,6 +118,7 @@ class TrackingStage(Stage):
                 f"where most of it was expected: there are no points and no deformation"
             )
             self._create(0)
+            self.chosen = np.zeros(0, dtype=np.intp)
 
     def step(self, batch: Batch) -> None:
         """Tracks through these frames, in the order given; those that are not usable are passed over."""
@@ -141,6 +147,7 @@ class TrackingStage(Stage):
         steps, done = [], 0
         if self._key is None:
             steps.append(self._choose(images[:1]))
+            self.chosen = np.full(steps[0].status.shape[1], indices[0])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             done = 1
@@ -274,16 +281,17 @@ class TrackingStage(Stage):
     def _choose(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
         view = image if self._settings.points_from == "recorded" else self._enhanced(image)
-        found, _ = self._detect(view, self._where(image))
+        where = self._where(image)
+        found, _ = self._detect(view, where)
         points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {points.shape[1]} points with texture were found in the "
-                f"contact region of the topographic view, at least 3 are needed. Check [views.topography], "
-                f"[stream] region, the calibration and the focus."
+                f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
+                f"region, [stream] region, the calibration and the focus."
             )
         asked, apart = self._settings.points, self._settings.min_distance_px
-        self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart))
+        self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart, int(where.sum())))
         self._create(points.shape[1])
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
@@ -302,9 +310,13 @@ class TrackingStage(Stage):
         return unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
 
     def _where(self, image: Tensor) -> Tensor:
-        """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both
-        have the same points; else, and where the last frame comes first, all that touches at some time.
+        """(1, 1, H, W) bool: the region that the scene draws in the topography view; or where in the first frame
+        (1, 1, H, W) of a stream skin is expected to touch: so both have the same points. Else, and of a stream's region
+        where the last frame comes first, all that touches at some time.
         """
+        drawn = region_mask(self.inputs.scene, "topography")
+        if drawn is not None:
+            return torch.from_numpy(drawn).to(image.device)[None, None]
         stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
             mask = torch.zeros_like(image, dtype=torch.bool)

@@ -177,6 +177,18 @@ class Truth:
         points = _points(material)
         return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
+    def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
+        """Gradient (..., 2, 2) of the displacement since a point's own onset with all its neighbours counted from that
+        moment, F(frame) F(onset)^-1 - I: also of skin that moves in over a border at rest. NaN before the onset.
+        """
+        points = _points(material)
+        onset, place = self._onset(points)
+        begun, _ = self._derivatives(place, onset)
+        progress = self._at(frame).expand(onset.shape)
+        now, _ = self._derivatives(self._forward(points, progress, points), progress)
+        gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+        return torch.where((onset <= progress)[..., None, None], gradient, math.nan).numpy()
+
     def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
         """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient: since the
         onset of each point, or since the frame `reference`.

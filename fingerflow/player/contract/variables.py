@@ -152,11 +152,22 @@ TRACKING = (
     Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
 )
 
+ENTRY = ("never", "covered", "moved_in")
 #: From when displacement counts. The attribute ``reference`` of a variable says what it is in this result.
 SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4"
+    ),
+    Variable(
+        "entry",
+        POINT,
+        "1",
+        "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
+        "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
+        "last of their points has touched",
+        "u1",
+        flags=ENTRY,
     ),
     Variable(
         "reference_position",

@@ -30,7 +30,7 @@ class Sensor:
     tare: tuple[float, float] | None = None
 
 
-def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str]) -> Forces:
+def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
     """The same recording, aligned, with the channels of `sensors` in N.
 
     Args:

@@ -44,7 +44,7 @@ Column = str | int
 def open_forces(
     path: str | PathLike[str],
     channels: Sequence[Column] | Mapping[str, Column] | None = None,
-    units: Mapping[Column, str] | None = None,
+    units: Mapping[str, str] | Mapping[int, str] | Mapping[Column, str] | None = None,
     time: Column | None = None,
     sample_rate: float | None = None,
     trigger: Column | None = None,
@@ -80,8 +80,7 @@ def open_forces(
         table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:
         raise FingerflowError(f"{location}: has no column of numbers")
-    units = {_name(table, column): unit for column, unit in (units or {}).items()}
-    table.units.update(units)
+    table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
     time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
     if isinstance(channels, Mapping):
         channels = {name: _name(table, column) for name, column in channels.items()}
