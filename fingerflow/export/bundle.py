@@ -10,7 +10,6 @@ import importlib.util
 import json
 import shutil
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import torch
@@ -18,6 +17,7 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
+from fingerflow.export.player_copy import copy_player
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, feed
@@ -111,19 +111,9 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     about = {"format": FORMAT, "fingerflow": version(), "recipe": recipe.model_dump(), "graphs": models}
     (folder / "bundle.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
-    _copy(package / "player", folder / "player")
+    copy_player(folder)
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "bundle" / name).read_bytes())
-
-
-def _copy(source: Traversable, folder: Path) -> None:
-    """A folder with everything in it, but for what Python has compiled of it."""
-    folder.mkdir()
-    for one in source.iterdir():
-        if one.is_file():
-            (folder / one.name).write_bytes(one.read_bytes())
-        elif one.name != "__pycache__":
-            _copy(one, folder / one.name)
 
 
 def version() -> str:

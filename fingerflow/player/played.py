@@ -50,6 +50,13 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         raise PlayerError(
             f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
         )
+    for key, picture in (("frames", scene.background), ("dark", scene.dark)):
+        if picture is not None and not picture.exists():
+            raise PlayerError(
+                f"{path}: {key} of [background] is {picture}, which is not there; record the glass "
+                f"{'without light' if key == 'dark' else 'with no finger on it'} and save it under that name, or name "
+                "the file that you have"
+            )
     glass, dark = (
         black if file is None else mean_view(file, scene.contact, bundle, shape, options.dtype)
         for file in (scene.background, scene.dark)
