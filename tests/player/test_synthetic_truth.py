@@ -1,0 +1,71 @@
+"""What is expected of the synthetic finger, against its drawing and against the closed form of its divergence."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fingerflow.player.sources import synthetic_truth
+from fingerflow.player.sources.synthetic import Synthetic, _draw_finger, side_by_side
+from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
+
+SHAPE = (192, 240)
+Values = NDArray[np.float64]
+
+
+@pytest.mark.parametrize("progress", [0.0, 0.4, 1.0])
+def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
+    """Ridges touch in the share of the contact in which a cosine is above -0.2: 0.564, give or take a ridge of twelve."""
+    _, lost = _draw_finger(SHAPE, progress)
+    found = expected(progress, SHAPE, 0.025, int((lost > 0.5).sum()))
+    rows, columns = np.nonzero(lost > 0.5)
+    assert found["real_contact_area"] == pytest.approx(0.564 * found["gross_contact_area"], rel=0.05)
+    widths = sorted((np.ptp(columns) + 1, np.ptp(rows) + 1), reverse=True)
+    # Where a valley of 7 px lies at an end of the ellipse, it ends before.
+    assert 2 * found["ellipse_major"] / 0.025 == pytest.approx(widths[0], abs=1.5)
+    assert 0 <= 2 * found["ellipse_minor"] / 0.025 - widths[1] < 14
+
+
+def test_the_divergence_is_that_of_the_closed_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over a gauge length of 8 px, of dense skin: to 2e-3, a twentieth of what it reaches."""
+    monkeypatch.setattr(synthetic_truth, "_SKIN", 6000)
+    for progress in (0.3, 0.6, 0.9):
+        fitted = median_divergence(progress, 1.0, SHAPE, 8.0)
+        assert fitted == pytest.approx(_closed_form(progress), abs=2e-3)
+
+
+def test_skin_that_was_touched_from_the_start_spreads_as_it_is_drawn() -> None:
+    """Just after the start nearly all of the contact is such skin: 2 (spread cos turn - 1)."""
+    assert median_divergence(0.0, 1.0, SHAPE, 8.0) == pytest.approx(0, abs=1e-9)
+    progress = 0.03
+    spread = 2 * ((1 + 0.04 * progress) * np.cos(0.01 * progress) - 1)
+    assert median_divergence(progress, progress, SHAPE, 8.0) == pytest.approx(spread, rel=0.02)
+
+
+def test_divergence_is_expected_only_of_points_chosen_at_the_start() -> None:
+    source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4)
+    period = 2 * source.half_period - 2
+    assert "median_divergence" in source.expected_in(30, 1)
+    assert "median_divergence" not in source.expected_in(30, 2)
+    assert source.expected_in(period + 30, 1)["real_contact_area"] == source.expected_in(30, 1)["real_contact_area"]
+    assert "median_divergence" not in Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8).expected_in(30, 1)
+
+
+def _closed_form(progress: float) -> float:
+    """The median of tr(F(p) G^-1) - 2 with G = F(p0) + (dx/dp) (grad p0)^T, p0 the progress of the onset."""
+    now, step = Pose.at(progress, SHAPE), 1e-5
+    places = synthetic_truth._lattice(2000) * np.array(now.seen_axes())
+    skin = places @ np.linalg.inv(now.deformation()).T
+
+    low, high = np.zeros(len(skin)), np.full(len(skin), 1.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        touched = Pose.at(middle, SHAPE).reach(skin) < 1
+        low, high = np.where(touched, low, middle), np.where(touched, middle, high)
+    onset: Values = high
+    then, later, before = (Pose.at(onset + change, SHAPE) for change in (0, step, -step))
+    slope = np.stack([(then.reach(skin + one) - then.reach(skin - one)) / (2 * step) for one in step * np.eye(2)], -1)
+    growth = (later.reach(skin) - before.reach(skin)) / (2 * step)
+    gradient = np.where(onset[:, None] > 1e-6, -slope / growth[:, None], 0)
+    speed = (later.place(skin) - before.place(skin)) / (2 * step)
+    reference = then.deformation() + speed[:, :, None] * gradient[:, None, :]
+    return float(np.median(np.einsum("ij,nji->n", now.deformation(), np.linalg.inv(reference)) - 2))
