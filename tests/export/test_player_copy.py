@@ -3,11 +3,14 @@
 import ast
 import subprocess
 import sys
+import tomllib
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fingerflow.export.bundle import scene_for
 from fingerflow.export.player_copy import READERS, copy_player
 from fingerflow.recordings import open_recording
 from tests.fuzz.samples import samples
@@ -92,6 +95,16 @@ def test_the_copies_import_nothing_that_a_bundle_has_not(bundle: Path) -> None:
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
                 top = name.partition(".")[0]
-                assert top in allowed or top in sys.stdlib_module_names or (bundle / name.replace(".", "/")).with_suffix(
-                    ".py"
-                ).is_file(), f"{file.name}: {name}"
+                assert (
+                    top in allowed
+                    or top in sys.stdlib_module_names
+                    or (bundle / name.replace(".", "/")).with_suffix(".py").is_file()
+                ), f"{file.name}: {name}"
+
+
+def test_the_scene_to_fill_in_has_views_of_the_size_of_the_bundle() -> None:
+    template = (resources.files("fingerflow") / "bundle" / "scene.toml").read_text(encoding="utf-8")
+    assert scene_for(template, 512, 640).count("[640, 1280]") == 1  # what the template has
+    views = tomllib.loads(scene_for(template, 192, 240))["views"]
+    assert views["contact"] == {"rows": [0, 192], "columns": [240, 480]}
+    assert views["topography"] == {"rows": [0, 192], "columns": [0, 240]}

@@ -173,7 +173,7 @@ def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
     assert page.evaluate(COLOURS, "contact") > 2  # grey, and what touches in another colour
     assert page.evaluate(COLOURS, "areas") > 5
     assert page.evaluate(NUMBER, "Points tracked") == f"{POINTS} of {POINTS}"
-    assert page.evaluate(NUMBER, "Dropped") == "0"
+    assert page.evaluate(NUMBER, "Dropped") == "0 frames"
     page.wait_for_function(f"/^[1-9][0-9]* [1-9][0-9]* dark$/.test(({NUMBER})('Not counted'))")
     before = page.evaluate(NUMBER, "Frames")
     page.wait_for_function(f"({NUMBER})('Frames') != {before!r}")

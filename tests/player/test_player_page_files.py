@@ -72,7 +72,9 @@ def test_ids_of_the_script_are_in_the_page(parsed: Page) -> None:
 
 def test_what_the_styles_name_is_in_the_page(parsed: Page) -> None:
     selectors = re.sub(r"\{[^{}]*\}", " ", re.sub(r"@media[^{]*", "", CSS))
-    given = set(re.findall(r'class="(\w+)"', JS)) | set(re.findall(r'"(\w+)"', " ".join(re.findall(r"className = (.*);", JS))))
+    given = set(re.findall(r'class="(\w+)"', JS)) | set(
+        re.findall(r'"(\w+)"', " ".join(re.findall(r"className = (.*);", JS)))
+    )
     assert set(re.findall(r"\.([a-z]\w*)", selectors)) <= parsed.classes | given
     assert set(re.findall(r"#([a-z]\w*)", selectors)) <= set(parsed.ids)
     assert CSS.count("{") == CSS.count("}")

@@ -54,7 +54,7 @@ class Recorded:
         self._recording, self._next = recording, first
 
     def read(self) -> Array | None:
-        """The next frame; None at the end. One that is damaged is dark, counts in no result, and is named in the log."""
+        """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named."""
         if self._next >= len(self._recording):
             return None
         frame: Array = self._recording[self._next]

@@ -75,8 +75,10 @@ class Synthetic:
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
         """What is to be measured in a frame; divergence only after the first choice of points, in frame 0."""
         place = self._place(number)
-        divergence = (self._growing if number < self.half_period else self._grown)[place : place + 1]
-        return self._expected[place] | ({"median_divergence": divergence[0]} if restart == 1 and divergence else {})
+        known = self._growing if number < self.half_period else self._grown
+        if restart != 1 or not known or math.isnan(known[place]):
+            return self._expected[place]
+        return self._expected[place] | {"median_divergence": known[place]}
 
     def _place(self, number: int) -> int:
         """In the ring."""

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..arrays import Array
 
-_SKIN, _QUERIES = 500, 200  # places; twice as many of both move the median by less than 2e-4
+_SKIN, _QUERIES = 500, 200  # places, at least; twice as many of both move the median by less than 2e-3
+_IN_A_FIT, _MOST_SKIN = 20, 2000  # places
 _HALVINGS = 30
 
 
@@ -39,12 +40,13 @@ class Pose(NamedTuple):
     def deformation(self) -> Array:
         """(..., 2, 2), of the skin since progress 0."""
         c, s = np.cos(self.turn), np.sin(self.turn)
-        return np.asarray(self.spread)[..., None, None] * np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+        turned: Array = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+        return np.multiply(np.asarray(self.spread)[..., None, None], turned)
 
     def place(self, skin: Array) -> Array:
         """Where skin (..., 2) lies, from the middle of the view."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
-        return moved + np.stack(np.broadcast_arrays(*self.shift), -1)
+        return np.add(moved, np.stack(np.broadcast_arrays(*self.shift), -1))
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
         """Half a pixel shorter on the shorter axis: there the border of the contact has lost half of its light."""
@@ -84,10 +86,14 @@ def median_divergence(progress: float, reached: float, shape: tuple[int, int], g
     Args:
         progress: of the frame.
         reached: the largest progress until then: the skin that was in contact is known.
-        gauge_px: gauge length.
+        gauge_px: gauge length. NaN for one that is so short beside the contact that the places for it would take long.
     """
     now, widest = Pose.at(progress, shape), Pose.at(reached, shape)
-    skin = (_lattice(_SKIN) * np.array(widest.seen_axes())) @ np.linalg.inv(widest.deformation()).T
+    a, b = widest.seen_axes()
+    count = max(_SKIN, math.ceil(_IN_A_FIT * float(a * b) / (gauge_px / 2) ** 2))
+    if count > max(_SKIN, _MOST_SKIN):
+        return math.nan
+    skin = (_lattice(count) * np.array([a, b])) @ np.linalg.inv(widest.deformation()).T
     low, high = np.zeros(len(skin)), np.full(len(skin), reached)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
