@@ -41,12 +41,14 @@ class Pose(NamedTuple):
         """(..., 2, 2), of the skin since progress 0."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         turned: Array = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
-        return np.multiply(np.asarray(self.spread)[..., None, None], turned)
+        turned *= np.asarray(self.spread)[..., None, None]
+        return turned
 
     def place(self, skin: Array) -> Array:
         """Where skin (..., 2) lies, from the middle of the view."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
-        return np.add(moved, np.stack(np.broadcast_arrays(*self.shift), -1))
+        moved += np.stack(np.broadcast_arrays(*self.shift), -1)
+        return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
         """Half a pixel shorter on the shorter axis: there the border of the contact has lost half of its light."""
