@@ -92,8 +92,9 @@ function drawTopography(live) {
     context.lineWidth = 0.8; context.strokeStyle = "#0009"; context.stroke();
   }
   const percent = `${+(100 * range).toPrecision(1)} %`;
+  const scale = counts.known ? `: \u2212${percent}<i class="bar"></i>${percent}` : "";
   $("pointLegend").innerHTML = !divergence ? swatch(POINTS.tracked, `${counts.known} points`) : [
-    `<span>${counts.known} points with divergence: \u2212${percent}<i class="bar"></i>${percent}</span>`,
+    `<span>${counts.known} points with divergence${scale}</span>`,
     ...(in_contact ? [swatch(POINTS.outside, `${counts.outside} not in contact`)] : []),
     ...(counts.lacking ? [swatch(POINTS.lacking, `${counts.lacking} ${in_contact ? "in contact, " : ""}without it`)] : []),
   ].join("");
@@ -105,10 +106,9 @@ function drawContact(live) {
   scaleBar(context, live.mm_per_px / k);
   const angle = live.scalars.ellipse_angle, has = ellipse_center && ellipse_semi_axes && angle !== undefined;
   const known = has && angle != null && Number.isFinite(ellipse_center.values[0]) && ellipse_semi_axes.values[1] > 0;
-  const lacking = live.threshold == null ? "no contact yet" : "no contact";
-  $("contactLegend").innerHTML = [
+  $("contactLegend").innerHTML = live.threshold == null ? "no contact yet" : [
     ...(real_contact_mask ? [swatch("#ffa726", "real contact")] : []),
-    ...(has ? [swatch("#00acc1", known ? "ellipse of the gross contact" : lacking)] : []),
+    ...(has ? [known ? swatch("#00acc1", "ellipse of the gross contact") : "<span>no gross contact</span>"] : []),
   ].join("");
   if (!known) return;
   const [x, y] = Array.from(ellipse_center.values, v => v / live.mm_per_px);
@@ -131,7 +131,7 @@ function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in
   const expected = columns.length > here.length;
   const legend = here.map(([, style, said]) => swatch(style, said));
   if (expected) legend.push(swatch("#c0392b", "expected"));
-  $(name + "Legend").innerHTML = legend.join("");
+  $(name + "Legend").innerHTML = legend.length > 1 ? legend.join("") : "";
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = width * ratio; canvas.height = height * ratio;
   const context = canvas.getContext("2d");
@@ -206,7 +206,9 @@ function numbers(live) {
     ["Contact threshold", live.threshold == null ? "none yet" : text(100 * live.threshold, 1),
       live.threshold == null ? "" : "% of light lost"],
     ...Object.entries(CELLS).filter(([name]) => live.fields.includes(name)).map(
-      ([name, [said, unit, digits, factor]]) => [said, text(s[name] == null ? null : factor * s[name], digits), unit]),
+      // Before there is a threshold nothing counts as contact, which is no area that was measured.
+      ([name, [said, unit, digits, factor]]) =>
+        [said, text(s[name] == null || live.threshold == null ? null : factor * s[name], digits), unit]),
   ];
   if (live.fields.includes("slip_flag")) {
     cells.push(["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0]);
