@@ -30,7 +30,7 @@ from .scene_kinds import KINDS, default_kind
 from .scene_values import WrongValue, either, value_of
 
 Keys = tuple[str, ...]
-_MISSING = "is missing; add it, `fingerflow init` shows how"
+_MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
 
 
 @dataclass(frozen=True)
