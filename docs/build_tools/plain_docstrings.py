@@ -8,6 +8,7 @@ import re
 from typing import Any
 
 _SECTIONS = re.compile(r"(Args|Arguments|Attributes|Example|Examples|Note|Notes|Raises|Returns|Yields):\s*$")
+_ARGUMENT = re.compile(r"[a-z_]+: \S")
 _CODE = re.compile(r"(``.+?``|:\w+:`[^`]+`|`[^`]+`)")
 _SPECIAL = re.compile(r"[\\*|]|(?<=\w)_(?!\w)")
 
@@ -18,14 +19,29 @@ def _escaped(line: str) -> str:
     return "".join(part if k % 2 else _SPECIAL.sub(r"\\\g<0>", part) for k, part in enumerate(parts))
 
 
+def _with_heading(lines: list[str]) -> list[str]:
+    """The same, with "Args:" over arguments that are listed without it."""
+    result: list[str] = []
+    inside = False
+    for number, line in enumerate(lines):
+        begins = bool(_ARGUMENT.match(line)) and (number == 0 or not lines[number - 1].strip())
+        if begins:
+            result.append("Args:")
+        inside = bool(line.strip()) and (inside or begins)
+        result.append(f"    {line}" if inside else line)
+    return result
+
+
 def as_restructured_text(lines: list[str]) -> list[str]:
     """The docstring (without its common indent) in reStructuredText that shows as it reads."""
     result: list[str] = []
     section = verbatim = False
     above = ""  # the last line that is not empty
-    for line in lines:
+    for line in _with_heading(lines):
         set_in = line.startswith(" ")
         if line.strip() and not set_in:
+            if verbatim and result[-1].strip():
+                result.append("")
             found = _SECTIONS.match(line)
             section, verbatim = bool(found), bool(found) and found[1].startswith("Example")
         elif set_in and not section and not verbatim:
