@@ -10,7 +10,7 @@ from fingerflow import __version__  # noqa: E402
 
 project = "fingerflow"
 author = "the fingerflow developers"
-copyright = "2026, the fingerflow developers"  # noqa: A001
+copyright = "2026, the fingerflow developers"
 version = release = __version__
 
 extensions = [

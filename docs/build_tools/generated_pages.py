@@ -1,4 +1,4 @@
-"""Pages that are written from the package when the site is built: the outputs, the keys of a scene, the measurements."""
+"""Pages that are written from the package when the site is built: outputs, keys of a scene, measurements."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -50,10 +50,10 @@ def outputs_page() -> str:
     lines = [
         "# Dictionary of outputs",
         "",
-        "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is written "
-        "from `fingerflow/player/contract` when the site is built. What is *only where it is named* is computed when "
-        "`-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind of scene and its "
-        "files allow; a variable that it has not is absent, a value that is not known is NaN.",
+        "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is "
+        "written from `fingerflow/player/contract` when the site is built. What is *only where it is named* is computed when "
+        "`-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind of scene and "
+        "its files allow; a variable that it has not is absent, a value that is not known is NaN.",
         "",
         *_symbols(),
     ]
@@ -102,8 +102,8 @@ def keys_page() -> str:
     lines = [
         "# Keys of a scene file",
         "",
-        "`fingerflow init scene.toml` writes a commented file. Both readers of scenes, `process` and the player of a stream, "
-        "refuse what is not listed here, in the same words. This page is written from "
+        "`fingerflow init scene.toml` writes a commented file. Both readers of scenes, `process` and the player of a "
+        "stream, refuse what is not listed here, in the same words. This page is written from "
         "`fingerflow/player/contract/scene_keys.py` when the site is built. `kind` names the kind of scene: "
         + ", ".join(f"`{kind}`" for kind in KINDS)
         + ".",
@@ -149,7 +149,7 @@ def _kind_of(of: Any) -> str:
             words = [f'"{word}"' for word in of.words]
             return " or ".join([*words, *([] if of.number is None else [_kind_of(of.number)])])
         case Moment():
-            return " or ".join([*(f'"{word}"' for word in of.words), "a frame, or a time such as \"0.25 s\""])
+            return " or ".join([*(f'"{word}"' for word in of.words), 'a frame, or a time such as "0.25 s"'])
         case Column():
             return "column" if of.several == 1 else f"column, or a list of up to {of.several}"
         case Each():
@@ -167,8 +167,9 @@ def measurements_page() -> str:
     lines = [
         "# Measurements in full",
         "",
-        "What `python -m bench <suite>` has written to `bench/results`, row by row; this page is made of these files when the "
-        "site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column does not say.",
+        "What `python -m bench <suite>` has written to `bench/results`, row by row; this page is made of these files "
+        "when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column does "
+        "not say.",
         "",
     ]
     for path in sorted(RESULTS.glob("*.json"), reverse=True):
@@ -177,8 +178,9 @@ def measurements_page() -> str:
         lines += [
             f"## {path.stem}",
             "",
-            f"{_cell(machine['cpu'])}, {machine['cores']} cores, {machine['system']}; torch {versions['torch']}, OpenCV "
-            f"{versions['opencv-contrib-python-headless']}; {record['threads']['torch']} threads. {_cell(record['remark'])}",
+            f"{_cell(machine['cpu'])}, {machine['cores']} cores, {machine['system']}; torch "
+            f"{versions['torch']}, OpenCV {versions['opencv-contrib-python-headless']}; {record['threads']['torch']} "
+            f"threads. {_cell(record['remark'])}",
             "",
         ]
         for suite, found in record["suites"].items():
@@ -186,7 +188,9 @@ def measurements_page() -> str:
             columns = list(dict.fromkeys(name for row in rows for name in row))
             about = found["about"].partition("\n\n")[0].replace("\n", " ")
             lines += [f"### {path.stem}: {suite}", "", _cell(about), "", f"    python -m bench {suite}", ""]
-            lines += _table([_cell(name) for name in columns], ([_number(row.get(name)) for name in columns] for row in rows))
+            lines += _table(
+                [_cell(name) for name in columns], ([_number(row.get(name)) for name in columns] for row in rows)
+            )
     return "\n".join(lines)
 
 

@@ -1,7 +1,7 @@
 """Docstrings as they are written here, for Sphinx, which would read them as reStructuredText.
 
-They are plain text with `code`: |u| is a length, x* a name. What is set in under a line that is no heading of a section is
-laid out by hand (an equation, a list), and stays so.
+They are plain text with `code`: |u| is a length, x* a name. What is set in under a line that is no heading of a section
+is laid out by hand (an equation, a list), and stays so.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Run by cibuildwheel in an empty environment: are the kernels in the wheel, and do both forms agree? Python and the wheel alone."""
+"""Run by cibuildwheel in an empty environment: are the kernels in the wheel, and do both forms agree?"""
 
 import torch
 
