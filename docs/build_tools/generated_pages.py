@@ -51,9 +51,9 @@ def outputs_page() -> str:
         "# Dictionary of outputs",
         "",
         "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is "
-        "written from `fingerflow/player/contract` when the site is built. What is *only where it is named* is computed when "
-        "`-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind of scene and "
-        "its files allow; a variable that it has not is absent, a value that is not known is NaN.",
+        "written from `fingerflow/player/contract` when the site is built. What is *only where it is named* is "
+        "computed when `-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind "
+        "of scene and its files allow; a variable that it has not is absent, a value that is not known is NaN.",
         "",
         *_symbols(),
     ]
@@ -168,8 +168,8 @@ def measurements_page() -> str:
         "# Measurements in full",
         "",
         "What `python -m bench <suite>` has written to `bench/results`, row by row; this page is made of these files "
-        "when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column does "
-        "not say.",
+        "when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column "
+        "does not say.",
         "",
     ]
     for path in sorted(RESULTS.glob("*.json"), reverse=True):
