@@ -9,12 +9,14 @@ from typing import Annotated, Any
 import typer
 
 from fingerflow.errors import FingerflowError
+from fingerflow.study.commands import app as study
 
 app = typer.Typer(
     help="Contact area, skin motion and strain from recordings of a fingertip on glass.",
     no_args_is_help=True,
     add_completion=False,
 )
+app.add_typer(study, name="study")
 _DEMO_FILES = {
     *("scene.toml", "frames.npy", "empty.npy", "dark.npy", "forces.csv", "truth.json"),
     *("result.h5", "report.html", "overlay.mp4"),

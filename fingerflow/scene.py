@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_check import Checked
+from fingerflow.player.contract.scene_check import Checked, check_scene
 from fingerflow.player.contract.scene_file import SceneError, read_scene
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
@@ -209,6 +209,23 @@ def load_scene(path: str | Path) -> Scene:
         return _scene(path, read_scene(path, "process"))
     except SceneError as error:
         raise FingerflowError(str(error)) from None
+
+
+def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
+    """A scene from the tables and keys of a file of several scenes.
+
+    Args:
+        written: as TOML gives it.
+        path: of that file; paths are relative to its folder.
+        place: where it says so, for errors.
+
+    Raises:
+        FingerflowError: as `load_scene`.
+    """
+    checked, problems = check_scene(written, path.parent, "process")
+    if problems:
+        raise FingerflowError("\n".join(f"{place}: {'.'.join(one.keys)} {one.said}" for one in problems))
+    return _scene(path, checked)
 
 
 def _scene(path: Path, checked: Checked) -> Scene:

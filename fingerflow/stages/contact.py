@@ -4,6 +4,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
+import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -39,6 +40,7 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
+    restored = True
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -107,6 +109,10 @@ class ContactStage(Stage):
         self.inputs.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
         for name, values in self.series.items():
             self.results.put(name, values)
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        self.series = {name: earlier[name].values for name in self.series if name in earlier}
 
     def cells(self) -> dict[str, float]:
         """What tells where the cells of a region lie."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -37,6 +38,7 @@ class FrameCheckStage(Stage):
     gives = FRAME_CHECK
     needs = ("views.contact", "background.frames")
     reads_frames = True
+    restored = True
 
     usable: NDArray[np.bool_]
 
@@ -74,6 +76,10 @@ class FrameCheckStage(Stage):
                 self._before.append(blocks[:0])
             self._distances[k].append(block_distances(blocks, self._before[k]).cpu().numpy())
             self._before[k] = torch.cat([self._before[k], blocks])[-LONGEST - 1 :]
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        self.usable = earlier["frame_status"].values == _USABLE
 
     def finish(self) -> None:
         """Names what was found in warnings. Raises FingerflowError where no frame is usable."""

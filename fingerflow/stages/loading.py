@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
@@ -27,6 +28,7 @@ class LoadingStage(Stage):
 
     name = "loading"
     gives = LOADING
+    restored = True
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -77,6 +79,11 @@ class LoadingStage(Stage):
         for name, values in given.items():
             if values is not None:
                 self.results.put(name, values)
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        found = {name: earlier[name].values for name in ("normal_force", "tangential_force") if name in earlier}
+        self.normal, self.tangential = found.get("normal_force"), found.get("tangential_force")
 
     @property
     def ratio(self) -> Series | None:

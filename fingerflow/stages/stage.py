@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.player.contract.variables import Variable
@@ -12,6 +13,7 @@ from fingerflow.stages.inputs import Inputs
 from fingerflow.store import Store
 
 S = TypeVar("S", bound="Stage")
+_COPIED = 64  # frames at a time
 
 
 @dataclass
@@ -74,6 +76,7 @@ class Stage:
         reads_frames: whether `step` wants pictures.
         follows_border: whether it wants points on both sides of the border of the contact, from the first frame on.
         instead: of its class, for scenes of a kind that says so (`Kind.instead`): what it gives, another way.
+        restored: whether `restore` brings back all that later stages want of it, from an earlier result.
     """
 
     name: ClassVar[str]
@@ -85,6 +88,7 @@ class Stage:
     reads_frames: ClassVar[bool] = False
     follows_border: ClassVar[bool] = False
     instead: ClassVar[bool] = False
+    restored: ClassVar[bool] = False
 
     def __init__(self, trial: Trial) -> None:
         self.trial = trial
@@ -109,6 +113,18 @@ class Stage:
 
     def finish(self) -> None:
         """Results that need all frames, and warnings."""
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        """In place of begin, step, finish and derive: its results as an earlier result has them."""
+        for variable in self.gives:
+            if variable.name in earlier:
+                values = earlier[variable.name]
+                sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
+                own = variable.attributes()
+                more = {str(name): value for name, value in values.attrs.items() if name not in own}
+                stored = self.results.create(variable.name, more, **sizes)
+                for first in range(0, stored.shape[0], _COPIED):
+                    stored[first : first + _COPIED] = values[first : first + _COPIED].values
 
     def derive(self) -> None:
         """Results that are formulas of others, after `finish`."""

@@ -56,6 +56,7 @@ class TrackingStage(Stage):
     beside = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
+    restored = True
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
