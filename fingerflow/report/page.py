@@ -29,12 +29,14 @@ def write_report(
     folder: Path,
     comparison: Sequence[Any] = (),
     chain: BesideChain | None = None,
+    video: bool = True,
 ) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
 
     Without a scene, as of a stream, whose frames are gone, there is neither picture nor video.
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
+    ``video``: write overlay.mp4 too, which takes longer than all the rest.
     ``chain``: predictions of the skin chain, drawn beside what was measured.
     """
     frame = _most_contact(result)
@@ -42,7 +44,8 @@ def write_report(
     if scene is not None:
         for output in ("report.html", "overlay.mp4"):
             spare(folder / output, *scene.files())
-        write_overlay(result, scene, folder / "overlay.mp4")
+        if video:
+            write_overlay(result, scene, folder / "overlay.mp4")
         with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
             picture = ViewPainter(result, scene, recording).paint(frame)
         encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()

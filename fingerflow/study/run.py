@@ -1,28 +1,15 @@
 """Which trials are to be run and why, and running them on Dask."""
 
-import logging
-import os
-import signal
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from importlib import import_module
-from itertools import islice
-from typing import Any
-
-from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
+from fingerflow.study.cluster import Interrupted, cores, over_workers, threads_each
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, write_row
 from fingerflow.study.keys import code_of, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, changed_inputs, is_current, run_trial
-
-_IN_FLIGHT = 3  # tasks a thread: one that runs, others that wait beside it
-_RENEWED_AFTER = 200  # recordings, after which a worker is replaced by a fresh one: whatever leaks goes with it
-_ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 
 
 @dataclass(frozen=True)
@@ -106,19 +93,22 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    workers = max(1, min(workers or cores, len(planned)))
-    threads = max(1, cores // workers) if scheduler is None else 1
+    count = max(1, min(workers or cores(), len(planned)))
     codes = {part: code_of(part) for part in ("pictures", "numbers", "row")}
-    jobs = (Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads) for one in planned)
-    with (
-        _client(scheduler, workers, threads) as client,
-        tqdm(total=len(planned), unit="trial", disable=not progress) as bar,
-    ):
-        for outcome in _go_through(client, jobs, summary, manifest):
+    threads = threads_each(scheduler, count)
+    jobs = (
+        (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
+        for one in planned
+    )
+
+    def of_error(name: str, error: BaseException) -> Outcome:
+        return _of_error(error, name, manifest)
+
+    try:
+        for outcome in over_workers(run_trial, jobs, len(planned), of_error, scheduler, workers, progress):
             summary.outcomes.append(outcome)
-            bar.update()
-            bar.set_postfix_str(f"{sum(one.status == FAILED for one in summary.outcomes)} failed", refresh=False)
+    except Interrupted as stop:
+        summary.interrupted = str(stop)
     return summary
 
 
@@ -152,40 +142,7 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
     return Planned(entry, "row", "the table has other columns now; the result is kept")
 
 
-def _go_through(client: Any, jobs: Iterator[Job], summary: Summary, manifest: Manifest) -> Iterator[Outcome]:
-    """Outcomes as they come, a few tasks a thread in flight."""
-    from distributed import as_completed
-
-    in_flight = max(2, _IN_FLIGHT * max(1, sum(client.nthreads().values())))
-    names: dict[str, TrialEntry] = {}
-
-    def submit(job: Job) -> Any:
-        future = client.submit(_task, job, key=f"trial-{job.entry.name}-{os.getpid()}", pure=False)
-        names[future.key] = job.entry
-        return future
-
-    waiting = as_completed([submit(job) for job in islice(jobs, in_flight)])
-    try:
-        with _interrupt_once():
-            for future in waiting:
-                if future.status == "finished":
-                    yield future.result()
-                elif future.status == "error":
-                    yield _of_error(future.exception(), names[future.key], manifest)
-                else:
-                    summary.interrupted = (
-                        "the scheduler was lost. What is finished is kept; run the same command again for the rest"
-                    )
-                    return
-                for job in islice(jobs, 1):
-                    waiting.add(submit(job))
-    except KeyboardInterrupt:
-        summary.interrupted = "interrupted. What is finished is kept; run the same command again for the rest"
-    except (OSError, TimeoutError) as error:  # a connection that broke
-        summary.interrupted = f"the scheduler was lost ({error}). What is finished is kept; run the same command again"
-
-
-def _of_error(error: BaseException, entry: TrialEntry, manifest: Manifest) -> Outcome:
+def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
     """Of a task that no worker could bring to an end. Raises FingerflowError where the worker itself is at fault."""
     from distributed import KilledWorker
 
@@ -194,99 +151,8 @@ def _of_error(error: BaseException, entry: TrialEntry, manifest: Manifest) -> Ou
             "every worker that took it was killed, as where memory is too small: give fewer workers, or ask why in "
             "their logs"
         )
-        write_row(manifest.results / entry.name, TrialRow(FAILED, reason, passing=True))
-        return Outcome(entry.name, FAILED, reason, passing=True)
+        write_row(manifest.results / name, TrialRow(FAILED, reason, passing=True))
+        return Outcome(name, FAILED, reason, passing=True)
     if isinstance(error, FingerflowError):
         raise error
-    return Outcome(entry.name, FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)
-
-
-_done_here = 0  # of this worker
-
-
-def _task(job: Job) -> Outcome:
-    """What a worker does: a trial, and after many of them it makes place for a fresh worker."""
-    global _done_here
-    outcome = run_trial(job)
-    _done_here += 1
-    if _done_here == _RENEWED_AFTER:
-        from distributed import get_worker
-
-        worker = get_worker()
-        if worker.nanny:  # which starts another one
-            worker.loop.add_callback(worker.close_gracefully, restart=True)
-    return outcome
-
-
-@contextmanager
-def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
-    """A client of a cluster; both are closed behind it, a scheduler that was there before is left alone."""
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise FingerflowError(
-            f"a study runs on Dask, which is not installed ({error}): pip install 'fingerflow-engine[study]'"
-        ) from error
-    logging.getLogger("distributed").setLevel(logging.ERROR)
-    environment = {
-        f"distributed.nanny.pre-spawn-environ.{name}": threads
-        for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    }
-    with dask.config.set({**environment, "distributed.comm.retry.count": 3}):
-        cluster: Any = None
-        try:
-            if scheduler is not None and scheduler.startswith(_ADDRESS):
-                client = Client(scheduler, timeout="20s")
-            else:
-                if scheduler is None:
-                    cluster = LocalCluster(
-                        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                        silence_logs=logging.ERROR,
-                    )  # fmt: skip
-                else:
-                    cluster = _deployment(scheduler)()
-                    cluster.scale(workers)
-                client = Client(cluster)
-        except FingerflowError:
-            raise
-        except Exception as error:  # whatever a deployment raises
-            raise FingerflowError(
-                f"no cluster can be had{f' from {scheduler}' if scheduler else ''} ({error or type(error).__name__}); "
-                f"look whether its scheduler runs and can be reached from here"
-            ) from error
-        try:
-            yield client
-        finally:
-            client.close(timeout=5)
-            if cluster is not None:
-                cluster.close(timeout=10)
-
-
-def _deployment(name: str) -> Callable[[], Any]:
-    module, _, kind = name.rpartition(".")
-    try:
-        found: Callable[[], Any] = getattr(import_module(module), kind)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise FingerflowError(
-            f"--scheduler {name}: neither an address such as tcp://host:8786 nor a class that can be imported ({error})"
-        ) from error
-    return found
-
-
-@contextmanager
-def _interrupt_once() -> Iterator[None]:
-    """SIGTERM ends a run as Ctrl-C does."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return Outcome(name, FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)
