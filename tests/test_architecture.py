@@ -52,7 +52,21 @@ ARROWS: dict[str, set[str]] = {
         "errors",
         "export",
     },  # only where `--provider compiled` asks for the package; a bundle does without
-    "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
+    "study": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "models",
+        "pipeline",
+        "recordings",
+        "report",
+        "result",
+        "scene",
+        "stages",
+        "synthetic",
+        "toml_string",
+    },
     "stream_result": {"contract", "errors", "player"},
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }

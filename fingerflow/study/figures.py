@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from fingerflow.report.axes_style import finished
 from fingerflow.report.supplement import FIGURES, Panel, Sheet, Sources
-from fingerflow.report.trial_metrics import AMPLITUDE, METRICS
+from fingerflow.report.trial_metrics import AMPLITUDE, METRICS, finished_beside
 from fingerflow.study.statistics import Sample
 
 _FIGURES = ("S1", "S5", "S7", "S8", "S9", "S11", "S12", "S13")
@@ -73,18 +73,24 @@ def draw_curves(axes: Axes, curves: Any, metric: str) -> Axes:
     own = curves[curves["metric"] == metric]
     conditions = list(dict.fromkeys(own["condition"]))
     shown = METRICS[metric]
+    # An interval of two participants is many times as wide as anything there is to see.
+    means = shown.factor * own["mean"]
+    margin = 0.6 * max(float(means.max() - means.min()), 1e-12)
     for condition, colour in zip(conditions, colormaps["viridis"](np.linspace(0, 0.9, len(conditions))), strict=True):
         part = own[own["condition"] == condition]
         force, mean = part["normal_force_N"], shown.factor * part["mean"]
-        axes.plot(force, mean, color=colour, label=str(condition) if len(conditions) <= _MOST_NAMED else None)
+        axes.plot(force, mean, color=colour, label=_named(condition) if len(conditions) <= _MOST_NAMED else None)
         axes.fill_between(
             force, shown.factor * part["low"], shown.factor * part["high"], color=colour, alpha=0.15, linewidth=0
         )
+    low, high = axes.get_ylim()
     axes.set(xlabel="normal force (N)", ylabel=shown.label)
-    finished(axes)
-    if axes.get_legend() is not None:
-        axes.legend(frameon=False, fontsize="small", title=AMPLITUDE, title_fontsize="small")
-    return axes
+    axes.set_ylim(max(low, float(means.min()) - margin), min(high, float(means.max()) + margin))
+    return finished_beside(axes, AMPLITUDE) if axes.get_legend_handles_labels()[0] else finished(axes)
+
+
+def _named(condition: object) -> str:
+    return f"{condition:g}" if isinstance(condition, float) else str(condition)
 
 
 def _curve_panel(letter: str, curves: Any, metric: str) -> Panel:

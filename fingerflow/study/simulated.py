@@ -26,8 +26,8 @@ from fingerflow.synthetic import Camera, ChainPress, write_recording
 
 Values = NDArray[np.float64]
 _LOAD_N = 3.0
+_RECORDED_N = 2.0  # of recordings, whose views hold a contact of softer skin at this force
 _POINTS = 4001  # of the integrals, over eight deviations beyond the means
-# Recordings: small views in which the paper's chain at 3 N has its contact.
 _FRAMES, _FRAME_SHAPE, _FINGER = 40, (224, 560), (3.6, 3.4)
 
 
@@ -52,7 +52,7 @@ class Design:
     trials: int = 14
     amplitudes: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
     friction: tuple[float, float] = (0.9, 0.03)
-    softness: float = 1.7
+    softness: float = 2.2
     own: float = 0.03
     spread: float = 0.003
     criterion: float = 0.022
@@ -162,7 +162,7 @@ def simulate_table(design: Design) -> dict[str, Any]:
 def write_recordings(folder: Path, design: Design) -> None:
     """Writes a recording a trial by `ChainPress` with its scene, `answers.csv` and `truth.json`, into a new folder.
 
-    A trial's divergence varies through its force, by a tenth; the observer feels that of the chain at this force.
+    A trial's divergence varies through its force, 2 N and a tenth; the observer feels that of the chain at this force.
 
     Raises FingerflowError where a recording cannot be written.
     """
@@ -173,7 +173,7 @@ def write_recordings(folder: Path, design: Design) -> None:
         for place, (amplitude, friction) in enumerate(zip(design.amplitudes, design.frictions, strict=True)):
             for repeat in range(design.trials):
                 trial = place * design.trials + repeat + 1
-                load = _LOAD_N * min(max(1 + 0.1 * draw.standard_normal(), 0.7), 1.2)
+                load = _RECORDED_N * min(max(1 + 0.1 * draw.standard_normal(), 0.7), 1.2)
                 recorded = ChainPress(
                     friction=float(friction), softness=softness, force=load, n_frames=_FRAMES, frame_rate=_FRAMES,
                     frames_before_trigger=2, frame_shape=_FRAME_SHAPE, finger=_FINGER, elements=501,

@@ -1,6 +1,7 @@
 """The paper's statistics from the table of trials, by `fingerflow.models.observer`, and what was left out of them."""
 
 import math
+import warnings
 from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
@@ -37,7 +38,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Sample:
-    """Trials for figures and statistics; where `answered` is False no trial has an answer, and `answer` says nothing."""
+    """Trials for figures and statistics; where `answered` is False, `answer` says nothing."""
 
     trials: Trials
     answered: bool
@@ -141,7 +142,8 @@ def _of_force_rate(trials: Trials) -> Any:
         "force_rate": trials.metrics["force_rate"],
     }
     try:
-        return mixed_model(table, "force_rate ~ condition")
+        with warnings.catch_warnings(record=True):  # that it has not converged stands in the result
+            return mixed_model(table, "force_rate ~ condition")
     except (FingerflowError, ValueError, np.linalg.LinAlgError) as error:
         return {"reason": f"the model cannot be fitted: {error}"}
 
