@@ -1,19 +1,16 @@
 """Files that appear only when they are complete, and never in the place of what is not theirs to replace."""
 
-import contextlib
-import os
-import platform
-import re
-import secrets
-import shutil
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.unfinished import remove, unfinished
+
+MARK = "written by fingerflow"  # in what has no structure of its own by which it is known: pages, pictures, videos
 
 _PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # one recording in two files
+_END_BYTES = 1 << 20
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
@@ -46,6 +43,17 @@ def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) ->
         )
 
 
+def is_marked(path: Path) -> bool:
+    """Whether a file carries `MARK` in its first or last MiB, where pages, PNG and MP4 have what is said about them."""
+    try:
+        with path.open("rb") as file:
+            ends = file.read(_END_BYTES)
+            file.seek(max(len(ends), path.stat().st_size - _END_BYTES))
+            return MARK.encode() in ends + file.read()
+    except OSError:
+        return False
+
+
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
 
@@ -61,43 +69,9 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
         part.replace(path)
     except BaseException as error:
         if part is not None:
-            with contextlib.suppress(OSError):  # of what cannot be removed either; the first error says more
-                part.unlink(missing_ok=True)
+            remove(part)
         if isinstance(error, OSError):
             raise FingerflowError(
                 f"{path} cannot be written ({error.strerror or error}); name another place, or make room there"
             ) from error
         raise
-
-
-def unfinished(path: Path) -> Path:
-    """A hidden path beside a file or folder, for it while it is being written.
-
-    Removes those that killed runs have left there: they name the computer and the process that wrote them, and only
-    those count whose process is no more.
-    """
-    here = f"{zlib.crc32(platform.node().encode()):08x}"
-    stem, suffix = path.stem, path.suffix
-    pattern = re.compile(rf"\.{re.escape(stem)}-{here}-(\d+)-[0-9a-f]{{8}}{re.escape(suffix)}")
-    with contextlib.suppress(OSError):
-        for other in path.parent.iterdir():
-            found = pattern.fullmatch(other.name)
-            if found and not _is_running(int(found[1])):
-                if other.is_dir():
-                    shutil.rmtree(other, ignore_errors=True)
-                else:
-                    other.unlink(missing_ok=True)
-    return path.with_name(f".{stem}-{here}-{os.getpid()}-{secrets.token_hex(4)}{suffix}")
-
-
-def _is_running(process: int) -> bool:
-    """True where nobody can tell without harm."""
-    if os.name != "posix":
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True

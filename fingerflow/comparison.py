@@ -79,7 +79,8 @@ def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
     if "median_divergence" not in result:
         return rows
     frames = [*looked[::2], last]
-    medians = {i: truth.medians(i) for i in frames}
+    since = result["median_divergence"].attrs.get("reference_frame")
+    medians = {i: truth.medians(i, reference=since) for i in frames}
     true_displacement = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
     displacement = float(result["global_displacement"].values[last])
     rows.append(

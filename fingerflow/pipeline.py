@@ -20,6 +20,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
 from fingerflow.recordings.identity import identity_of
 from fingerflow.result import is_result, open_result
+from fingerflow.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
 from fingerflow.room import check_disk, check_memory, size_of_results
 from fingerflow.scene import Scene, load_scene
 from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
@@ -43,7 +44,7 @@ def process(
     engine: str = "torch",
     to: str | Path | None = None,
     overwrite: bool = False,
-    pictures_of: str | Path | None = None,
+    earlier: str | Path | None = None,
 ) -> xr.Dataset:
     """Computes ``outputs`` of a scene, and only what they need.
 
@@ -57,8 +58,9 @@ def process(
         to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
             appears when it is complete. None keeps them in memory.
         overwrite: let that file replace one that is no result of `process`; never an input.
-        pictures_of: an earlier result of the same recording, forces, background and settings but those of [fields] and
-            [slip], which the caller answers for: contact and tracks are taken from there, and no picture is read.
+        earlier: a result of the same recording: what does not depend on the settings that have changed since is taken
+            from there, and only the rest is computed. The attribute "taken_over" says what; the data are the same, bit
+            for bit. It may be the file that is written.
 
     Returns:
         The data set, with what the stages that ran have given (`fingerflow.player.contract.variables`); of a file, what
@@ -84,13 +86,13 @@ def process(
         if to is None:
             check_memory(size)
             store = MemoryStore(VARIABLES, frames)
-            _run(wanted, inputs, store, runtime, progress, pictures_of)
+            _run(wanted, inputs, store, runtime, progress, earlier)
             return store.dataset
         check_disk(to, size)
 
         def write(part: Path) -> None:
             with FileStore(VARIABLES, frames, part) as file:
-                _run(wanted, inputs, file, runtime, progress, pictures_of)
+                _run(wanted, inputs, file, runtime, progress, earlier)
 
         write_atomically(to, write)
         return open_result(to)
@@ -102,34 +104,29 @@ def _run(
     store: Store,
     runtime: "OnnxRuntime | None",
     progress: bool,
-    pictures_of: str | Path | None,
+    earlier: str | Path | None,
 ) -> None:
-    """Every pass of the plan, into the store; those that read pictures from an earlier result, where it has all that
-    they give.
-    """
+    """Every pass of the plan, into the store, but for what an earlier result has."""
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
-    passes = wanted.passes()
-    of_pictures = [number for number, kinds in enumerate(passes) if any(kind.reads_frames for kind in kinds)]
-    until = of_pictures[-1] + 1 if of_pictures else 0
-    known = 0  # warnings of what reads pictures
-    with ExitStack() as held, torch.inference_mode():
-        earlier = None if pictures_of is None else held.enter_context(open_result(Path(pictures_of)))
-        if earlier is not None and not _holds(earlier, passes[:until], wanted.asked, inputs):
-            earlier = None
-        for number, kinds in enumerate(passes):
+    said: dict[str, str] = {}
+    with torch.inference_mode(), ExitStack() as held:
+        keys = keys_of(wanted, inputs, "torch" if runtime is None else "onnx")
+        known: Reused | None = None
+        if earlier is not None:
+            known = reused(held.enter_context(open_result(Path(earlier))), Path(earlier), wanted, keys, inputs)
+            said[TAKEN_OVER] = known.said()
+        for kinds in wanted.passes():
             stages.update({kind.place(): kind(trial) for kind in kinds})
             running = [stages[kind.place()] for kind in kinds]
-            if earlier is not None and number < until:
+            if known is not None:
                 for stage in running:
-                    with _timed(seconds, stage.name):
-                        stage.restore(earlier)
-                known = int(earlier.attrs["warnings_of_pictures"])
-                inputs.warnings[:] = json.loads(earlier.attrs["warnings"])[:known]
-            else:
-                _pass(running, trial, seconds, progress)
-                known = len(inputs.warnings) if number < until else known
+                    if type(stage).place() in known.stages:
+                        with _timed(seconds, stage.name):
+                            known.restore(stage)
+                running = [stage for stage in running if type(stage).place() not in known.stages]
+            _pass(running, trial, seconds, progress)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     scene = inputs.scene
@@ -142,30 +139,16 @@ def _run(
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
-            "warnings": json.dumps(inputs.warnings),
-            "warnings_of_pictures": known,
+            "warnings": json.dumps([*inputs.warnings, *(one for stage in stages.values() for one in stage.warnings)]),
+            STAGES: record(wanted, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
             "mm_per_px": inputs.mm_per_px,
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
+            **said,
             # Of forces alone no picture is looked at.
             **({"recording": identity_of(inputs.recording)} if any(one.reads_frames for one in wanted.stages) else {}),
         },
-    )
-
-
-def _holds(earlier: xr.Dataset, passes: Sequence[Sequence[type[Stage]]], asked: frozenset[str], inputs: Inputs) -> bool:
-    """Whether an earlier result has all that these passes give, of the same frames."""
-    kinds = [kind for each in passes for kind in each]
-    wanted = {
-        one.name for kind in kinds for one in kind.gives if one.name in asked or (one.unasked and kind.reads_frames)
-    }
-    return (
-        all(kind.restored for kind in kinds)
-        and "warnings_of_pictures" in earlier.attrs
-        and wanted <= set(earlier.data_vars)
-        and earlier.attrs.get("recording") == identity_of(inputs.recording)
-        and np.array_equal(earlier["time"].values, inputs.times)
     )
 
 

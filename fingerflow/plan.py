@@ -19,6 +19,7 @@ _REMEDIES = {
     "forces": "needs forces, and the scene has no [forces] table",
     "forces.tangential": "needs a tangential force, and the scene names no channel in [forces] tangential",
     "soft_sensor": 'is of markers on a gel, and the scene is not of kind = "soft_sensor"',
+    "dense_flow_slip": 'comes by dense flow, and the scene does not set [slip] displacement = "dense_flow"',
     "background.frames": "needs a picture without a finger, and the scene has none in [background]",
     "views.topography": "follows the skin in the topographic view, and the scene has no [views.topography] table",
 }
@@ -53,7 +54,8 @@ def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
 
     Raises FingerflowError for an output that does not exist or that the scene cannot give.
     """
-    stages = all_stages(KINDS[scene.kind].instead)
+    by_setting = ("dense_flow_slip",) if scene.has("dense_flow_slip") else ()
+    stages = all_stages((*KINDS[scene.kind].instead, *by_setting))
     at = {stage.place(): stage for stage in stages}
     if outputs is None:
         kind = KINDS[scene.kind]

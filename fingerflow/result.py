@@ -1,10 +1,8 @@
-"""Files of results: HDF5/NetCDF4, CSV and .mat."""
+"""Files of results: HDF5/NetCDF4."""
 
+import json
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import scipy.io
 import xarray as xr
 
 from fingerflow.atomic_write import keep_others, write_atomically
@@ -64,38 +62,13 @@ def open_result(path: Path) -> xr.Dataset:
     return result
 
 
-def export_table(result: xr.Dataset, path: Path) -> None:
-    """Writes a table: .csv with one row a frame and one column a quantity, or .mat with every variable.
+def scene_of(path: Path) -> Path:
+    """The scene file of which a file is the result.
 
-    Raises FingerflowError for another suffix.
+    Raises FingerflowError where the file is no result, or that scene is not there any more.
     """
-    if path.suffix == ".csv":
-        columns = {}
-        for name, values in {"time": result["time"], **result.data_vars}.items():
-            if values.dims == ("frame",):
-                columns[f"{name} ({values.attrs['units']})"] = values.values
-            elif (
-                len(values.dims) == 2
-                and values.dims[0] == "frame"
-                and values.dims[1] in ("xy", "axis", "strain_component")
-            ):
-                for k, part in enumerate(result[values.dims[1]].values):
-                    columns[f"{name}_{part} ({values.attrs['units']})"] = values.values[:, k]
-        rows = np.column_stack([result["frame"].values, *columns.values()])
-        header = ",".join(["frame", *columns])
-        write_atomically(
-            path, lambda part: np.savetxt(part, rows, delimiter=",", fmt="%.9g", header=header, comments="")
-        )
-    elif path.suffix == ".mat":
-        content: dict[str, Any] = {str(name): values.values for name, values in result.data_vars.items()}
-        content["time"] = result["time"].values
-        content["frame"] = result["frame"].values
-        content["units"] = {str(name): values.attrs["units"] for name, values in result.data_vars.items()}
-
-        def write(part: Path) -> None:
-            with part.open("wb") as file:
-                scipy.io.savemat(file, content, do_compression=True, long_field_names=True)
-
-        write_atomically(path, write)
-    else:
-        raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {path.suffix or 'without a suffix'!r}")
+    with open_result(path) as stored:
+        scene = Path(json.loads(stored.attrs.get("settings", "{}")).get("path", ""))
+    if not scene.is_file():
+        raise FingerflowError(f"{path}: its scene {scene} is not there any more; name the scene file")
+    return scene

@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.scene_check import Checked, check_scene
-from fingerflow.player.contract.scene_file import SceneError, read_scene
+from fingerflow.player.contract.scene_file import SceneError, parse_scene, read_scene
+from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.toml_string import toml_string
 from fingerflow.views import View
 
@@ -68,14 +69,23 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """[forces]: channels by their names in the file."""
+    """[forces]: channels by their names in the file or their numbers, from 1; ``tangential`` may be two components.
+
+    ``units`` is that of all forces, None for that of each heading; ``gain``, ``sign`` and ``offset`` are one number for
+    all or one each, normal first (`recordings.forces.newtons.Sensor`).
+    """
 
     file: Path
-    normal: str
-    tangential: str | None
-    trigger: str | None
+    normal: str | int
+    tangential: str | int | tuple[str | int, ...] | None
+    units: Literal["N", "mN", "g", "kgf", "V"] | None
+    gain: float | tuple[float, ...] | None
+    sign: float | tuple[float, ...]
+    offset: float | tuple[float, ...] | None
+    tare: tuple[float, float] | None
+    trigger: str | int | None
     trigger_level: float | None
-    time: str | None
+    time: str | int | None
     sample_rate: float | None
 
 
@@ -117,8 +127,13 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """[fields]: deformation of the skin, and its elasticity."""
+    """[fields]: deformation of the skin, and its elasticity.
 
+    ``reference`` is what displacement counts from: "onset", "first_frame", a frame, or a time from the trigger, such
+    as "0.25 s".
+    """
+
+    reference: str | int
     gauge_length_mm: float
     strain: Literal["green_lagrange", "as_printed", "infinitesimal"]
     young_modulus_mpa: float
@@ -131,11 +146,13 @@ class FieldSettings:
 class SlipSettings:
     """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another.
 
-    ``stuck_mm`` is of the criteria "displacement" and "relative".
+    ``stuck_mm`` is of the criteria "displacement" and "relative"; ``displacement`` is that of tracked points, or of all
+    skin by dense flow.
     """
 
     criterion: Literal["border", "displacement", "relative"]
     stuck_mm: float
+    displacement: Literal["points", "dense_flow"]
 
 
 @dataclass(frozen=True)
@@ -183,6 +200,11 @@ class Scene:
         """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
         return True if self.kind == "soft_sensor" else None
 
+    @property
+    def dense_flow_slip(self) -> bool | None:
+        """True where slip is looked for by dense flow, None else: as `soft_sensor`."""
+        return True if self.slip.displacement == "dense_flow" else None
+
     def has(self, need: str) -> bool:
         """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
         found: Any = self
@@ -226,6 +248,40 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
     if problems:
         raise FingerflowError("\n".join(f"{place}: {'.'.join(one.keys)} {one.said}" for one in problems))
     return _scene(path, checked)
+
+
+def scene_of_text(text: str, path: Path) -> Scene:
+    """What :func:`load_scene` will give of a file of this content, before it is written; it raises the same."""
+    try:
+        return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
+    except SceneError as error:
+        raise FingerflowError(str(error)) from None
+
+
+def scene_of_settings(settings: str) -> Scene:
+    """The scene that a result was computed from, by what :meth:`Scene.as_json` has left in its attribute `settings`.
+
+    Raises:
+        FingerflowError: a file that it names has gone, or a key is no longer what it was; with the remedy.
+    """
+    said = json.loads(settings)
+    path = Path(said.pop("path"))
+    kind = said.setdefault("kind", default_kind(said))
+    shown = (*KINDS[kind].views, *KINDS[kind].optional_views) if kind in KINDS else ()
+    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # roles are not written
+    said["calibration"].pop("file", None)  # its values stand beside it
+    checked, problems = check_scene(_without_none(said), path.parent, "process")
+    if problems:
+        lines = [f"settings of the result: {'.'.join(one.keys)} {one.said}" for one in problems]
+        raise FingerflowError("\n".join(lines))
+    return _scene(path, checked)
+
+
+def _without_none(value: Any) -> Any:
+    """Settings that are None are those that were left out."""
+    if isinstance(value, dict):
+        return {name: _without_none(one) for name, one in value.items() if one is not None}
+    return value
 
 
 def _scene(path: Path, checked: Checked) -> Scene:
@@ -310,8 +366,13 @@ frames = {toml_string(background)}       # without a finger; several frames are 
 
 {mark}[forces]
 {mark}file = {toml_string(forces or "forces.csv")}           # CSV, HDF5, .mat or TDMS
-{mark}normal = "normal_force"       # names of the channels in the file
-{mark}tangential = "tangential_force"
+{mark}normal = "normal_force"       # names of the channels in the file, or their numbers, from 1
+{mark}tangential = "tangential_force"  # or two components, ["fx", "fy"]
+# units = "N"                 # or "mN", "g", "kgf", "V"; only where the file does not state it
+# gain = 1.0                  # of the sensor: N/V where units = "V"; or one a channel, normal first, [2.5, 1.2]
+# sign = 1                    # or -1, where pressing is negative; or one a channel, [-1, 1]
+# offset = 0.0                # reading without a load, in the file's unit; or
+# tare = [-0.5, -0.1]         # s from the trigger, in which nothing touches: the mean there is the zero
 {mark}trigger = "trigger"           # its first rise through trigger_level is time 0
 {mark}trigger_level = 2.5
 
@@ -335,6 +396,8 @@ search_px = 8                 # how far to search for points that a jolt has car
 gain_offset = true            # windows are compared whatever the light's gain and offset
 
 [fields]
+reference = "onset"           # displacement since each point's own onset of contact; or, for all points, since
+                              # "first_frame", since a frame as it stands in the file, 120, or a time, "0.25 s"
 gauge_length_mm = 1.6         # diameter over which a gradient is fitted
 strain = "green_lagrange"     # or "as_printed" (Willemet et al. 2021, eq. 1), "infinitesimal"
 young_modulus_mpa = 1.0
@@ -346,6 +409,7 @@ rate_window_s = 0.05
 {loaded}criterion = "border"          # of stuck skin: no slip at all; or "displacement" below stuck_mm, as in the
 {loaded}                              # paper; or "relative": below it against the rigid motion of the skin that sticks
 {loaded}# stuck_mm = 0.04             # the paper has 0.04
+{loaded}displacement = "points"       # or "dense_flow": of all skin, compared with the points
 
 {live}[stream]                      # of an exported bundle in its player; `process` takes the region too
 {live}region = {{rows = {list(where.rows)}, columns = {list(where.columns)}}}  # of the topography view, for points

@@ -39,6 +39,7 @@ public:
           ellipse_(given.ellipses + 6 * number),
           medians_(given.medians + kAreaFields * number),
           deviations_(given.deviations == nullptr ? nullptr : given.deviations + kAreaFields * number),
+          share_(given.shares + number),
           settings_{given.measure,
                     static_cast<float>(given.minimum_points),
                     static_cast<float>(given.radius),
@@ -47,6 +48,7 @@ public:
                     static_cast<float>(given.least_ratio)} {}
 
     void run() {
+        *share_ = std::numeric_limits<float>::quiet_NaN();
         std::fill_n(medians_, kAreaFields, std::numeric_limits<float>::quiet_NaN());
         if (deviations_ != nullptr) std::fill_n(deviations_, kAreaFields, std::numeric_limits<float>::quiet_NaN());
         const bool finite = std::all_of(ellipse_, ellipse_ + 6, [](float number) { return std::isfinite(number); });
@@ -61,6 +63,7 @@ public:
                 for (int q = 0; q < block.positions; ++q)
                     if (block.fits.known[q] > 0) values.push_back(block.fits.fields[field][q]);
             const double share = static_cast<double>(values.size()) / static_cast<double>(given_.positions);
+            *share_ = static_cast<float>(share);
             if (values.empty() || share < given_.least_share) return;
             medians_[field] = median(values);
         }
@@ -222,7 +225,7 @@ private:
 
     const fingerflow_area_medians& given_;
     const float *const reference_, *const displacement_, *const covariance_, *const ellipse_;
-    float *const medians_, *const deviations_;
+    float *const medians_, *const deviations_, *const share_;
     const AreaSettings settings_;
     AreaBeside beside_{};
     float half_x_ = 0, half_y_ = 0;

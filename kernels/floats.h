@@ -207,7 +207,9 @@ inline Floats looked_up(Floats low, Floats high, Integers index) {
 }
 #endif
 
-constexpr float kLeastFraction = -3, kMostFraction = 6;
+// From the border pixel to the one opposite, for the first and the last place with all four taps: beyond, the border is
+// repeated, as in the portable form.
+constexpr float kLeastFraction = -1, kMostFraction = 2;
 // Numbers kept within limits and split into whole and fraction. What is not a number becomes `low`.
 struct Split {
     std::int32_t whole[kFloats];
@@ -215,7 +217,7 @@ struct Split {
 };
 #if defined(__GNUC__) || defined(__clang__)
 inline Split split(Floats value, float low, float high) {
-    // The whole part is limited, not the number: beyond the limits the fraction grows, but not until a cubic of it overflows.
+    // The whole part is limited, not the number: beyond the limits the fraction grows, as far as the border.
     Floats whole = value > all(low) ? value : all(low);
     whole = whole < all(high) ? whole : all(high);
     const Floats towards_zero = __builtin_convertvector(__builtin_convertvector(whole, Integers), Floats);

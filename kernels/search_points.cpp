@@ -7,6 +7,7 @@
 #include <cstddef>
 
 #include "floats.h"
+#include "tracking_limits.h"
 
 namespace fingerflow {
 namespace FINGERFLOW_ISA {
@@ -78,13 +79,23 @@ public:
             }
         // A window without contrast correlates with nothing; the bound keeps rounding from making one win.
         const float least = 1e-3f * most + kTiny;
-        int best = 0;
+        float highest = -INFINITY;
         for (int k = 0; k < span * span; ++k) {
             products_[k] = deviations_[k] > least ? products_[k] / sqrtf(deviations_[k]) : -INFINITY;
-            if (products_[k] > products_[best]) best = k;
+            if (products_[k] > highest) highest = products_[k];
+        }
+        if (!(highest > 0)) return;
+        const float as_high = highest - kSearchTie * highest;
+        int best = -1, nearest_away = 0;
+        for (int k = 0; k < span * span; ++k) {
+            if (products_[k] < as_high) continue;
+            const int down = k / span - search_.reach, across = k % span - search_.reach, away = down * down + across * across;
+            if (best < 0 || away < nearest_away) {
+                best = k;
+                nearest_away = away;
+            }
         }
         const float peak = products_[best];
-        if (!(peak > 0)) return;
         const int row = best / span, column = best % span;
         const int left = column > 0 ? best - 1 : best, right = column < span - 1 ? best + 1 : best;
         const int above = row > 0 ? best - span : best, below = row < span - 1 ? best + span : best;
@@ -97,10 +108,11 @@ public:
     }
 
 private:
-    // Where the parabola through three neighbouring scores has its maximum, in -1/2 ... 1/2 from the middle one.
+    // Where the parabola through three neighbouring scores has its maximum, in -1/2 ... 1/2 from the middle one; there, where
+    // they are equal to kSearchTie.
     static float vertex(float before, float peak, float after) {
         const float curvature = before - 2 * peak + after;
-        const float at = curvature < 0 ? (before - after) / (2 * curvature) : 0.0f;
+        const float at = curvature < -kSearchTie * peak ? (before - after) / (2 * curvature) : 0.0f;
         return !is_finite(at) ? 0.0f : at < -0.5f ? -0.5f : at > 0.5f ? 0.5f : at;
     }
 
@@ -173,8 +185,7 @@ private:
                 sum += sums_[c];
                 square += squares_[c];
                 if (c < size - 1) continue;
-                const float whole = static_cast<float>(sum);
-                deviations_[(r - size + 1) * span + c - size + 1] = static_cast<float>(square) - whole * whole / static_cast<float>(size * size);
+                deviations_[(r - size + 1) * span + c - size + 1] = static_cast<float>(square - sum * sum / (static_cast<double>(size) * size));
                 sum -= sums_[c - size + 1];
                 square -= squares_[c - size + 1];
             }

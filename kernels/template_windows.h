@@ -47,11 +47,27 @@ inline void cubic_taps(Number fraction, Number* value, Number* slope) {
     slope[3] = square * 0.5f;
 }
 
-// Whether the window of n px around a place lies in the frame.
+// Whether the window of n px around a place lies in the frame, to kSlack.
 inline bool contains(Vector place, const Frames& frames, int n) {
-    const float half = static_cast<float>(n / 2);
-    return place.x >= half && place.y >= half && place.x <= static_cast<float>(frames.width - 1) - half &&
-           place.y <= static_cast<float>(frames.height - 1) - half;
+    const float least = static_cast<float>(n / 2) - kSlack;
+    return place.x >= least && place.y >= least && place.x <= static_cast<float>(frames.width - 1) - least &&
+           place.y <= static_cast<float>(frames.height - 1) - least;
+}
+
+// Whether all numbers of rows `stride` apart are finite.
+inline bool all_finite(const float* from, int rows, int columns, int stride) {
+    Floats nothing = all(0);
+    const int whole = columns / kFloats * kFloats;
+    const Beginning rest(columns - whole);
+    for (int r = 0; r < rows; ++r, from += stride) {
+        for (int c = 0; c < whole; c += kFloats) nothing += load(from + c) * 0.0f;
+        if (whole < columns) nothing += rest.of(load(from + whole)) * 0.0f;
+    }
+    float of[kFloats];
+    store(of, nothing);
+    bool finite = true;
+    for (int k = 0; k < kFloats; ++k) finite = finite && of[k] == 0.0f;
+    return finite;
 }
 
 // A pixel of a frame, or the nearest one; far beyond the border it does not matter how far.
@@ -110,6 +126,10 @@ public:
     // The grey level that has been taken off: float32 sums then do not cancel.
     float level() const { return level_; }
 
+    // Whether every pixel that the last window asked for is a number: of a straight one the patch around its whole pixel, as
+    // the portable form has it, which is a product of matrices.
+    bool finite() const { return finite_; }
+
     // At place + w.
     void sample_straight(const Frames& frames, std::int64_t image, Vector place, const Sampled& to) {
         level_ = pixel(frames, image, place);
@@ -120,6 +140,7 @@ public:
         cubic_taps(shift.y - whole.y, down, down_slope);
         const int n = window_, span = whole_floats(n), stride = patch_span(side(n));
         cut_around(frames, image, center, n / 2 + kBeyond, n + 2 * kBeyond, level_, lines_, wide_, stride);
+        finite_ = frames.kind != kFloat32 || all_finite(wide_, side(n), side(n), stride);
         const float* from = wide_ + (static_cast<int>(whole.y) + 1) * stride + static_cast<int>(whole.x) + 1;
         for (int r = 0; r < n + kTaps - 1; ++r, from += stride)
             for (int c = 0; c < span; c += kFloats) {
@@ -155,6 +176,7 @@ public:
         image_ = image;
         sample_somewhere(place, warp);
         close_up(to);
+        finite_ = frames.kind != kFloat32 || all_finite(to.value, 1, window_ * window_, 0);
     }
 
 private:
@@ -208,7 +230,8 @@ private:
         const bool inside = place.x - away_x >= 2 && place.y - away_y >= 2 && place.x + away_x <= right - 1 && place.y + away_y <= bottom - 1;
         constexpr float kApart = kFloats - 1;
         const bool gentle = warp.xx > 0 && warp.xx * kApart < 2 * kFloats - kTaps - 1 && fabsf(warp.yx) * kApart < 1;
-        if (in_one_piece && inside && gentle)
+        // There a sample's row may weigh one that is not its own with zero: it must be a number.
+        if (in_one_piece && inside && gentle && (frames_->kind != kFloat32 || all_finite(wide_, where.rows, where.columns, stride)))
             return sample_gently(where, stride, place, warp);
 #endif
         sample_anywhere(in_one_piece, where, stride, {right, bottom}, place, warp);
@@ -377,6 +400,7 @@ private:
     const Frames* frames_ = nullptr;
     std::int64_t image_ = 0;
     float level_ = 0;
+    bool finite_ = true;
     float* wide_ = nullptr;
     float* rows_ = nullptr;
     float* values_ = nullptr;

@@ -79,6 +79,8 @@ public:
         }
         if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled_);
         else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled_);
+        if (!sampler_.finite())
+            for (int k = 0; k < wide_ * wide_; ++k) sampled_.value[k] = sampled_.along_x[k] = sampled_.along_y[k] = NAN;
         numbers[kLevel] = sampler_.level() + take_inner();
         project();
         measure(all_.variance[image], numbers);
@@ -412,6 +414,8 @@ private:
     Look look(std::int64_t image, Vector guess) {
         const Vector center{rintf(guess.x), rintf(guess.y)};
         cut_around(all_.frames, image, center, n_ / 2 + kBeyond, n_ + 2 * kBeyond, numbers_[kLevel], lines_, patch_, stride_);
+        if (!is_finite(numbers_[kLevel]) || (all_.frames.kind == kFloat32 && !all_finite(patch_, n_ + 2 * kBeyond, n_ + 2 * kBeyond, stride_)))
+            return {{NAN, NAN}, guess, NAN, NAN, is_within(guess) ? kNotFinite : kLeftFrame};
         const Vector beside = initial_estimate(first_sums(), {center.x - guess.x, center.y - guess.y});
         const Vector looked{clamped(-beside.x, -kReach, kReach), clamped(-beside.y, -kReach, kReach)};
         Sums of;
@@ -571,7 +575,7 @@ private:
         const float step = length(last);
         const bool settled = step < kLastStep;  // what is not a number is no root
         const Vector shift = settled ? Vector{looked.x - last.x, looked.y - last.y} : looked;
-        const bool converged = settled && fabsf(shift.x) < kReach && fabsf(shift.y) < kReach;
+        const bool converged = settled && fabsf(shift.x) < kReach + kSlack && fabsf(shift.y) < kReach + kSlack;
         Look result;
         result.found = {center.x + shift.x, center.y + shift.y};
 
@@ -585,27 +589,28 @@ private:
         result.scale = pixel / (gain * gain);
 
         const float error = length(inverse * edges(gain, free ? of.m / samples : 0.0f)) / (gain * gain);
-        result.error = converged ? error : NAN;
-
         const float variance = all_.variance == nullptr ? numbers_[kNoise] : all_.variance[image];
         const float noise_energy = variance * (samples * kValueNoise);
         const float left_key = energy - noise_energy, left_frame = bb - noise_energy;
         const float common = (left_key < 0 ? 0 : left_key) * (left_frame < 0 ? 0 : left_frame);
         const float explained = of.tm > 0 ? (bb - unlike) * energy : 0.0f;
         const Vector place = is_finite(result.found) ? result.found : guess;
-        const bool within = numbers_[kInside] > 0 && contains(place, all_.frames, n_);
-        if (!is_finite(of.m + numbers_[kLevel])) result.status = kNotFinite;
-        else if (!within) result.status = kLeftFrame;
+        if (!is_within(place)) result.status = kLeftFrame;
+        else if (!is_finite(of.m)) result.status = kNotFinite;
         else if (!(numbers_[kTextured] > 0)) result.status = kNoTexture;
         else if (!converged) result.status = kNotConverged;
         else if (!(common * (1 - all_.mismatch_limit) <= explained)) result.status = kMismatch;
         else if (!(error <= all_.forward_backward_limit)) result.status = kForwardBackward;
         else result.status = kTracked;
+        const bool none = result.status == kNotFinite || result.status == kLeftFrame || result.status == kNoTexture || result.status == kNotConverged;
+        result.error = none ? NAN : error;
         if (settled) result.estimate = place;
         else if (is_finite(beside)) result.estimate = {center.x - beside.x, center.y - beside.y};
         else result.estimate = guess;
         return result;
     }
+
+    bool is_within(Vector place) const { return numbers_[kInside] > 0 && contains(place, all_.frames, n_); }
 
     static constexpr int kSums = whole_floats(5);
 

@@ -1,7 +1,9 @@
 """Fixtures that more than one room of tests uses."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -64,3 +66,17 @@ def each_form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     elif not kernels.serve():
         pytest.skip("the compiled kernels were not built or are turned off")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Playwright's own Chromium, or the system's."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as engine:
+        own = Path(engine.chromium.executable_path)
+        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+        if not own.exists() and system is None:
+            pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
+        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
+        yield started
+        started.close()

@@ -111,6 +111,11 @@ def write_folder(folder: Path) -> Path:
     return folder / "scene.toml"
 
 
+def _forces(line: str, said: str) -> WrongScene:
+    """A line more in [forces]."""
+    return WrongScene('normal = "normal_force"', f'normal = "normal_force"\n{line}', line.partition(" ")[0], said)
+
+
 def _number(key: str, value: str, said: str, wrong: str) -> WrongScene:
     return WrongScene(f"{key} = {value}", f"{key} = {wrong}", f"{key} = {wrong}", said)
 
@@ -157,7 +162,7 @@ WRONG = (
     WrongScene('dark = "dark.npy"', "dark = []", "dark", "background.dark is []: that is no path of a file; it should"),
     WrongScene('file = "forces.csv"', "file = 1.5", "file", "forces.file is 1.5: that is no path of a file"),
     WrongScene('output = "results"', "output = 5", "output", "stream.output is 5: that is no path of a file"),
-    WrongScene('normal = "normal_force"', "normal = 0", "normal", "forces.normal is 0: it should be a valid string"),
+    WrongScene('normal = "normal_force"', "normal = 0", "normal", "forces.normal is 0: it should be the name of"),
     _number("points", "700", "tracking.points is '700': it should be a valid integer", '"700"'),
     _number("points", "700", "tracking.points is True: it should be a valid integer", "true"),
     _number("points", "700", "tracking.points is 700.0: it should be a valid integer", "700.0"),
@@ -199,6 +204,15 @@ WRONG = (
     _number("threshold", '"reference_frame"', "'per_frame', or it should be less than 1", "35"),
     _number("threshold", '"reference_frame"', "'per_frame', or it should be greater than 0", "0"),
     _number("threshold", '"reference_frame"', "contact.threshold is 'auto': it should be 'refer", '"auto"'),
+    WrongScene(
+        "[fields]",
+        '[fields]\nreference = "contact"',
+        "reference",
+        "fields.reference is 'contact': it should be 'onset'",
+    ),
+    WrongScene("[fields]", "[fields]\nreference = -1", "reference", "fields.reference is -1: it should be 'onset'"),
+    WrongScene("[fields]", "[fields]\nreference = 0.25", "reference", 'in quotes and with its unit, "0.25 s"'),
+    WrongScene("[fields]", "[fields]\nreference = true", "reference", "fields.reference is True: it should be"),
     # Pixels.
     _number("rows", "[0, 512]", "views.contact.rows is 512: it should be a list of two whole numbers", "512"),
     _number(
@@ -233,6 +247,19 @@ WRONG = (
     WrongScene(
         _CALIBRATION, 'file = "rig.toml"\nmm_per_px = 1', 'file = "rig', "a file and mm_per_px exclude each other"
     ),
+    # How a sensor is read.
+    WrongScene('normal = "normal_force"', 'normal = ["a", "b"]', "normal", "forces.normal is ['a', 'b']: it should be"),
+    WrongScene(
+        'tangential = "tangential_force"', 'tangential = ["a", "b", "c"]', "tang", "or a list of up to 2 of them"
+    ),
+    _forces('units = "lbf"', "forces.units is 'lbf': it should be 'N', 'mN', 'g', 'kgf' or 'V'"),
+    _forces("sign = 2", "forces.sign is 2: it should be 1 or -1"),
+    _forces("gain = [1.0, 2.0, 3.0]", "forces.gain is [1.0, 2.0, 3.0]: it has 3 numbers for 2 forces"),
+    _forces("gain = []", "forces.gain is []: it should be a valid number"),
+    _forces("offset = inf", "forces.offset is inf: it should be a finite number"),
+    _forces("tare = [0.2, 0.1]", "forces.tare is [0.2, 0.1]: two times in s from the trigger are needed, the earlier"),
+    _forces("tare = 0.2", "forces.tare is 0.2: two times in s"),
+    _forces("tare = [0.0, 0.1]\noffset = 1.0", "forces.tare is [0.0, 0.1]: it and offset exclude each other"),
     # Calibrations.
     _calibrated("nothing", ""),
     WrongScene(_CALIBRATION, "file = 3", "file = 3", "calibration.file is 3: that is no path of a file"),

@@ -22,19 +22,11 @@ from fingerflow import cli, load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.result import save_result
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import write_recording
+from tests.small_trials import TINY_PRESS
+
 
 # A press in a frame of 96 x 240 px: what takes 300 frames of the rig a minute takes a blink.
-SMALL: dict[str, Any] = {
-    "n_frames": 8,
-    "frame_rate": 8.0,
-    "frames_before_trigger": 1,
-    "frame_shape": (96, 240),
-    "finger": (1.8, 1.5),
-    "semi_axes": (1.3, 1.1),
-}
-
-
 def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """The exit code of the command line, run in this process."""
     monkeypatch.setattr(sys, "argv", ["fingerflow", *arguments])
@@ -102,7 +94,7 @@ def test_mistakes_are_named_without_a_traceback(
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small scene with its result, and frames to calibrate with."""
     folder = tmp_path_factory.mktemp("trial") / "press"
-    write_recording(folder, Press(**SMALL))
+    write_recording(folder, TINY_PRESS)
     save_result(process(load_scene(folder / "scene.toml"), ["real_contact_area"]), folder / "result.h5")
     ring = np.full((200, 220), 20, np.uint8)
     cv2.circle(ring, (110, 100), 80, 120, -1)
@@ -141,7 +133,7 @@ def interrupt_after(calls: int, function: Callable[..., Any] | None = None) -> C
 def test_an_interrupted_simulation_leaves_nothing(
     place: str, calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: Press(**SMALL))
+    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: TINY_PRESS)
     monkeypatch.setattr(place, interrupt_after(calls, pkgutil.resolve_name(place)))
     assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "trials" / "one")) == 130
     monkeypatch.undo()
@@ -152,7 +144,7 @@ def test_an_interrupted_simulation_leaves_nothing(
 def test_a_simulation_is_there_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: Press(**SMALL))
+    monkeypatch.setattr("fingerflow.synthetic.Press", lambda: TINY_PRESS)
     assert main_with(monkeypatch, "simulate", "press", str(tmp_path / "one")) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["one"]
     assert load_scene(tmp_path / "one" / "scene.toml").recording.frame_rate == 8.0
@@ -181,7 +173,7 @@ def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-PROCESS = ("process", "{trial}/scene.toml", "--to", "{new}/result.h5", "--json")
+PROCESS = ("process", "{trial}/scene.toml", "--output", "{new}/result.h5", "--json")
 TABLE = ("export-table", "{trial}/result.h5")
 CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calibration.toml")
 
@@ -249,8 +241,8 @@ def test_an_interrupted_report_leaves_whole_files_only(
 def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "result.h5").write_bytes(b"of before")
     monkeypatch.setattr("fingerflow.store.FileStore.finish", interrupt_after(0))
-    arguments = ("process", str(trial / "scene.toml"), "--output", "real_contact_area")
-    arguments += ("--to", str(tmp_path / "result.h5"))
+    arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
+    arguments += ("--output", str(tmp_path / "result.h5"))
     assert main_with(monkeypatch, *arguments) == 2  # it is no result
     assert main_with(monkeypatch, *arguments, "--overwrite") == 130
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"of before"]
@@ -284,7 +276,7 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
     from fingerflow.atomic_write import spare
-    from fingerflow.cli import _remove_demo
+    from fingerflow.cli.synthetic import _remove_demo
 
     frame = tmp_path / "calibration.png"
     frame.write_bytes(b"a frame")

@@ -14,33 +14,9 @@ import xarray as xr
 
 import fingerflow
 from fingerflow import player
-from fingerflow.export import export_bundle
 from fingerflow.player.providers import PROVIDERS
 from fingerflow.report import write_report
-from fingerflow.synthetic import Press, write_recording
-
-HEIGHT, WIDTH, POINTS = 192, 240, 150
-RECIPE = f"""
-[views]
-height = {HEIGHT}
-width = {WIDTH}
-[tracking]
-points = {POINTS}
-window_px = 21
-[fields]
-gauge_length_mm = 1.6
-[export]
-graphs = ["background", "detect", "key", "renew", "frame", "fields"]
-"""
-SETTINGS = f"""
-[contact]
-threshold = 0.27
-[tracking]
-points = {POINTS}
-window_px = 21
-[fields]
-gauge_length_mm = 1.6
-"""
+from tests.small_trials import POINTS, write_bundle_of_trials, write_trial
 
 
 class Said(NamedTuple):
@@ -60,17 +36,10 @@ class Said(NamedTuple):
 @pytest.fixture(scope="module")
 def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
     folder = tmp_path_factory.mktemp("one_graph")
-    press = Press(n_frames=72, frame_shape=(HEIGHT, 2 * WIDTH), rise_time=0.2, semi_axes=(2.1, 1.7), finger=(2.9, 2.4))
-    write_recording(folder / "press", press)
-    scene_file = folder / "press" / "scene.toml"
-    text = scene_file.read_text()
-    scene_file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :])
+    scene_file = write_trial(folder / "press")
     scene = fingerflow.load_scene(scene_file)
     recorded = [fingerflow.process(scene, engine=engine) for engine in ("torch", "onnx")]
-    (folder / "recipe.toml").write_text(RECIPE)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
-        export_bundle(folder / "recipe.toml", folder / "bundle")
+    write_bundle_of_trials(folder / "bundle")
     played = []
     for provider in ("cpu", "compiled"):
         options = ["--output", str(folder / provider), "--page", "off", "--provider", provider, "--no-spin"]

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.atomic_write import keep_others, spare, unfinished, write_atomically
+from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.unfinished import unfinished
 from fingerflow.result import is_result, load_result, save_result
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -119,6 +120,68 @@ def test_a_calibration_replaces_calibrations_alone(
     output.write_text("[notes]\nof = 'the rig'\n")
     assert calibrated() == 2
     assert calibrated("--overwrite") == 0
+
+
+def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.figure import Figure
+
+    from fingerflow.atomic_write import is_marked
+    from fingerflow.report import video, write_report
+    from fingerflow.report.picture_files import save_figure
+    from fingerflow.report.supplement import Sources, write_supplement
+
+    trial = result().assign_coords(time=("frame", np.arange(3.0)))
+    trial.attrs |= {"stage_seconds": "{}", "settings": "{}", "warnings": "[]", "mm_per_px": 0.05}
+    page = write_report(trial, None, tmp_path)
+    assert write_report(trial, None, tmp_path) == page  # its own
+    save_figure(Figure(), tmp_path / "ours.png")
+    video.encode_video([np.zeros((32, 32, 3), np.uint8)] * 3, tmp_path / "ours.mp4")
+    assert all(map(is_marked, (page, tmp_path / "ours.png", tmp_path / "ours.mp4")))
+    page.write_text("<h1>years of work</h1>")
+    with pytest.raises(FingerflowError, match=r"report\.html exists and was not written by this command"):
+        write_report(trial, None, tmp_path)
+    assert page.read_text() == "<h1>years of work</h1>"
+    assert is_marked(write_report(trial, None, tmp_path, overwrite=True))
+    monkeypatch.setattr("fingerflow.report.supplement.FIGURES", {"S1": lambda _: pytest.fail("a figure was drawn")})
+    for name in ("S1.png", "M3.mp4"):
+        (tmp_path / name).write_bytes(b"years of work")
+        with pytest.raises(FingerflowError, match=f"{name} exists and was not written by this command"):
+            write_supplement(Sources(), tmp_path, progress=False)
+        assert (tmp_path / name).read_bytes() == b"years of work"
+        (tmp_path / name).unlink()
+
+
+def test_slip_figures_are_refused_before_one_is_drawn(tmp_path: Path) -> None:
+    from fingerflow.report.slip_trials import write_figures
+
+    (tmp_path / "trials.png").write_bytes(b"years of work")
+    with pytest.raises(FingerflowError, match=r"trials\.png exists and was not written"):
+        write_figures([], tmp_path)
+    assert (tmp_path / "trials.png").read_bytes() == b"years of work"
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat"])
+def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
+    import scipy.io
+
+    from fingerflow.tables import export_table, is_table
+
+    trial = result().assign_coords(time=("frame", np.arange(3.0), {"units": "s"}), frame=np.arange(3))
+    trial["area"].attrs["units"] = "mm2"
+    table = tmp_path / f"table{suffix}"
+    export_table(trial, table)
+    assert is_table(table)
+    export_table(trial, table)  # its own
+    if suffix == ".mat":
+        scipy.io.savemat(table, {"work": np.arange(9)})
+    else:
+        table.write_text("frame,years of work\n")
+    before = table.read_bytes()
+    with pytest.raises(FingerflowError, match=r"table\..* exists and was not written by this command"):
+        export_table(trial, table)
+    assert table.read_bytes() == before
+    export_table(trial, table, overwrite=True)
+    assert is_table(table)
 
 
 KILLED = """

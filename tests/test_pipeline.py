@@ -20,10 +20,11 @@ from fingerflow.player.contract.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.report import write_report
-from fingerflow.result import export_table, load_result, save_result
+from fingerflow.result import load_result, save_result
 from fingerflow.scene import Scene, Views, scene_text
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from fingerflow.tables import export_table
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, plan
 from fingerflow.result import save_result
 from fingerflow.scene import Scene
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import write_recording
+from tests.small_trials import TINY_PRESS
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -19,17 +20,7 @@ Usage = namedtuple("Usage", "total used free")
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     folder = tmp_path_factory.mktemp("room") / "press"
-    write_recording(
-        folder,
-        Press(
-            n_frames=8,
-            frame_rate=8.0,
-            frames_before_trigger=1,
-            frame_shape=(96, 240),
-            finger=(1.8, 1.5),
-            semi_axes=(1.3, 1.1),
-        ),
-    )
+    write_recording(folder, TINY_PRESS)
     return load_scene(folder / "scene.toml")
 
 
@@ -48,6 +39,27 @@ def test_no_memory(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(room.psutil, "virtual_memory", lambda: memory(1000))
     with pytest.raises(FingerflowError, match=r"GB of memory, and 0\.00 GB are free; write them to a file .*to="):
         process(scene)
+
+
+@pytest.mark.parametrize(("share", "fits"), [(0.98, True), (1.0, True), (1.02, False)])
+def test_what_is_free_is_the_limit(share: float, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results that need 98 % of memory or disk are begun, and those that need 102 % are refused with both numbers."""
+    free = 5_000_000_000
+    memory = namedtuple("memory", "available")
+    monkeypatch.setattr(room.psutil, "virtual_memory", lambda: memory(free))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(2 * free, free, free))
+    checks = (
+        (lambda: room.check_memory(share * free), f"take {5 * share:.2f} GB of memory, and 5.00 GB are free"),
+        # A file takes half of what it holds at least.
+        (lambda: room.check_disk(tmp_path / "a.h5", 2 * share * free), f"{5 * share:.2f} GB are needed and 5.00 GB of"),
+        (lambda: room.check_write(tmp_path / "a.h5", int(share * free) - (64 << 20)), f"{5 * share:.2f} GB are needed"),
+    )
+    for check, sentence in checks:
+        if fits:
+            check()
+        else:
+            with pytest.raises(FingerflowError, match=sentence):
+                check()
 
 
 @pytest.mark.parametrize("free", [10, 1 << 20])

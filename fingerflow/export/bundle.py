@@ -16,13 +16,13 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from fingerflow.atomic_write import unfinished
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, feed
 from fingerflow.export.verification import Difference, missing, verify
+from fingerflow.player.contract.unfinished import unfinished
 
 FORMAT = 1  # of the bundle
 COORDINATES = (

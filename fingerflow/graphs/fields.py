@@ -28,6 +28,7 @@ class Fields(NamedTuple):
         divergence_std, curl_std: (B, N); None without covariances.
         median: (B, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without one.
         median_std: (B, 5); None without covariances.
+        known_share: (B,) of the ellipse in which they are known; None without one.
     """
 
     divergence: Tensor
@@ -38,6 +39,7 @@ class Fields(NamedTuple):
     curl_std: Tensor | None
     median: Tensor | None
     median_std: Tensor | None
+    known_share: Tensor | None
 
 
 class FieldsGraph(nn.Module):
@@ -64,9 +66,9 @@ class FieldsGraph(nn.Module):
         standard deviations; ``ellipse`` for the medians.
         """
         gradient, spread = point_gradients(reference, displacement, self.gauge_length, covariance)
-        median = median_std = None
+        median = median_std = known_share = None
         if ellipse is not None:
-            median, median_std = area_medians(
+            median, median_std, known_share = area_medians(
                 reference,
                 displacement,
                 *ellipse,
@@ -83,4 +85,5 @@ class FieldsGraph(nn.Module):
             None if spread is None else curl_std(spread),
             median,
             median_std,
+            known_share,
         )

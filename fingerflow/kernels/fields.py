@@ -110,8 +110,9 @@ def area_medians(
     least_share: float,
     reach: float,
     even: float,
-) -> tuple[Tensor, Tensor | None]:
-    """Medians (B, 5) over ellipses and their deviations, as `ops.area_medians` has them to rounding; all float32.
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Medians (B, 5) over ellipses, their deviations and the share of positions (B,) in which they are known, as
+    `ops.area_medians` has them to rounding; all float32.
 
     Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
     (B, N, 2, 2), lattice (P, 2); measure 0 to 2, limits as in kernels/interface.h.
@@ -129,7 +130,7 @@ def area_medians(
         check_like("covariance", covariance, torch.float32, (batch, count, 2, 2))
     if measure not in (0, 1, 2) or not positions:
         raise ValueError(f"measure {measure} of 0 to 2, {positions} positions")
-    medians = empty(torch.float32, batch, 5)
+    medians, shares = empty(torch.float32, batch, 5), empty(torch.float32, batch)
     deviations = None if covariance is None else empty(torch.float32, batch, 5)
     entry("medians_over_area")(
         reference=reference.contiguous(),
@@ -139,6 +140,7 @@ def area_medians(
         lattice=lattice.contiguous(),
         medians=medians,
         deviations=deviations,
+        shares=shares,
         batch=batch,
         reference_batch=references,
         point_count=count,
@@ -154,7 +156,7 @@ def area_medians(
         even=even,
         threads=torch.get_num_threads(),
     )
-    return medians, deviations
+    return medians, deviations, shares
 
 
 @torch_op()

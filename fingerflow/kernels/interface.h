@@ -143,12 +143,12 @@ void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::in
                         double min_distance, float* points, float* responses, int threads);
 
 // Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
-// their standard deviations where there are covariances: reference (1 or batch, point_count, 2), displacement (batch,
+// their standard deviations where there are covariances, and the shares (batch) of positions where they are known: reference (1 or batch, point_count, 2), displacement (batch,
 // point_count, 2), covariance (batch, point_count, 2, 2) or null, ellipses (batch, 6) with centre, semi axes, cosine and
 // sine, lattice (positions, 2) in the unit disc. Measure 0 is Green-Lagrange, 1 as printed, 2 infinitesimal.
 struct fingerflow_area_medians {
     const float *reference, *displacement, *ellipses, *covariance, *lattice;
-    float *medians, *deviations;
+    float *medians, *deviations, *shares;
     std::int64_t batch, reference_batch, point_count, positions, measure, minimum_points;
     double radius, least_spread, farthest, least_ratio, least_share, reach, even;
 };

@@ -21,6 +21,7 @@ _FARTHEST_CENTROID = 0.16  # gauge lengths
 _LEAST_SHARE = 0.85
 _LEAST_RATIO = 0.1  # of areas before and after: less is no skin, but an edge that folds
 _REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
+_SAME_PLACE = 0.5  # radii
 _EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
 _TINY = 1e-30
 _FIELDS = 5
@@ -45,6 +46,15 @@ class AreaMedians(NamedTuple):
 
     median: Tensor  # (B, 5)
     std: Tensor | None  # (B, 5), its standard deviation from that of the points
+    known: Tensor  # (B,), share of the ellipse in which they are known; NaN where there is no ellipse
+
+
+class Apart(NamedTuple):
+    """E points of B frames whose fields are known by themselves, and whose displacement is no part of the others'."""
+
+    place: Tensor  # (B, E, 2) in the current picture, L; NaN where the fields are not known
+    fields: Tensor  # (B, E, 5) divergence, curl, exx, eyy, exy
+    std: Tensor  # (B, E, 5)
 
 
 def area_medians(
@@ -57,6 +67,7 @@ def area_medians(
     gauge_length: float,
     measure: str = "green_lagrange",
     covariance: Tensor | None = None,
+    apart: Apart | None = None,
 ) -> AreaMedians:
     """Medians over the area of ellipses in the current picture, of fields in reference coordinates.
 
@@ -77,6 +88,9 @@ def area_medians(
             standard deviation. To first order the error of a median is the mean of the errors at the positions whose
             field lies next to it, within what the field itself is uncertain by, and so a sum over the points. What is
             not the points' is not in it: the error of the ellipse, and the smoothing over the gauge length.
+        apart: points that count from another state than the others. Positions that are nearer to one of them than to
+            any other point, and within a quarter of a gauge length, have its fields; the errors of these are taken for
+            one and the same. By the portable form.
 
     NaN where the field is known over less than 0.85 of the ellipse: a fit needs what `local_gradients` asks for,
     and points on all sides.
@@ -88,7 +102,7 @@ def area_medians(
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     kind = displacement.dtype
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
-    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance):
+    if kind == torch.float32 and apart is None and kernels.serve(reference, displacement, *frame, covariance):
         return AreaMedians(
             *kernels.area_medians(
                 reference,
@@ -108,10 +122,7 @@ def area_medians(
             )
         )
     planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
-    medians, deviations = medians_of_components(
-        reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes
-    )
-    return AreaMedians(medians, deviations)
+    return medians_of_components(reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes, apart)
 
 
 def medians_of_components(
@@ -123,7 +134,8 @@ def medians_of_components(
     radius: float,
     measure: str,
     covariance: Tensor | None,
-) -> tuple[Tensor, Tensor | None]:
+    apart: Apart | None = None,
+) -> AreaMedians:
     """The portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv."""
     now = reference + displacement
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
@@ -147,6 +159,11 @@ def medians_of_components(
     lost = xx * yy - xy * yx
     gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
     fields = _fields(gradient, measure)
+    theirs = None
+    if apart is not None:
+        theirs = _of_apart(apart, (apart.place.mT - middle) / radius, places, usable, positions)
+        fields = torch.where(theirs.nearer, theirs.fields, fields)
+        known = torch.where(theirs.nearer, theirs.within & good, known)
     count = known.to(fields.dtype).sum(2, keepdim=True)
     falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
     enough = (count >= _LEAST_SHARE * fields.shape[2]).squeeze(2)
@@ -154,15 +171,43 @@ def medians_of_components(
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor().clamp_max(fields.shape[2] - 1)
     median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
     median = torch.where(enough, median, math.nan)
+    known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
-        return median, None
+        return AreaMedians(median, None, known_share)
     share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
+    joint = torch.zeros_like(median)
+    if theirs is not None:
+        away = (fields - median[..., None]).square() / (_REACH * theirs.std).square().clamp_min(_TINY)
+        share = torch.where(theirs.nearer, (1 - away).clamp_min(0).square() * known, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
+    if theirs is not None:
+        joint = (share * torch.where(theirs.nearer & known, theirs.std, 0.0)).sum(2)
+        share = torch.where(theirs.nearer, 0.0, share)
     by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
-    variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2)
-    return median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan)
+    variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
+    return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
+
+
+class _OfApart(NamedTuple):
+    nearer: Tensor  # (B, 1, Q) bool, whether a position is nearer to one of `Apart` than to any other point
+    within: Tensor  # (B, 1, Q) bool, and near enough to have its fields
+    fields: Tensor  # (B, 5, Q) of the nearest
+    std: Tensor
+
+
+def _of_apart(apart: Apart, place: Tensor, places: Tensor, usable: Tensor, positions: Tensor) -> _OfApart:
+    """Of positions (B, 2, Q), places (B, 2, E) of `apart` and (B, 2, N) of the others, in radii from one origin."""
+    unknown = ~finite(sum_rows(place)).mT
+    distance = torch.cdist(torch.where(unknown, 0.0, place.mT), positions.mT).masked_fill(unknown, math.inf)
+    others = torch.cdist(places.mT, positions.mT).masked_fill(~usable.mT, math.inf)
+    nearest = distance.min(1, keepdim=True)
+    fields, std = (
+        one.mT.to(place.dtype).gather(2, nearest.indices.expand(-1, _FIELDS, -1)) for one in (apart.fields, apart.std)
+    )
+    nearer = nearest.values < others.amin(1, keepdim=True)
+    return _OfApart(nearer, nearest.values < _SAME_PLACE, fields, std)
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:

@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.tracking_limits import SEARCH_TIE
 from fingerflow.ops.windows import cut_windows
 
 # The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
@@ -23,7 +24,8 @@ def search_windows(
     window: int,
     radius: int,
 ) -> Tensor:
-    """The place of highest normalised cross-correlation (ZNCC) within ``radius`` px of ``guess`` in x and y.
+    """The place of highest normalised cross-correlation (ZNCC) within ``radius`` px of ``guess`` in x and y; of several
+    that are as high to `SEARCH_TIE`, the one nearest to ``guess``.
 
     Works on the images at half resolution through the Fourier transform, so it serves as the start of
     :func:`~fingerflow.ops.tracking.track_points`, not in its place: the answer is good to about a pixel.
@@ -48,11 +50,13 @@ def search_windows(
     given = (coarse_templates, coarse_images, image_index, points, guess)
     if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
         return kernels.search_windows(*given, size, reach)
+    if not len(points):
+        return guess.clone()
     found = [
         _search_coarse(coarse_templates, coarse_images, *part, size, reach)
         for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
     ]
-    return torch.cat(found) if found else guess
+    return torch.cat(found)
 
 
 def _template_size(window: int, radius: int) -> int:
@@ -79,8 +83,10 @@ def _search_coarse(
     # Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
     start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
     center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
-    template = cut_windows(templates, image_index, start.long() - half, size).nan_to_num(0.0, 0.0, 0.0)
-    patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1).nan_to_num(0.0, 0.0, 0.0)
+    # In double, as transforms round by the whole patch, and a window may hold a thousandth of its contrast.
+    template = cut_windows(templates, image_index, start.long() - half, size).double().nan_to_num(0.0, 0.0, 0.0)
+    patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1)
+    patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
     template = template - template.mean((-1, -2), keepdim=True)
     patch = patch - patch.mean((-1, -2), keepdim=True)
     shape = patch.shape[-2:]
@@ -89,11 +95,12 @@ def _search_coarse(
     product = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
     deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
     # A window without contrast correlates with nothing; the bound keeps rounding from making one win.
-    least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(patch.dtype).tiny
+    least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(torch.float32).tiny
     score = torch.where(deviation > least, product / deviation.clamp_min(least).sqrt(), -torch.inf)
-    peak, best = score.flatten(1).max(1)
+    best = _nearest_of_highest(score.flatten(1), span)
     row, column = best // span, best % span
     point = torch.arange(len(best), device=best.device)
+    peak = score[point, row, column]
     subpixel = torch.stack(
         (
             _vertex(
@@ -105,23 +112,36 @@ def _search_coarse(
         ),
         dim=-1,
     )
-    moved = torch.stack((column, row), dim=-1) - reach + subpixel
+    moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
     # The motion of the template's pixel, carried over to the point itself.
     result = points + 2 * (center + moved - start)
     return torch.where((finite & (peak > 0))[:, None], result, guess)
 
 
+def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
+    """Numbers (P,) of the highest of scores (P, span span), to `SEARCH_TIE`; of several the nearest to the middle."""
+    highest = score.amax(1, keepdim=True)
+    number = torch.arange(span * span, device=score.device)
+    away = (number // span - span // 2) ** 2 + (number % span - span // 2) ** 2
+    order = away * span * span + number
+    return torch.where(score >= highest - SEARCH_TIE * highest.abs(), order, order.max() + 1).argmin(1)
+
+
 def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
-    """Where the parabola through three neighbouring scores has its maximum, in -1/2 .. 1/2 from the middle one."""
+    """Where the parabola through three neighbouring scores has its maximum, in -1/2 .. 1/2 from the middle one; there,
+    where they are equal to `SEARCH_TIE`.
+    """
     curvature = before - 2 * peak + after
-    return torch.where(curvature < 0, (before - after) / (2 * curvature), 0.0).nan_to_num(0.0).clamp(-0.5, 0.5)
+    return (
+        torch.where(curvature < -SEARCH_TIE * peak, (before - after) / (2 * curvature), 0.0)
+        .nan_to_num(0.0)
+        .clamp(-0.5, 0.5)
+    )
 
 
 def _box_sum(x: Tensor, size: int) -> Tensor:
-    """Sums over size x size windows of (P, h, w), by running sums along each axis in float64 (differences of long
-    sums).
-    """
+    """Sums (float64) over size x size windows of (P, h, w), by running sums along each axis."""
     total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
     total = total[:, size:] - total[:, :-size]
     total = F.pad(total.cumsum(2), (1, 0))
-    return (total[:, :, size:] - total[:, :, :-size]).to(x.dtype)
+    return total[:, :, size:] - total[:, :, :-size]

@@ -89,7 +89,8 @@ class Found(NamedTuple):
 
     Attributes:
         points: (B, N, 2) px; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance to first order; NaN where no root was found.
+        error: (B, N) px, forward-backward distance to first order; NaN where the status says that no window with
+            texture was found: up to NOT_CONVERGED, without TRACKED.
         covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
         status: (B, N) uint8, a :class:`~fingerflow.ops.tracking_limits.TrackStatus`.
         estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
@@ -210,7 +211,8 @@ def _from_samples(
     batched = place.shape[:2]
     window = value.shape[-1] - 2 * BEYOND
     inner = (..., slice(BEYOND, -BEYOND), slice(BEYOND, -BEYOND))
-    level = value[inner].mean((1, 2), keepdim=True)
+    # Not a number where any sample is none: the table holds them all.
+    level = value[inner].mean((1, 2), keepdim=True) + 0 * value.sum((1, 2), keepdim=True)
     value = value - level
     own, slope = value[inner].flatten(1), along[inner].flatten(2)
     gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
@@ -342,11 +344,12 @@ def check_window(image: Tensor, points: Tensor, window: int) -> None:
 
 
 def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
-    """(...) whether the windows of points (..., 2) lie in the image."""
+    """(...) whether the windows of points (..., 2) lie in the image, to `SLACK`."""
     height, width = image.shape[-2:]
     half = window // 2
+    least = half - limits.SLACK
     x, y = points.unbind(-1)
-    return (x >= half) & (y >= half) & (x <= width - 1 - half) & (y <= height - 1 - half)
+    return (x >= least) & (y >= least) & (x <= width - 1 - least) & (y <= height - 1 - least)
 
 
 def inverse_2x2(matrix: Tensor) -> Tensor:
@@ -491,7 +494,7 @@ def _look(
     length = _length(last)
     settled = length < limits.LAST_STEP  # a singular matrix leaves NaN: no root
     shift = looked - torch.where(settled, last, 0.0)
-    converged = settled & (shift.abs().amax(1, keepdim=True) < limits.REACH)
+    converged = settled & (shift.abs().amax(1, keepdim=True) < limits.REACH + limits.SLACK)
     found = center + shift
 
     # What is left of the match at the end of the last step, and how much of it contrast alone does not explain.
@@ -508,15 +511,17 @@ def _look(
     explained = (bb - unlike) * energy * (tm > 0)
     place = torch.where(finite(found), found, guess)
     within = (of[Number.INSIDE.value] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
+    textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
     status = torch.zeros_like(given, dtype=torch.uint8)
     # From the last reason to the first, so that the first that applies remains.
     for reason, fine in (
         (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
         (TrackStatus.MISMATCH, common * (1 - mismatch_limit) <= explained),
         (TrackStatus.NOT_CONVERGED, converged),
-        (TrackStatus.NO_TEXTURE, of[Number.TEXTURED.value] > 0),
+        (TrackStatus.NO_TEXTURE, textured),
+        (TrackStatus.NOT_FINITE, readable),
         (TrackStatus.LEFT_FRAME, within),
-        (TrackStatus.NOT_FINITE, given & finite(m1 + level)),
+        (TrackStatus.NOT_FINITE, given),
     ):
         status = torch.where(fine, status, int(reason))
     tracked = status == 0
@@ -526,7 +531,7 @@ def _look(
     estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
     return Found(
         (found + lost).transpose(1, 2),
-        torch.where(converged & given, error, torch.nan).squeeze(1),
+        torch.where(given & within & readable & textured & converged, error, torch.nan).squeeze(1),
         (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),
         status.squeeze(1),
         estimate.transpose(1, 2),

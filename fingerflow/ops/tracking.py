@@ -40,7 +40,8 @@ class Tracks(NamedTuple):
 
     Attributes:
         points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
-        error: (B, N) px, forward-backward distance; NaN where it could not be computed.
+        error: (B, N) px, forward-backward distance; NaN of NOT_FINITE, LEFT_FRAME, NO_TEXTURE and NOT_CONVERGED, where
+            there is none.
         covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor;
             NaN as ``points``.
         status: (B, N) uint8, a :class:`TrackStatus`.

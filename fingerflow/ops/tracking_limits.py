@@ -4,10 +4,12 @@ from enum import IntEnum
 
 
 class TrackStatus(IntEnum):
-    """Why a point has a position, or has none. The first reason that applies is given."""
+    """Why a point has a position, or has none. The first reason that applies is given; of a window that does not lie
+    inside both images LEFT_FRAME, whatever its pixels are.
+    """
 
     TRACKED = 0
-    NOT_FINITE = 1  # the given position, or a pixel of the window, is NaN or infinite
+    NOT_FINITE = 1  # the given position, or a pixel within 5 px of the window of either image, is NaN or infinite
     LEFT_FRAME = 2  # the window does not lie inside both images
     NO_TEXTURE = 3  # blank, saturated, or structured in one direction only (aperture problem)
     NOT_CONVERGED = 4  # no root of the normal equations near the prediction
@@ -59,11 +61,17 @@ LEAST_TEXTURE = 1e-4
 VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
 # px from the whole pixel that is nearest to the prediction, in x and y, within which a point is found.
 REACH = 1.0
+# px that a window may lie beyond the border of a frame, or a point beyond REACH: what is at rest on whole pixels, or
+# has moved by one, lies on the limit itself, and rounding would decide on which side.
+SLACK = 1e-3
 # px that the initial estimate may lead, and its steps: each leaves a fifth of the error far from the root, less near.
 ESTIMATE_REACH, ESTIMATE_STEPS = 1.5, 3
 # Contrast of an image over that of the template, or the reverse.
 MOST_GAIN = 8.0
 # px, the step of the refinement: a longer one says that the initial estimate did not find what is there.
 LAST_STEP = 0.25
+# Share of the highest correlation of a search by which others are no lower: of equal places, as in saturated skin or
+# along a straight edge, the one nearest to the guess is taken, not the one that rounding favours.
+SEARCH_TIE = 1e-4
 # Frames that the speed of a lost point is good for, and the weight of the latest displacement in a speed.
 SPEED_FRAMES, SPEED_WEIGHT = 4.0, 0.5

@@ -108,10 +108,14 @@ def _sample_piece(
     # Beyond the frame, where a cubic would grow, the border is repeated.
     weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(first, last), order)
     weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(first, last), order)
-    index = (whole_y.long() + first + image_index[:, None, None] * height) * width + (whole_x.long() + first)
+    image = image_index[:, None, None] * height
+    index = (whole_y.long() + first + image) * width + (whole_x.long() + first)
+    # Less the pixel in the middle, so that what is flat has no slope in any precision.
+    middle = (pixel_y.clamp(0, height - 1).long() + image) * width + pixel_x.clamp(0, width - 1).long()
+    level = flat.take(middle)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
     for k in range(order + 1):
-        taps = [_taken(flat, index, k * width + j) for j in range(order + 1)]
+        taps = [_taken(flat, index, k * width + j) - level for j in range(order + 1)]
         row_value, row_slope = weights_x[0] * taps[0], slopes_x[0] * taps[0]
         for j in range(1, order + 1):
             row_value = torch.addcmul(row_value, weights_x[j], taps[j])
@@ -127,7 +131,7 @@ def _sample_piece(
         ),
         dim=1,
     )
-    return value, gradient
+    return value + level, gradient
 
 
 def _taken(flat: Tensor, index: Tensor, later: int) -> Tensor:

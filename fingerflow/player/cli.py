@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .bundle import load_bundle
+from .contract.unfinished import remove, unfinished
 from .errors import PlayerError, first_line
 from .played import played_by
 from .providers import PROVIDERS, Engine
@@ -28,6 +29,7 @@ from .sources import kinds
 from .stepper import Stepper
 from .stream import Player
 
+_SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which one is known
 log = logging.getLogger("fingerflow.player")
 
 
@@ -47,6 +49,8 @@ def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
 def _stream(options: argparse.Namespace) -> int:
     bundle = load_bundle(options.bundle)
     played = played_by(options, bundle)
+    if options.json is not None and not _may_replace(options.json):
+        raise PlayerError(f"{options.json}: exists and is no summary of a stream; give --json another name")
     scene, name = played.scene, played.name
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
@@ -105,13 +109,24 @@ def _stream(options: argparse.Namespace) -> int:
     text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)
     print(text)
     if options.json is not None:
+        part = unfinished(options.json)
         try:
-            options.json.write_text(text + "\n", encoding="utf-8")
+            part.write_text(text + "\n", encoding="utf-8")
+            part.replace(options.json)
         except OSError as error:
+            remove(part)
             raise PlayerError(
                 f"{options.json}: cannot be written ({error.strerror}); results are in {sink.folder}"
             ) from None
     return 128 + received[0] if received else 0
+
+
+def _may_replace(path: Path) -> bool:
+    """Whether nothing is there, or a summary."""
+    try:
+        return not path.exists() or json.loads(path.read_bytes()).keys() >= _SUMMARY
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return False
 
 
 @contextlib.contextmanager

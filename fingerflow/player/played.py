@@ -58,7 +58,10 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         return Played(scene, options.camera, lambda _: open_camera(options.camera), glass, dark)
     file = Path(options.source) if options.source else scene.frames
     if file is None:
-        raise PlayerError("no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY")
+        raise PlayerError(
+            "no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY, or state recording.frames "
+            f"in {path}"
+        )
     first, frames = 0, None
     if file.resolve() == scene.frames:  # the range is that of the scene's own recording
         first = scene.first_frame

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import json
 import os
@@ -16,6 +17,7 @@ from typing import Any, BinaryIO, NamedTuple, TextIO
 import numpy as np
 
 from .arrays import Array
+from .contract.unfinished import remove, unfinished
 from .contract.variables import FRAME, LABELS
 from .errors import PlayerError, first_line
 
@@ -59,10 +61,10 @@ def read_results(folder: str | Path) -> StreamResults:
     return StreamResults(records, header, events)
 
 
-def write_table(folder: str | Path, table: str | Path) -> None:
+def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
     """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
 
-    Raises PlayerError where the file exists.
+    Raises PlayerError where the file cannot be written, or exists and is not to be replaced.
     """
     records, header, _ = read_results(folder)
     columns: dict[str, Array] = {}
@@ -73,15 +75,22 @@ def write_table(folder: str | Path, table: str | Path) -> None:
             columns[name + unit] = records[name]
         elif len(dims) == 2 and dims[1] in LABELS:
             columns |= {f"{name}_{part}{unit}": records[name][:, i] for i, part in enumerate(LABELS[dims[1]])}
+    table = Path(table)
+    part = unfinished(table)
     try:
-        with open(table, "x", encoding="utf-8") as file:
+        if table.exists() and not overwrite:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        with open(part, "x", encoding="utf-8") as file:
             file.write(",".join(columns) + "\n")
             for row in zip(*(column.tolist() for column in columns.values()), strict=True):
                 file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+        part.replace(table)
     except OSError as error:
         raise PlayerError(
             f"{table}: cannot be written ({error.strerror}); name a new file where there is room"
         ) from None
+    finally:
+        remove(part)
 
 
 class Sink:
@@ -124,23 +133,38 @@ class Sink:
                 self.folder.rmdir()
 
     def _make(self) -> None:
-        """Another stream may have begun in the same second: then the name gets a number, unless it was given."""
+        """The folder appears with its header. Another stream may have begun in the same second: then the name gets a
+        number, unless it was given.
+        """
         named = self.folder
         for number in itertools.count(2):
-            try:
-                return self.folder.mkdir(parents=True)
-            except FileExistsError:
-                if not self._numbered:
-                    raise
-                self.folder = named.with_name(f"{named.name}-{number}")
+            if not self.folder.exists():
+                part = unfinished(self.folder)
+                try:
+                    part.mkdir(parents=True)
+                    self._fill(part)
+                    part.rename(self.folder)
+                    return
+                except OSError:
+                    if not self.folder.exists():  # else another stream was faster
+                        raise
+                finally:
+                    remove(part)
+            if not self._numbered:
+                raise FileExistsError
+            self.folder = named.with_name(f"{named.name}-{number}")
 
-    def _open_files(self) -> None:
-        with open(self.folder / "header.json", "x", encoding="utf-8") as file:
+    def _fill(self, folder: Path) -> None:
+        with open(folder / "header.json", "x", encoding="utf-8") as file:
             file.write(json.dumps(self._header, indent=1) + "\n")
             file.flush()
             os.fsync(file.fileno())
-        self._events = open(self.folder / "events.jsonl", "x", encoding="utf-8")  # noqa: SIM115
-        self._records = open(self.folder / "records.bin", "xb")  # noqa: SIM115
+        for name in ("events.jsonl", "records.bin"):
+            (folder / name).touch()
+
+    def _open_files(self) -> None:
+        self._events = open(self.folder / "events.jsonl", "a", encoding="utf-8")  # noqa: SIM115
+        self._records = open(self.folder / "records.bin", "ab")  # noqa: SIM115
 
     def write(self, record: Array) -> None:
         """A record as bytes; once a second all of them go to the disk."""

@@ -109,8 +109,8 @@ def load_scene(path: Path) -> Scene:
 def check_scene(scene: Scene, bundle: Bundle) -> None:
     """Whether a bundle can play the scene.
 
-    Raises PlayerError where the views are not of the bundle's size, or a threshold is asked for that a stream cannot
-    have.
+    Raises PlayerError where the views are not of the bundle's size, or a threshold or a reference is asked for that a
+    stream cannot have.
     """
     size = (bundle.height, bundle.width)
     for name, view in (("contact", scene.contact), ("topography", scene.topography)):
@@ -124,6 +124,13 @@ def check_scene(scene: Scene, bundle: Bundle) -> None:
             "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
             'known before it comes: give a number, such as 0.25, or "reference_frame", which is measured while the '
             "contact grows; `fingerflow process` of the recording takes one of each frame"
+        )
+    since = scene.asked.get("fields.reference", "onset")
+    if since != "onset":
+        raise PlayerError(
+            f"fields.reference of the scene is {since!r}; the graphs of a stream count displacement from each point's "
+            'own onset of contact: leave the key out, or take "onset"; `fingerflow process` of the recording counts '
+            "from any frame"
         )
 
 

@@ -12,10 +12,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fingerflow.atomic_write import write_atomically
+from fingerflow.atomic_write import is_marked, keep_others
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.report.outlines import contact_outline, stuck_outline
 from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
+from fingerflow.report.picture_files import save_figure
 
 
 @dataclass(frozen=True)
@@ -67,24 +68,30 @@ def summary(trials: Sequence[SlipTrial], failed: int = 0) -> str:
     return f"{len(trials)} {'trial' if len(trials) == 1 else 'trials'}: " + "; ".join(lines)
 
 
-def write_figures(trials: Sequence[SlipTrial], folder: Path) -> Path:
-    """One figure a trial, skin motion, d^2 against T/N and against time, and `trials.png` of them all; the folder."""
+def write_figures(trials: Sequence[SlipTrial], folder: Path, overwrite: bool = False) -> Path:
+    """One figure a trial, skin motion, d^2 against T/N and against time, and `trials.png` of them all; the folder.
+
+    Raises FingerflowError, and writes nothing, where without ``overwrite`` one would replace a picture that is none.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    taken: set[str] = {"trials"}
+    paths: list[Path] = []
     for trial in trials:
         path = Path(trial.name)
         stem = name = path.parent.resolve().name if path.stem == "scene" else path.stem
         number = 1
-        while name in taken:
+        while name == "trials" or folder / f"{name}.png" in paths:
             number += 1
             name = f"{stem}-{number}"
-        taken.add(name)
-        _save(trial_figure(trial), folder / f"{name}.png")
+        paths.append(folder / f"{name}.png")
+    for path in (*paths, folder / "trials.png"):
+        keep_others(path, is_marked, overwrite)
+    for trial, path in zip(trials, paths, strict=True):
+        save_figure(trial_figure(trial), path)
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     draw_trials(
         figure.subplots(), [(trial.result["stuck_ratio"], trial.load_ratio(), trial.verdict) for trial in trials]
     )
-    _save(figure, folder / "trials.png")
+    save_figure(figure, folder / "trials.png")
     return folder
 
 
@@ -109,10 +116,6 @@ def trial_figure(trial: SlipTrial) -> Figure:
     draw_over_time(right, result["time"], area, verdict)
     figure.suptitle(f"{trial.name}: {verdict.outcome}, as printed: {verdict.printed_outcome}")
     return figure
-
-
-def _save(figure: Figure, path: Path) -> None:
-    write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=110))
 
 
 def _numbers(stored: str) -> dict[str, Any]:

@@ -8,6 +8,8 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.atomic_write import MARK
+
 RATE = 30  # frames a second of a video
 
 
@@ -18,6 +20,7 @@ def encode_video(pictures: Iterable[NDArray[np.uint8]], path: Path) -> None:
     """
     with av.open(str(path), "w") as container:
         name = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+        container.metadata["comment"] = MARK
         stream = container.add_stream(name, rate=RATE)
         assert isinstance(stream, av.VideoStream)  # both codecs are of video
         stream.pix_fmt = "yuv420p"

@@ -17,6 +17,7 @@ from fingerflow.player.contract.variables import CONTACT
 from fingerflow.stages import plausibility
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.loading import LoadingStage
+from fingerflow.stages.regions import region_mask
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 _LEAST_LIGHT = 0.1
@@ -40,6 +41,13 @@ class ContactStage(Stage):
     needs = ("views.contact",)
     after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
     reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (
+        "contact",
+        "views.contact",
+        "background",
+        "calibration.mm_per_px",
+        "recording.first_frame",
+    )
     restored = True
 
     def __init__(self, trial: Trial) -> None:
@@ -62,6 +70,10 @@ class ContactStage(Stage):
         light = self.inputs.engine(LightGraph())
         self._usable = self.trial.stage(FrameCheckStage).usable
         self._light, self._black, _ = light(self.inputs.reference(self._view), self.inputs.dark(self._view), unknown)
+        drawn = region_mask(self.inputs.scene, "contact")
+        if drawn is not None:  # where no light is, nothing touches
+            inside = torch.from_numpy(drawn).to(self._light.device)
+            self._light = torch.where(inside, self._light, 0.0)
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
         if "gross_contact_region" in self.trial.asked:
@@ -98,7 +110,7 @@ class ContactStage(Stage):
         known = self._gain[np.isfinite(self._gain)]
         if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
             first = int(np.argmax(self._blind)) + first_frame
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"the light changes, but {int(self._blind.sum())} frames, the first is {first}, show no empty glass to "
                 f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
                 f"record the empty glass again"
@@ -106,7 +118,7 @@ class ContactStage(Stage):
         area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
         real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
         radius = self.inputs.scene.contact.gross_radius_px
-        self.inputs.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
+        self.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
         for name, values in self.series.items():
             self.results.put(name, values)
 

@@ -38,6 +38,7 @@ class FrameCheckStage(Stage):
     gives = FRAME_CHECK
     needs = ("views.contact", "background.frames")
     reads_frames = True
+    settings = ("background", "views.contact", "views.topography", "recording.first_frame")
     restored = True
 
     usable: NDArray[np.bool_]
@@ -97,7 +98,7 @@ class FrameCheckStage(Stage):
         if share <= _REPEATED_SHARE:
             status[twice] = _REPEATED
         else:
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"{self.inputs.recording.path}: {share:.0%} of the frames repeat the one before, pixel by pixel: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
@@ -109,7 +110,7 @@ class FrameCheckStage(Stage):
             if len(found):
                 numbers = found + self.inputs.scene.recording.first_frame
                 why = f" ({reasons[int(found[0])]})" if value == _UNREADABLE else ""
-                self.inputs.warnings.append(
+                self.warnings.append(
                     f"{said}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
                 )
         if not self.usable.any():

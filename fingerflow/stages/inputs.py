@@ -12,6 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.scene import Scene
 from fingerflow.stages import plausibility
+from fingerflow.stages.reference import frame_asked
 from fingerflow.views import View
 
 _REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
@@ -177,6 +178,7 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
                 f"{len(recording)} frames, 0 to {len(recording) - 1}"
             )
         times = times - times[settings.trigger_frame]
+    frame_asked(scene, times[settings.first_frame : end])  # what is wrong with it is said before anything is computed
     recording = recording[settings.first_frame : end]
     for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
         if view is not None:

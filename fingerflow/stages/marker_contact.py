@@ -43,6 +43,7 @@ class MarkerContactStage(ContactStage):
     name = "marker_contact"
     instead = True
     after = (LoadingStage, MarkerStage)
+    settings = ("contact.threshold", "views.contact", "calibration.mm_per_px")
 
     def __init__(self, trial: Trial) -> None:
         Stage.__init__(self, trial)
@@ -93,7 +94,7 @@ class MarkerContactStage(ContactStage):
     def finish(self) -> None:
         self.reference_frame = int(np.argmax(self.series["gross_contact_area"]))
         if not self.series["gross_contact_area"].any():
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"no contact was found in any frame: no light changes by more than {self._least_change:.0%}, and no "
                 f"marker moves by {_LEAST_MOVED:g} of their spacing"
             )

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from fingerflow.errors import FingerflowError
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.markers import MarkerStage
+from fingerflow.stages.reference import Reference
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch
 from fingerflow.stages.tracking import TrackingStage
@@ -22,19 +24,30 @@ class MarkerDisplacementStage(DisplacementStage):
     after = (TrackingStage, MarkerStage)
 
     def begin(self) -> None:
-        markers = self.trial.stage(MarkerStage)
-        points, first_frame = len(markers.rest), self.inputs.scene.recording.first_frame
+        scene, markers = self.inputs.scene, self.trial.stage(MarkerStage)
+        if scene.fields.reference != "onset":
+            raise FingerflowError(
+                f"{scene.path}: fields.reference is {scene.fields.reference!r}; displacement of a soft sensor counts "
+                "from where its gel rests, whatever touches it: leave the key out"
+            )
+        self.since = Reference(None, "the frames in which the gel rests")
+        self._attributes = self.since.attributes(0)
+        points, first_frame = len(markers.rest), scene.recording.first_frame
         touched = self.results["in_contact"][:] > 0
         self.reference_px, self.reference = markers.rest, self.inputs.on_glass(markers.rest)
-        self.onset = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
+        self.onset = self.begins = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
         self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
         self._at_rest = (self.results["position_std_px"][markers.rest_frame : markers.rest_frame + 1][0]) ** 2
         variance = self.results["position_std_px"][:] ** 2
         known = np.isfinite(variance)
         self.noise = np.where(known, variance, 0).sum(0) / np.maximum(known.sum(0), 1) * self._scale**2
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
-        self.results.put("reference_position", self.reference, {"long_name": _REST["reference_position"]})
-        self.results.create("displacement", {"long_name": _REST["displacement"]})
+        self.entered = np.zeros(0, dtype=np.intp)
+        self.results.put("entry", (self.onset >= 0).astype(np.uint8))
+        self.results.put(
+            "reference_position", self.reference, {"long_name": _REST["reference_position"]} | self._attributes
+        )
+        self.results.create("displacement", {"long_name": _REST["displacement"]} | self._attributes)
         self.results.create("displacement_std")
 
     def step(self, batch: Batch) -> Moved:

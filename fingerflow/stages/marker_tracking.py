@@ -21,6 +21,7 @@ class MarkerTrackingStage(TrackingStage):
     instead = True
     after = (MarkerStage,)
     reads_frames = False
+    settings = ("calibration.mm_per_px", "calibration.topography_to_contact")
 
     def __init__(self, trial: Trial) -> None:
         Stage.__init__(self, trial)

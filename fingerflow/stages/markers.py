@@ -52,6 +52,10 @@ class MarkerStage(Stage):
     gives = ()
     needs = ("soft_sensor",)
     reads_frames = True
+    settings = (
+        *("views.camera", "tracking.forward_backward_limit_px", "fields.gauge_length_mm"),
+        *("calibration.mm_per_px", "recording.first_frame"),
+    )
 
     look: MarkerLook
     found: list[Tensor]
@@ -186,13 +190,13 @@ class MarkerStage(Stage):
     def _say_what_was_taken(self) -> None:
         inputs, first = self.inputs, self._number(0)
         if not self.at_rest[0]:
-            inputs.warnings.append(
+            self.warnings.append(
                 f"the gel is not at rest in frame {first}: displacement counts from frame "
                 f"{self._number(self.rest_frame)}, like which {int(self.at_rest.sum())} of {len(self.at_rest)} are"
             )
         least = _GAUGE_SPACINGS * self.spacing * inputs.mm_per_px
         if inputs.gauge_length_mm < least:
-            inputs.warnings.append(
+            self.warnings.append(
                 f"the markers are {self.spacing * inputs.mm_per_px:.2g} mm apart: gradients are fitted over "
                 f"{least:.2g} mm, not over fields.gauge_length_mm = {inputs.gauge_length_mm:g}"
             )

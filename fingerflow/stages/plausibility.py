@@ -52,14 +52,23 @@ def of_areas(real: Series, gross: Series, view_area: float, radius_px: int, firs
     return said
 
 
-def of_points(found: int, asked: int, min_distance_px: float) -> list[str]:
-    """Of the number of points."""
+def of_points(found: int, asked: int, min_distance_px: float, region_px: int) -> list[str]:
+    """Of the number of points that were chosen in a region of so many pixels."""
     if found >= _FEW_FOUND * asked:
         return []
-    return [
-        f"{found} of {asked} points were found: no more corners lie {min_distance_px:g} px apart in the contact "
-        f"region. Lower tracking.min_distance_px, ask for fewer in tracking.points, or check focus and light"
-    ]
+    # A square of this side around each point has no stronger corner; half of it may be a neighbour's.
+    room = round(region_px / min_distance_px**2)
+    if room < asked:
+        why = (
+            f"the region of {region_px} px has room for some {room} that lie {min_distance_px:g} px apart. Lower "
+            f"tracking.min_distance_px, ask for fewer in tracking.points, or make the region larger"
+        )
+    else:
+        why = (
+            f"the region of {region_px} px has room for {room}, but no more corners stand out of the noise. Check "
+            f"focus and light, or ask for fewer in tracking.points"
+        )
+    return [f"{found} of {asked} points were found: {why}"]
 
 
 def of_tracking(share: Series, first_frame: int) -> list[str]:

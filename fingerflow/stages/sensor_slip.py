@@ -39,7 +39,8 @@ class SensorSlipStage(Stage):
     name = "sensor_slip"
     gives = SENSOR_SLIP
     needs = ("soft_sensor",)
-    after = (ContactStage, TrackingStage, DisplacementStage)
+    after = (ContactStage, TrackingStage, DisplacementStage, MarkerStage)
+    settings = ("slip.stuck_mm", "calibration.mm_per_px")
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)

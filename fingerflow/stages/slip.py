@@ -3,7 +3,8 @@
 import json
 import math
 from dataclasses import asdict, replace
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from fingerflow.models.partial_slip import (
     fit_friction,
     judge_trial,
 )
+from fingerflow.models.partial_slip.border import Seen, seen_displacement
 from fingerflow.models.partial_slip.verdict import CORRIDOR
 from fingerflow.ops import helmholtz_hodge
 from fingerflow.ops.components import largest_component
@@ -27,7 +29,7 @@ from fingerflow.player.contract.variables import SLIP
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.series import nanmedian
-from fingerflow.stages.slip_grid import SlipGrid
+from fingerflow.stages.slip_grid import Field, SlipGrid
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.stages.stuck_border import FOLLOWED_MM, Length, StuckBorder
 from fingerflow.stages.tracking import TrackingStage
@@ -57,6 +59,15 @@ class SlipStage(Stage):
       moves. Skin that has come loose does not stick again. Where the last of it comes loose as one, about a seventh of
       the contact on those trials, nothing in view tells: that part stays stuck, and a verdict needs another criterion.
 
+    [slip] displacement = "dense_flow" takes the displacement of all skin by dense flow in place of the points'
+    (`DenseFlowSlipStage`).
+
+    What limits d² is no noise: with 2 um a point, a hundred points along the border and a displacement that has grown
+    by 0.1 um a um beside it, the border is known to 3 um and d² to 0.002. What is left is one shift for all frames of a
+    trial, as the power with which displacement begins is not known: 0.03 between 3/2 and 2. mu_k / mu_s = (1 - 2 A) /
+    (1 - A) of the critical area A to 5 % asks for 0.05 mu_k / mu_s (1 - A)² of A: 0.005 at a ratio of 0.3, 0.011 at
+    0.5, and 0.02 only above 0.69; and with 72 frames of loading the last one before the loss is 0.08 above A at 0.5.
+
     A fit that contradicts the T/N at which adhesion was lost is marked as not identified.
     """
 
@@ -66,6 +77,11 @@ class SlipStage(Stage):
     needs = ("views.topography",)
     after = (LoadingStage, ContactStage, TrackingStage)
     follows_border = True
+    settings: ClassVar[tuple[str, ...]] = (
+        *("slip", "tracking.window_px", "contact.gross_radius_px", "recording.times", "recording.first_frame"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact", "forces"),
+    )
+    clear = 0.0  # of `StuckBorder`; single points show the border well above their noise
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -89,30 +105,61 @@ class SlipStage(Stage):
         size = contact.cell_px * self.inputs.mm_per_px
         first_cell = (contact.cell_px - 1) / 2 * self.inputs.mm_per_px
         self._reach = half_window
+        self._cells = (shape[0], shape[1])
         try:
-            self._grid = SlipGrid(self._first[self._known], (shape[0], shape[1]), size, first_cell, half_window)
+            self._grid = SlipGrid(self._first[self._known], self._cells, size, first_cell, half_window)
         except ValueError as error:
-            self.inputs.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
-        self._border = StuckBorder(self._grid, half_window) if self._grid is not None else None
+            self.warnings.append(f"{error}: the stuck area is NaN. Raise [tracking] points")
+        self._border: StuckBorder | None = None
+        if self._grid is not None:
+            self._border = StuckBorder(self._grid, half_window, self._how_seen(self._grid), self.clear)
         self.results.create("stuck_region", contact.cells())
 
     def step(self, batch: Batch) -> None:
         """Gathers what all frames say of the border; how much of the contact is known."""
-        regions, positions = (self.results[name][batch.indices] for name in ("gross_contact_region", "position"))
+        if self._grid is None:
+            return
+        regions, motion = self.results["gross_contact_region"][batch.indices], self._motion(batch.indices)
         for k, frame in enumerate(batch.indices):
             region = regions[k] > 0
-            if self._grid is None or not region.any() or not np.isfinite(self._area[frame]):
+            if not region.any() or not np.isfinite(self._area[frame]):
                 continue
             self._edge[frame] = self._is_cut(region)
-            if "position_std_px" in self.results:
-                self._deviation[frame] = nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0]
-            seen = positions[k][np.isfinite(positions[k]).all(-1)]
+            self._deviation[frame] = self._deviation_of(frame)
+            seen = self._seen(motion[k], self._grid)
             if len(seen):
                 distance, _ = cKDTree(seen).query(self._grid.places[region])
                 self._coverage[frame] = (distance <= self._reach).mean()
             if self._settings.criterion == "border" and self._border is not None:
-                moved = positions[k][self._known] - self._first[self._known]
-                self._border.gather(moved, self._grid.displacement(moved), region)
+                at_points = self._at_points(motion[k], self._grid)
+                self._border.gather(at_points, self._over_cells(motion[k], self._grid), region)
+
+    def _how_seen(self, grid: SlipGrid) -> Seen:
+        """What the motion shows of a displacement that begins at a border."""
+        return partial(seen_displacement, half_window=self._reach)
+
+    def _motion(self, frames: Any) -> NDArray[Any]:
+        """Displacement (n, ...) mm since the first frame, NaN where it is not known: of the points (n, N, 2)."""
+        return np.asarray(self.results["position"][frames][:, self._known] - self._first[self._known])
+
+    def _at_points(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+        """(N, 2) mm, of a frame's motion where the points lay in the first frame."""
+        return motion
+
+    def _over_cells(self, motion: NDArray[Any], grid: SlipGrid) -> Field:
+        """(rows, columns, 2) mm, of a frame's motion."""
+        return grid.displacement(motion)
+
+    def _seen(self, motion: NDArray[Any], grid: SlipGrid) -> NDArray[np.float64]:
+        """(K, 2) mm, where skin is now whose motion is known."""
+        places = grid.points + motion
+        return np.asarray(places[np.isfinite(places).all(-1)])
+
+    def _deviation_of(self, frame: int) -> float:
+        """px, median standard deviation of a component of a displacement."""
+        if "position_std_px" not in self.results:
+            return math.nan
+        return float(nanmedian(self.results["position_std_px"][slice(frame, frame + 1)])[0])
 
     def _is_cut(self, region: NDArray[np.bool_]) -> bool:
         """Whether a contact reaches the edge of the view, as far as ridges tell: its border is known to half of their
@@ -161,7 +208,7 @@ class SlipStage(Stage):
         """The stuck part and what slips in some frames."""
         margin = max(self._beside, self._speed_step)
         start, stop = max(0, first - margin), min(len(self.trial), end + margin)
-        positions = self.results["position"][slice(start, stop)][:, self._known]
+        motion = self._motion(slice(start, stop))
         regions = self.results["gross_contact_region"][slice(first, end)] > 0
         stuck = np.zeros(regions.shape, dtype=bool)
         for k, frame in enumerate(range(first, end)):
@@ -170,24 +217,22 @@ class SlipStage(Stage):
                 continue
             # As many frames on either side, so that a median is not late.
             beside = min(self._beside, frame, len(self.trial) - 1 - frame)
-            around = positions[frame - beside - start : frame + beside + 1 - start]
-            # Medians over the second axis.
-            moved = nanmedian(around.transpose(1, 0, 2)) - self._first[self._known]
-            displacement = grid.displacement(moved)
+            settled = nanmedian(motion[None, frame - beside - start : frame + beside + 1 - start])[0]
+            moved, displacement = self._at_points(settled, grid), self._over_cells(settled, grid)
             if not np.isfinite(displacement[grid.known]).all():
                 continue
             fine = criterion.stuck(moved, displacement, regions[k])
             fine = largest_component(torch.from_numpy(fine)[None, None])[0, 0].numpy()
             self._ratio[frame] = grid.share(fine, regions[k])
             stuck[k] = grid.cells(fine) & regions[k]
-            self._look_at_slip(frame, positions, start, moved, grid.at_points(fine) > 0, regions[k], grid)
+            self._look_at_slip(frame, motion, start, moved, grid.at_points(fine) > 0, regions[k], grid)
             self._incipient[:, frame] = _incipient(displacement, regions[k] & grid.known, grid)
         self.results["stuck_region"][slice(first, end)] = stuck
 
     def _look_at_slip(
         self,
         frame: int,
-        positions: NDArray[np.float64],
+        motion: NDArray[Any],
         start: int,
         moved: NDArray[np.float64],
         sticks: NDArray[np.bool_],
@@ -202,7 +247,8 @@ class SlipStage(Stage):
         self._direction[frame] = math.atan2(y, x)
         before, after = max(0, frame - self._speed_step), min(len(self.trial) - 1, frame + self._speed_step)
         if after > before:
-            way = positions[after - start, slips] - positions[before - start, slips]
+            ends = (self._at_points(motion[at - start], grid)[slips] for at in (before, after))
+            way = np.diff(np.stack(list(ends)), axis=0)[0]
             way = way[np.isfinite(way).all(-1)]
             if len(way) >= _FEWEST_POINTS:
                 seconds = self.inputs.times[after] - self.inputs.times[before]
@@ -237,10 +283,12 @@ class SlipStage(Stage):
     def _warn_of_noise(self) -> None:
         """Skin that rests is beyond a limit that its noise reaches; positions of the first frame have theirs too."""
         limit = self._limit()
+        if self._border is not None and self._settings.criterion == "border":
+            limit = self._border.followed
         deviation = float(np.nanmedian(self._deviation)) if np.isfinite(self._deviation).any() else math.nan
         noise = math.sqrt(2) * deviation * self.inputs.topography_mm_per_px
         if limit < _LEAST_LIMIT * noise:
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"displacements of single points have a standard deviation of {1000 * noise:.1f} µm, and skin that has "
                 f"moved by {1000 * limit:.1f} µm counts as slipped: where the stuck part ends is not known. Record "
                 f'with more light, raise [tracking] window_px, or take [slip] criterion = "displacement" with a '
@@ -249,14 +297,14 @@ class SlipStage(Stage):
 
     def _warn_of_unknown(self) -> None:
         if self._border is not None and self._border.reason and self._settings.criterion == "border":
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"{self._border.reason}: skin that has moved by less than {1000 * FOLLOWED_MM:.0f} µm is taken for "
                 f"stuck"
             )
         low = np.flatnonzero(self._coverage < LEAST_COVERAGE)
         if len(low):
             first = int(low[0]) + self.inputs.scene.recording.first_frame
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"in {len(low)} frames, the first is {first}, the displacement since the first frame is known in less "
                 f"than {LEAST_COVERAGE:.0%} of the contact, down to {np.min(self._coverage[low]):.0%}: their stuck "
                 f"area is NaN. Points were lost there, or skin came into contact that was in no point's window: raise "

@@ -1,6 +1,6 @@
 """What a stage is: what it needs, what it gives, and its three parts, which the pipeline calls."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
@@ -76,7 +76,10 @@ class Stage:
         reads_frames: whether `step` wants pictures.
         follows_border: whether it wants points on both sides of the border of the contact, from the first frame on.
         instead: of its class, for scenes of a kind that says so (`Kind.instead`): what it gives, another way.
+        settings: keys of the scene on which its results depend beside what other stages give, "fields.strain"; a
+            table stands for all of its keys, "recording.times" for the times of the frames, wherever they come from.
         restored: whether `restore` brings back all that later stages want of it, from an earlier result.
+        warnings: of the instance, what a user should read.
     """
 
     name: ClassVar[str]
@@ -88,10 +91,12 @@ class Stage:
     reads_frames: ClassVar[bool] = False
     follows_border: ClassVar[bool] = False
     instead: ClassVar[bool] = False
+    settings: ClassVar[tuple[str, ...]] = ()
     restored: ClassVar[bool] = False
 
     def __init__(self, trial: Trial) -> None:
         self.trial = trial
+        self.warnings: list[str] = []
         self.inputs = trial.inputs
         self.results = trial.results
 
@@ -99,6 +104,11 @@ class Stage:
     def place(cls) -> type["Stage"]:
         """The class by which other stages know it: its own, or the one that it stands in for."""
         return next(kind for kind in cls.__mro__ if issubclass(kind, Stage) and not kind.instead)
+
+    @classmethod
+    def depends_on(cls, planned: Sequence[type["Stage"]]) -> Any:
+        """What of the plan its results depend on, beside the settings: a value of JSON."""
+        return None
 
     @property
     def backward(self) -> bool:
@@ -117,12 +127,11 @@ class Stage:
     def restore(self, earlier: xr.Dataset) -> None:
         """In place of begin, step, finish and derive: its results as an earlier result has them."""
         for variable in self.gives:
-            if variable.name in earlier:
+            if variable.name in earlier and (variable.unasked or variable.name in self.trial.asked):
                 values = earlier[variable.name]
                 sizes = {str(dim): size for dim, size in values.sizes.items() if dim != "frame"}
-                own = variable.attributes()
-                more = {str(name): value for name, value in values.attrs.items() if name not in own}
-                stored = self.results.create(variable.name, more, **sizes)
+                given = {str(name): one for name, one in values.attrs.items() if not str(name).startswith("flag_")}
+                stored = self.results.create(variable.name, given, **sizes)
                 for first in range(0, stored.shape[0], _COPIED):
                     stored[first : first + _COPIED] = values[first : first + _COPIED].values
 

@@ -3,19 +3,22 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.player.contract.variables import STRAIN
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.displacement import DisplacementStage, Moved
+from fingerflow.stages.counted_skin import CountedSkin
+from fingerflow.stages.displacement import DisplacementStage
+from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
 
 class StrainStage(Stage):
-    """Strain on the Delaunay triangles of the reference positions.
+    """Strain on the Delaunay triangles of the reference positions, and of skin that moved into the contact on its own
+    (`CountedSkin`).
 
     The energy is that of the skin: what the errors of the points add to it on average is taken off.
     """
@@ -25,6 +28,10 @@ class StrainStage(Stage):
     needs = ("views.topography",)
     beside = (DisplacementStage,)
     after = (ContactStage,)
+    settings = (
+        *("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm"),
+        *("fields.rate_window_s", "tracking.window_px", "recording.times"),
+    )
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -33,31 +40,36 @@ class StrainStage(Stage):
 
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
-        triangles = triangulate(moved.reference)
-        measure = {"measure": self._settings.strain}
+        usable = np.flatnonzero(self.trial.stage(FrameCheckStage).usable)
+        skin = self._skin = CountedSkin(moved, self.results, usable, len(self.trial))
+        triangles = skin.triangles
+        self._since = moved.since.attributes(self.inputs.scene.recording.first_frame)
+        measure = {"measure": self._settings.strain} | self._since
         self.results.put("triangles", triangles, triangle=len(triangles), corner=3)
-        for name, attributes in {"strain": measure, "strain_std": measure, "strain_energy_density": {}}.items():
+        for name, attributes in {
+            "strain": measure,
+            "strain_std": measure,
+            "strain_energy_density": self._since,
+        }.items():
             self.results.create(name, attributes)
         self._principal = {"principal_strains", "principal_angle"} & self.trial.asked
         for name in sorted(self._principal):
             self.results.create(name, measure)
-        self._reference = self.inputs.tensor(moved.reference)[None]
-        onset = torch.from_numpy(np.where(moved.onset < 0, len(self.trial), moved.onset)).to(device)
-        self._corners = torch.from_numpy(triangles.astype(np.int64)).to(device)
+        self._reference = self.inputs.tensor(skin.reference)[None]
+        self._corners = torch.from_numpy(skin.corners.astype(np.int64)).to(device)
         # The frame in which a triangle touches as a whole.
-        self._begins = onset[self._corners].amax(1) if len(triangles) else onset[:0]
-        window = self.inputs.scene.tracking.window_px
-        shared = _shared_errors(moved, triangles, window)
+        self._begins = torch.from_numpy(skin.begins).to(device)
+        shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
 
     def step(self, batch: Batch) -> None:
-        moved: Moved = batch.of(DisplacementStage)
+        moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         frames = torch.from_numpy(batch.indices).to(self.inputs.device)
         found = triangle_strain(
             self._reference,
             self._corners,
-            self.inputs.tensor(moved.displacement),
-            self.inputs.tensor(self.trial.stage(DisplacementStage).covariance(moved)),
+            self.inputs.tensor(moved),
+            self.inputs.tensor(covariance),
             frames[:, None] >= self._begins,
             self._shared,
             measure=self._settings.strain,
@@ -79,7 +91,7 @@ class StrainStage(Stage):
         self._energy_std[batch.indices] = found.energy_std.cpu()
 
     def finish(self) -> None:
-        depth = {"depth_mm": self._settings.depth_mm}
+        depth = {"depth_mm": self._settings.depth_mm} | self._since
         # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
         energy, deviation = (
@@ -92,22 +104,22 @@ class StrainStage(Stage):
 
 
 def _shared_errors(
-    moved: DisplacementStage, triangles: NDArray[np.int32], window_px: int
+    skin: CountedSkin, window_px: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float32]]:
-    """`SharedErrors` of the triangles (M, 3).
+    """`SharedErrors` of the triangles.
 
     Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
     in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
-    displacement's noise is that of onset, which is another one where points touch in other frames. Errors of the time
-    of onset are independent: of neighbours on a press they correlate by less than 0.1.
+    displacement's noise is that of its reference, which is another one where points count from other frames. Errors of
+    the time of onset are independent: of neighbours on a press they correlate by less than 0.1.
     """
-    onset, places = moved.onset, moved.reference_px
-    of_onset = np.trace(moved.of_onset, axis1=1, axis2=2) / 2
-    share = np.sqrt(moved.noise / np.maximum(moved.noise + of_onset, 1e-30))
+    begins, places, triangles = skin.since, skin.places_px, skin.corners
+    of_onset = np.trace(skin.of_onset, axis1=1, axis2=2) / 2
+    share = np.sqrt(skin.noise / np.maximum(skin.noise + of_onset, 1e-30))
 
     def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
         apart = np.abs(places[one] - places[other]) / window_px
-        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(onset[one] == onset[other], 1, 0.5)
+        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(begins[one] == begins[other], 1, 0.5)
         result: NDArray[np.float32] = np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
         return result
 
@@ -116,15 +128,3 @@ def _shared_errors(
     pairs = known[near].astype(np.int64)
     corners = np.stack([correlation(triangles[:, k], triangles[:, (k + 1) % 3]) for k in range(3)], axis=1)
     return corners, pairs, correlation(*pairs.T)
-
-
-def triangulate(reference: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
-    finite = np.flatnonzero(np.isfinite(reference).all(-1))
-    if len(finite) < 3:
-        return np.zeros((0, 3), dtype=np.int32)
-    try:
-        result: NDArray[np.int32] = finite[Delaunay(reference[finite]).simplices].astype(np.int32)
-        return result
-    except QhullError:  # all on one line
-        return np.zeros((0, 3), dtype=np.int32)

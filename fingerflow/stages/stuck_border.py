@@ -1,11 +1,13 @@
 """The border of the stuck part, found by how the displacement beside it begins."""
 
+import math
+
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.models.partial_slip.border import BorderFit, border_level, fit_border
+from fingerflow.models.partial_slip.border import BorderFit, Seen, border_level, fit_border
 from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.stages.slip_grid import Field, Mask, SlipGrid
 
@@ -29,8 +31,15 @@ class StuckBorder:
 
     In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
     of slip, averaged over all frames by their distance from it, has a noise of a tenth of a micrometre, and where it
-    begins is fitted as windows see it (`models.partial_slip.border`). That gives the level which windows show at the
-    border; the stuck part of a frame is where displacement is below it.
+    begins is fitted as it is seen (`models.partial_slip.border`). That gives the level which is seen at the border; the
+    stuck part of a frame is where displacement is below it.
+
+    Args:
+        grid: of the contact.
+        half_window_mm: how far around itself a displacement looks.
+        seen: what it shows of a displacement that begins at a border.
+        clear: times the noise; where the level is below that, the contour there is looked for, and the border as far
+            inside of it as the fit says.
 
     Attributes:
         fit: None where it was not to be had, `reason` says why; then the level is 0.02 mm.
@@ -38,8 +47,8 @@ class StuckBorder:
         noise: mm, standard deviation of the displacement of points that stick.
     """
 
-    def __init__(self, grid: SlipGrid, half_window_mm: float) -> None:
-        self._grid, self._half = grid, half_window_mm
+    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: Seen, clear: float = 0.0) -> None:
+        self._grid, self._half, self._seen, self._above = grid, half_window_mm, seen, clear
         bins = round((_TO - _FROM) / 2 * _BINS_A_WINDOW)
         self._edges = np.linspace(_FROM, _TO, bins + 1) * half_window_mm
         self._count, self._sum, self._squares = np.zeros((3, bins))
@@ -78,6 +87,11 @@ class StuckBorder:
         self._deep_sum += moved[deep].sum(0)
         self._deep_squares += float((component[deep] ** 2).sum())
 
+    @property
+    def followed(self) -> float:
+        """mm, displacement whose contour is looked for beside a wide annulus."""
+        return float(np.fmax(self.level, self._above * self.noise))
+
     def settle(self) -> None:
         """Fits what was gathered."""
         if self._deep_count:
@@ -88,16 +102,16 @@ class StuckBorder:
         mean = self._sum[filled] / count
         spread = np.sqrt(np.maximum(self._squares[filled] / count - mean**2, _LEAST_SPREAD_MM**2))
         middle = ((self._edges[1:] + self._edges[:-1]) / 2)[filled]
-        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._half)
+        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half / 50)
         if self.fit is None:
             self.reason = "no frames show a stuck part with slipping skin around it"
             return
-        self._of_width = border_level(self._widths, self.fit.growth, self._half)
+        self._of_width = border_level(self._widths, self.fit.growth, self._seen)
         level = float(self._of_width[-1])
         if level >= FOLLOWED_MM:
             self.reason = (
                 f"beside the stuck part displacement grows by {self.fit.growth:.2g} mm over the first mm, so steeply "
-                f"that windows of {2 * self._half:.2f} mm show {1000 * level:.0f} µm at its border"
+                f"that what is seen over {2 * self._half:.2f} mm shows {1000 * level:.0f} µm at its border"
             )
             return
         self.level = level
@@ -117,8 +131,23 @@ class StuckBorder:
         share = np.searchsorted(np.sort(component[inside]), levels) / max(int(contact.sum()), 1)
         radius = np.sqrt(contact.sum() / np.pi) * self._grid.fine_mm
         at_border = np.interp(radius * (1 - np.sqrt(np.minimum(share, 1))), self._widths, self._of_width)
-        level = levels[int(np.argmax(levels >= at_border))] if (levels >= at_border).any() else self.level
-        return np.asarray(inside & (component < level) & (length < FOLLOWED_MM))
+        first = int(np.argmax(levels >= at_border)) if (levels >= at_border).any() else len(levels) - 1
+        width = radius * (1 - math.sqrt(min(float(share[first]), 1)))
+        clear, beyond = self._clear(float(levels[first]), width)
+        slow = inside & (component < clear) & (length < FOLLOWED_MM)
+        return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
+
+    def _clear(self, level: float, width: float) -> tuple[float, float]:
+        """mm, the displacement whose contour is looked for, and how far beyond the border it lies: the level at the
+        border itself, or more where noise asks for it, as far as the slipping annulus of this width goes.
+        """
+        assert self.fit is not None
+        at = np.linspace(0, width / 2, 100)
+        shown = np.maximum.accumulate(self.fit.growth * (self._seen(at) - self._seen(at - width)))
+        clear = min(self._above * self.noise, float(shown[-1]))
+        if not clear > level:
+            return level, 0.0
+        return clear, float(np.interp(clear, shown, at) - np.interp(level, shown, at))
 
 
 class Length:

@@ -1,8 +1,9 @@
 """Points of the skin through all frames of the topography view."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ from fingerflow.player.contract.variables import TRACKING
 from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
+from fingerflow.stages.regions import region_mask
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -46,16 +48,24 @@ _FASTEST_PX = 0.2  # that the edges of windows may change by until then
 class TrackingStage(Stage):
     """Follows points from frame to frame, in the order of time or against it.
 
+    Attributes:
+        chosen: (N,) frame in which each point was chosen, once it has begun.
+
     With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
     so far: errors do not add up. From frame to frame they do.
     """
 
     name = "tracking"
+    chosen: NDArray[np.intp]
     gives = TRACKING
     needs = ("views.topography",)
     beside = (ContactStage,)
     after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
     reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (
+        *("tracking", "views.topography", "stream.region", "background", "contact.gross_radius_px"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact", "recording.first_frame"),
+    )
     restored = True
 
     def __init__(self, trial: Trial) -> None:
@@ -88,6 +98,10 @@ class TrackingStage(Stage):
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
         self._share, self._error = np.full((2, len(trial)), np.nan)
 
+    @classmethod
+    def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
+        return any(stage.follows_border for stage in planned)
+
     @property
     def backward(self) -> bool:
         return self._settings.direction == "backward"
@@ -96,14 +110,15 @@ class TrackingStage(Stage):
         """Finds out where skin touches; where none does there is none to follow, which a warning says."""
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
-        border = any(stage.follows_border for stage in self.trial.planned)
+        border = self.depends_on(self.trial.planned)
         self._region = contact.first_and_largest(self._settings.window_px) if border else contact.largest()
         if not self._region.any():
-            self.inputs.warnings.append(
+            self.warnings.append(
                 f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
                 f"where most of it was expected: there are no points and no deformation"
             )
             self._create(0)
+            self.chosen = np.zeros(0, dtype=np.intp)
 
     def step(self, batch: Batch) -> None:
         """Tracks through these frames, in the order given; those that are not usable are passed over."""
@@ -132,6 +147,7 @@ class TrackingStage(Stage):
         steps, done = [], 0
         if self._key is None:
             steps.append(self._choose(images[:1]))
+            self.chosen = np.full(steps[0].status.shape[1], indices[0])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             done = 1
@@ -158,7 +174,7 @@ class TrackingStage(Stage):
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
-        self.inputs.warnings.extend(plausibility.of_tracking(self._share, first_frame))
+        self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("forward_backward_median", self._error)
 
@@ -265,16 +281,17 @@ class TrackingStage(Stage):
     def _choose(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
         view = image if self._settings.points_from == "recorded" else self._enhanced(image)
-        found, _ = self._detect(view, self._where(image))
+        where = self._where(image)
+        found, _ = self._detect(view, where)
         points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
                 f"{self.inputs.recording.path}: {points.shape[1]} points with texture were found in the "
-                f"contact region of the topographic view, at least 3 are needed. Check [views.topography], "
-                f"[stream] region, the calibration and the focus."
+                f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
+                f"region, [stream] region, the calibration and the focus."
             )
         asked, apart = self._settings.points, self._settings.min_distance_px
-        self.inputs.warnings.extend(plausibility.of_points(points.shape[1], asked, apart))
+        self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart, int(where.sum())))
         self._create(points.shape[1])
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
@@ -293,9 +310,13 @@ class TrackingStage(Stage):
         return unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
 
     def _where(self, image: Tensor) -> Tensor:
-        """(1, 1, H, W) bool: where in the first frame (1, 1, H, W) of a stream skin is expected to touch, so that both
-        have the same points; else, and where the last frame comes first, all that touches at some time.
+        """(1, 1, H, W) bool: the region that the scene draws in the topography view; or where in the first frame
+        (1, 1, H, W) of a stream skin is expected to touch: so both have the same points. Else, and of a stream's region
+        where the last frame comes first, all that touches at some time.
         """
+        drawn = region_mask(self.inputs.scene, "topography")
+        if drawn is not None:
+            return torch.from_numpy(drawn).to(image.device)[None, None]
         stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
             mask = torch.zeros_like(image, dtype=torch.bool)

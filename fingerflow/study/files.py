@@ -10,7 +10,7 @@ from fingerflow.atomic_write import write_atomically
 from fingerflow.study.keys import Keys
 
 MEASURED, FAILED = "measured", "failed"
-Part = Literal["pictures", "numbers", "row"]
+Part = Literal["everything", "changed", "row"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class TrialRow:
 
 def result_name(keys: Keys) -> str:
     """By what it is made of: two runs with other settings never write the same file."""
-    return f"result-{keys.numbers}.h5"
+    return f"result-{keys.result}.h5"
 
 
 def write_row(folder: Path, trial: TrialRow) -> None:

@@ -7,9 +7,9 @@ from fnmatch import fnmatchcase
 from fingerflow.errors import FingerflowError
 from fingerflow.study.cluster import Interrupted, cores, over_workers, threads_each
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, write_row
-from fingerflow.study.keys import code_of, keys_of
+from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.trial import Job, Outcome, changed_inputs, is_current, run_trial
+from fingerflow.study.trial import Job, Outcome, is_current, run_trial
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def run_study(
     if not planned:
         return summary
     count = max(1, min(workers or cores(), len(planned)))
-    codes = {part: code_of(part) for part in ("pictures", "numbers", "row")}
+    codes = all_codes()
     threads = threads_each(scheduler, count)
     jobs = (
         (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
@@ -116,29 +116,27 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
     folder = manifest.results / entry.name
     stored = read_row(folder)
     if stored is None:
-        return Planned(entry, "pictures", "has not been run" if not folder.exists() else "has no row")
+        return Planned(entry, "everything", "has not been run" if not folder.exists() else "has no row")
     if stored.status == FAILED and (stored.passing or retry_failed):
-        return Planned(entry, "pictures", f"failed: {stored.reason}")
+        return Planned(entry, "everything", f"failed: {stored.reason}")
     try:
         keys = keys_of(manifest.scene_of(entry), None if stored.keys is None else stored.keys.inputs)
     except FingerflowError as error:
         # It would fail in the same words again; a row that says so already is all there can be.
-        return None if stored.reason == str(error) else Planned(entry, "pictures", f"cannot be run: {error}")
+        return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")
     if stored.keys is None:
-        return Planned(entry, "pictures", "could not be opened last time")
+        return Planned(entry, "everything", "could not be opened last time")
     if is_current(stored, keys, folder):
         return None
-    changed = changed_inputs(stored.keys, keys)
+    changed = stored.keys.changed_inputs(keys)
     if changed:
-        return Planned(entry, "pictures", f"{', '.join(changed)} changed")
-    if stored.keys.pictures != keys.pictures:
-        return Planned(entry, "pictures", "settings or code of contact and tracking changed")
+        return Planned(entry, "everything", f"{', '.join(changed)} changed")
     if stored.status == FAILED:
-        return Planned(entry, "pictures", "settings or code changed since it failed")
+        return Planned(entry, "everything", "settings or code changed since it failed")
     if stored.result is None or not (folder / stored.result).exists():
-        return Planned(entry, "pictures", "its result is gone")
-    if stored.keys.numbers != keys.numbers:
-        return Planned(entry, "numbers", "settings or code of fields, strain or slip changed; tracks are kept")
+        return Planned(entry, "everything", "its result is gone")
+    if stored.keys.result != keys.result:
+        return Planned(entry, "changed", "settings or code changed; what does not depend on them is kept")
     return Planned(entry, "row", "the table has other columns now; the result is kept")
 
 

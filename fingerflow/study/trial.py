@@ -21,7 +21,7 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline import process
 from fingerflow.result import is_result, open_result
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, result_name, write_row
-from fingerflow.study.keys import Keys, code_of, keys_of, same_content
+from fingerflow.study.keys import Keys, all_codes, code_of, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.row import measure
 
@@ -36,7 +36,7 @@ class Job:
     Attributes:
         manifest: of this trial alone.
         entry: the trial.
-        redo: the first part that is to be done again.
+        redo: "everything", what settings or code have "changed", or the "row" alone.
         codes: the client's `code_of` by part, which the worker's must be.
         threads: that a worker computes with.
     """
@@ -83,10 +83,10 @@ def run_trial(job: Job) -> Outcome:
             return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
         path = folder / result_name(keys)
         if job.redo != "row" or not is_result(path):
-            pictures = None
-            if job.redo == "numbers" and stored is not None and stored.result is not None:
-                pictures = folder / stored.result
-            process(scene, to=path, pictures_of=pictures).close()
+            earlier = None
+            if job.redo == "changed" and stored is not None and stored.result is not None:
+                earlier = folder / stored.result
+            process(scene, to=path, earlier=earlier).close()
         with open_result(path) as result:
             row, curves = measure(result)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, row=row, curves=curves)
@@ -117,21 +117,9 @@ def run_trial(job: Job) -> Outcome:
 
 def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
     """Whether a row and its result are those of the trial as it is now."""
-    if stored.keys is None or stored.keys.row != keys.row or changed_inputs(stored.keys, keys):
+    if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
     return stored.result is None or (folder / stored.result).exists()
-
-
-def changed_inputs(before: Keys, now: Keys) -> list[str]:
-    """Keys of the scene whose files are not certainly what they were."""
-    names = dict.fromkeys((*before.inputs, *now.inputs))
-    return [
-        name
-        for name in names
-        if name not in before.inputs
-        or name not in now.inputs
-        or not same_content(before.inputs[name], now.inputs[name])
-    ]
 
 
 def _is_passing(error: BaseException) -> bool:
@@ -166,6 +154,6 @@ def _machine() -> dict[str, Any]:
             continue
     return {
         "versions": versions,
-        "code": {part: code_of(part) for part in ("pictures", "numbers", "row")},
+        "code": all_codes(),
         "machine": {"name": platform.node(), "system": platform.platform(), "cores": os.cpu_count()},
     }

@@ -1,6 +1,5 @@
 """A trial of tangential loading: T ramps up under a constant N until the stuck part of the contact is lost."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +12,9 @@ from fingerflow.synthetic.motion import SlideMotion
 from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
+_STEEPEST = 1.5  # slope of `_rising` at its steepest
+_MOST_STRETCH = 0.5  # that a jump adds
+_BISECTIONS = 60
 _ROUNDED = 0.1  # relative radius over which the skin beside the stuck part takes up its stretch
 
 
@@ -30,11 +32,13 @@ class PartialSlip(Slide):
 
     Args:
         collapse: s from the critical area to none.
-        jumps: s at which contact and skin jump together by `jump` mm along the pull, as in stick-slip: after full slip.
+        jumps: s at which skin jumps along the pull from one frame to the next, as in stick-slip. Before full slip only
+            skin that slips does: from nothing at the border of the stuck part to `jump` at the rim and beyond. After
+            it contact and skin jump together.
         jump: mm of one jump; 5 px of the contact view are 0.1625 mm.
 
     Raises:
-        ValueError: a jump before full slip, when a part of the contact sticks.
+        ValueError: a jump before the pull begins, or while the annulus that slips is too narrow to be stretched by it.
     """
 
     n_frames: int = 300
@@ -49,12 +53,15 @@ class PartialSlip(Slide):
     jump: float = 0.1625
 
     def __post_init__(self) -> None:
-        full_slip = self.full_slip * float(self.times[-1])
-        if any(time < full_slip for time in self.jumps):
-            raise ValueError(
-                f"jumps at {self.jumps} s: one is before full slip at {full_slip:.3f} s, and skin that sticks does not "
-                f"jump; make it later"
-            )
+        for time in self.jumps:
+            stuck = float(self.motion.stuck_radius(torch.tensor(time / self.times[-1], dtype=torch.float64)))
+            annulus = (1 - stuck) * min(self.semi_axes)
+            if time <= 0 or _STEEPEST * self.jump > _MOST_STRETCH * annulus:
+                raise ValueError(
+                    f"jumps has {time} s: {annulus:.2f} mm of the contact slip then, and would be stretched by "
+                    f"{_STEEPEST * self.jump / max(annulus, 1e-9):.0%}, at most {_MOST_STRETCH:.0%} are possible; make "
+                    f"it later"
+                )
 
     @cached_property
     def motion(self) -> "PartialSlipMotion":
@@ -88,7 +95,8 @@ class PartialSlipMotion(SlideMotion):
 
     With r the relative radius in the contact and s that of the stuck ellipse, skin outside it has gone
     creep (f(r - s) - f(r - 1)), f(x) = sqrt(x² + 0.1²) - 0.1 for x > 0 and 0 below: from the border of the stuck part
-    it takes up an even stretch, and beyond the contact it moves as one. Nothing has moved where s = 1.
+    it takes up an even stretch, and beyond the contact it moves as one. Nothing has moved where s = 1. Jumps before
+    full slip add `jump` g((r - s) / (1 - s)) each, g rising from 0 to 1 as 3 x² - 2 x³.
 
     Args:
         static_friction: mu_s.
@@ -108,8 +116,14 @@ class PartialSlipMotion(SlideMotion):
         """How far contact and skin have gone together, mm, jumps among it."""
         result = super().travelled(progress)
         for at in self.jumps:
-            result = result + self.jump * (progress >= at).to(progress.dtype)
+            if at >= self.full_slip:
+                result = result + self.jump * (progress >= at).to(progress.dtype)
         return result
+
+    def leapt(self, progress: Tensor) -> Tensor:
+        """How far the rim has jumped before full slip, mm."""
+        count = sum(((progress >= at).to(progress.dtype) for at in self.jumps if at < self.full_slip), 0 * progress)
+        return self.jump * count
 
     def load_ratio(self, progress: Tensor) -> Tensor:
         """T/N while any part is stuck, float64."""
@@ -128,18 +142,31 @@ class PartialSlipMotion(SlideMotion):
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         travelled = self.travelled(progress)
         radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
-        stretched = _stretched(radius - self.stuck_radius(progress)) - _stretched(radius - 1)
-        slipped = travelled + self.creep * stretched
+        slipped = travelled + self._slipped(radius, progress)
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
+
+    def _slipped(self, radius: Tensor, progress: Tensor) -> Tensor:
+        """How far skin has gone beside what has travelled with the contact, mm."""
+        stuck = self.stuck_radius(progress)
+        crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
+        return crept + self.leapt(progress) * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
         at = torch.tensor(progress, dtype=torch.float64)
         left = limit - float(self.travelled(at))
         if left <= 0:
             return 0.0
-        beyond = math.sqrt((left / self.creep + _ROUNDED) ** 2 - _ROUNDED**2) if self.creep > 0 else math.inf
-        # In the contact alone: the skin around it moves as one.
-        return min(float(self.stuck_radius(at)) + beyond, 1.0)
+        # Outwards the displacement grows. In the contact alone: the skin around it moves as one.
+        low, high = float(self.stuck_radius(at)), 1.0
+        for _ in range(_BISECTIONS):
+            middle = torch.tensor((low + high) / 2, dtype=torch.float64)
+            low, high = (float(middle), high) if float(self._slipped(middle, at)) < left else (low, float(middle))
+        return high
+
+
+def _rising(share: Tensor) -> Tensor:
+    share = share.clamp(0, 1)
+    return share.square() * (3 - 2 * share)
 
 
 def _stretched(beyond: Tensor) -> Tensor:

@@ -159,23 +159,40 @@ class Truth:
         frames = np.searchsorted(self._progress, np.nan_to_num(onset, nan=np.inf), side="left")
         return np.where(frames < len(self._progress), frames, -1)
 
-    def displacement(self, material: ArrayLike, frame: int) -> Array:
-        """Displacement (..., 2) in mm since the onset; NaN before it and where there is none."""
+    def displacement(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
+        """Displacement (..., 2) in mm since the onset, or since a frame for all; NaN before the onset and where there
+        is none.
+        """
         points = _points(material)
-        return self._displacement(points, frame, *self._onset(points)).numpy()
+        return self._displacement(points, frame, *self._onset(points), reference).numpy()
 
-    def gradient(self, material: ArrayLike, frame: int) -> Array:
-        """Gradient (..., 2, 2) of the displacement since the onset by the place of the onset.
+    def gradient(self, material: ArrayLike, frame: int, reference: int | None = None) -> Array:
+        """Gradient (..., 2, 2) of the displacement since the onset by the place of the onset; or since the frame
+        `reference` by the places there, F(frame) F(reference)^-1 - I, at points that touch.
 
         [..., 0, 1] is du/dy: rows are components of the displacement, columns directions of the derivative. NaN where
         the displacement is NaN, and for skin that crosses the edge of a contact at rest: the places of onset of such
         neighbours lie on one line, the edge, so that there is no gradient by them.
         """
         points = _points(material)
-        return self._gradient(points, frame, *self._onset(points)).numpy()
+        return self._gradient(points, frame, *self._onset(points), reference).numpy()
 
-    def medians(self, frame: int, spacing_mm: float = 0.1) -> Medians:
-        """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient."""
+    def entry_gradient(self, material: ArrayLike, frame: int) -> Array:
+        """Gradient (..., 2, 2) of the displacement since a point's own onset with all its neighbours counted from that
+        moment, F(frame) F(onset)^-1 - I: also of skin that moves in over a border at rest. NaN before the onset.
+        """
+        points = _points(material)
+        onset, place = self._onset(points)
+        begun, _ = self._derivatives(place, onset)
+        progress = self._at(frame).expand(onset.shape)
+        now, _ = self._derivatives(self._forward(points, progress, points), progress)
+        gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+        return torch.where((onset <= progress)[..., None, None], gradient, math.nan).numpy()
+
+    def medians(self, frame: int, spacing_mm: float = 0.1, reference: int | None = None) -> Medians:
+        """Medians over a square grid of positions in the gross contact of a frame, where there is a gradient: since the
+        onset of each point, or since the frame `reference`.
+        """
         ellipse = self.ellipse(frame)
         if ellipse is None:
             return Medians(*(math.nan,) * 7)
@@ -184,8 +201,8 @@ class Truth:
         material = self.material(torch.stack((x, y), dim=-1)[ellipse.distance(x, y) > 0].numpy(), frame)
         points = _points(material)
         onset, place = self._onset(points)
-        displacement = self._displacement(points, frame, onset, place).numpy()
-        (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, place).numpy(), 0, -1)
+        displacement = self._displacement(points, frame, onset, place, reference).numpy()
+        (xx, xy), (yx, yy) = np.moveaxis(self._gradient(points, frame, onset, place, reference).numpy(), 0, -1)
         fields = (
             xx + yy,
             yx - xy,
@@ -209,12 +226,24 @@ class Truth:
         depth = ellipse.distance(x, y)
         return torch.minimum(self._touches(*self._motion.material(x, y, self._at(frame)), depth), depth)
 
-    def _displacement(self, points: Tensor, frame: int, onset: Tensor, place: Tensor) -> Tensor:
+    def _displacement(
+        self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
+    ) -> Tensor:
+        if reference is not None:
+            place = self._forward(points, self._at(reference).expand(onset.shape), points)
         moved = self._forward(points, self._at(frame).expand(onset.shape), points) - place
         return torch.where((onset <= self._at(frame))[..., None], moved, math.nan)
 
-    def _gradient(self, points: Tensor, frame: int, onset: Tensor, place: Tensor) -> Tensor:
+    def _gradient(
+        self, points: Tensor, frame: int, onset: Tensor, place: Tensor, reference: int | None = None
+    ) -> Tensor:
         progress = self._at(frame).expand(onset.shape)
+        if reference is not None:
+            then = self._at(reference).expand(onset.shape)
+            begun, _ = self._derivatives(self._forward(points, then, points), then)
+            now, _ = self._derivatives(self._forward(points, progress, points), progress)
+            gradient = now @ _inverse(begun) - torch.eye(2, dtype=torch.float64)
+            return torch.where((onset <= progress)[..., None, None], gradient, math.nan)
         forward, velocity = self._derivatives(place, onset)
         slope, rate = self._depth_derivatives(place, onset)
         closing = (slope * velocity).sum(-1) + rate

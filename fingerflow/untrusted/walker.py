@@ -20,8 +20,9 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.untrusted import walk
+from fingerflow.untrusted.idle import IdleLimit
 
-_MOST_SECONDS = 120.0  # on the wall, for disks that hang
+_MOST_IDLE_SECONDS = 120.0  # for disks that hang
 
 
 def check_by_walking(path: Path, kind: str) -> None:
@@ -114,18 +115,14 @@ class _Walker:
         """One line of answer; None where the process ended instead."""
         assert process.stdin is not None
         assert process.stdout is not None
-        limit = threading.Timer(_MOST_SECONDS, process.kill)
-        limit.daemon = True
-        limit.start()
         try:
-            if line is not None:
-                process.stdin.write(line + "\n")
-                process.stdin.flush()
-            answer = process.stdout.readline()
+            with IdleLimit(process.pid, _MOST_IDLE_SECONDS):
+                if line is not None:
+                    process.stdin.write(line + "\n")
+                    process.stdin.flush()
+                answer = process.stdout.readline()
         except OSError:
             return None
-        finally:
-            limit.cancel()
         return json.loads(answer) if answer.endswith("\n") else None
 
     def close(self) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import select
 import signal
 import subprocess
 import sys
@@ -17,14 +16,16 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
+from fingerflow.untrusted.idle import IdleLimit
 from tests.fuzz.samples import READERS, samples
 from tests.fuzz.worker import damaged, write
 
 OUTCOMES = ("read", "own error", "unnamed", "traceback", "memory", "hang", "crash")
 GOOD = ("read", "own error")
 ROOT = Path(__file__).resolve().parents[2]
-SILENCE = 120.0  # s on the wall without a word: the reader waits for something
+MOST_IDLE_SECONDS = 150.0  # the reader waits for something; longer than it waits itself for the process that walks
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -61,9 +62,10 @@ def _run(seed: int, jobs: list[tuple[str, int, int]]) -> Iterator[tuple[str, int
     """(reader, number, outcome, what was said) of each input, whatever becomes of the process that reads."""
     while jobs:
         command = [sys.executable, "-m", "tests.fuzz.worker", str(seed), json.dumps(jobs)]
-        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0) as worker:
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as worker:
             begun = None
-            for line in _lines(worker):
+            assert worker.stdout is not None
+            for line in _lines(worker, worker.stdout):
                 facts = json.loads(line)
                 begun = facts.get("begun")
                 if begun is None:
@@ -89,18 +91,10 @@ def _rest(jobs: list[tuple[str, int, int]], reader: str, number: int) -> list[tu
     return others if number + 1 == end else [(name, number + 1, end), *others]
 
 
-def _lines(worker: subprocess.Popen[bytes]) -> Iterator[bytes]:
-    assert worker.stdout is not None
-    rest = b""
-    while True:
-        if not select.select([worker.stdout], [], [], SILENCE)[0]:
-            worker.kill()
-            return
-        piece = worker.stdout.read(65536)
-        if not piece:
-            return
-        *lines, rest = (rest + piece).split(b"\n")
-        yield from lines
+def _lines(worker: subprocess.Popen[bytes], answers: IO[bytes]) -> Iterator[bytes]:
+    """The first comes when samples are made and libraries loaded, which takes as long as the machine is busy."""
+    with IdleLimit(worker.pid, MOST_IDLE_SECONDS):
+        yield from (line for line in answers if line.endswith(b"\n"))
 
 
 def _name(status: int) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -262,12 +261,18 @@ def _scene(folder: Path) -> list[Sample]:
 
 
 def _bundle(folder: Path) -> list[Sample]:
+    """A bundle with its scene, the picture of the empty glass and frames to play."""
     sys.path.insert(0, str(HERE / "player"))
-    from tiny_bundle import write_bundle
+    from tiny_bundle import frame, write_bundle, write_scene
 
     write_bundle(folder / "bundle")
+    write_scene(folder / "bundle" / "scene.toml", '[recording]\nframes = "frames.npy"\nframe_rate = 300.0')
+    np.save(folder / "bundle" / "frames.npy", np.stack([frame(10 - k // 3, 40 * k, k) for k in range(6)]))
     files = {path.name: path.read_bytes() for path in (folder / "bundle").iterdir()}
-    return [Sample(files, "bundle.json", ".")]
+    return [
+        Sample(files, name, ".")
+        for name in ("bundle.json", "bundle.json", "scene.toml", "scene.toml", "empty.npy", "frames.npy")
+    ]
 
 
 def _result(folder: Path) -> list[Sample]:
@@ -286,21 +291,12 @@ def _result(folder: Path) -> list[Sample]:
 
 
 def _stream(folder: Path) -> list[Sample]:
-    dtype = np.dtype([("frame", "<i8"), ("time", "<f8"), ("real_contact_area", "<f4"), ("ellipse_axes", "<f4", (2,))])
-    records = np.zeros(20, dtype)
-    fields = [
-        {"name": name, "dtype": dtype[name].base.str, "shape": list(dtype[name].shape), "unit": "mm2",
-         "dims": ["frame"] if not dtype[name].shape else ["frame", "axis"]}
-        for name in dtype.names or ()
-    ]  # fmt: skip
-    header = {
-        "format": 2, "fields": fields, "recipe": {"fields": {"gauge_length_mm": 1.6}}, "fingerflow": "0.1.0",
-        "started": "2026-01-01T00:00:00+00:00", "warnings": [], "mm_per_px": 0.02, "source": "a.npy",
-        "topography_to_contact": [[1, 0, 0], [0, 1, 0]], "provider": "CPU",
-    }  # fmt: skip
-    event = json.dumps({"event": "restart", "frame": 0, "points": 5, "clock": "2026-01-01T00:00:00+00:00"}) + "\n"
-    files = {"header.json": json.dumps(header, indent=1).encode(), "records.bin": records.tobytes(),
-             "events.jsonl": event.encode()}  # fmt: skip
+    """The folder that playing the bundle leaves."""
+    from tests.fuzz.worker import play
+
+    _bundle(folder)
+    results = play(folder / "bundle")
+    files = {path.name: path.read_bytes() for path in results.iterdir()}
     return [Sample(files, name, ".") for name in ("header.json", "header.json", "events.jsonl", "records.bin")]
 
 
@@ -324,8 +320,9 @@ _MAKERS: dict[str, Callable[[Path], list[Sample]]] = {
     "calibration": _calibration,
     "scene": _scene,
     "bundle": _bundle,
+    "stream": _bundle,
     "result": _result,
-    "stream": _stream,
+    "streamed": _stream,
     "played": _played,
 }
 READERS = tuple(_MAKERS)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import logging
 import os
 import random
 import resource
@@ -13,6 +15,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +174,28 @@ def _result(path: Path) -> None:
     load_result(path)
 
 
+def play(bundle: Path) -> Path:
+    """Plays a bundle's own scene as `fingerflow stream` does; the folder of results. Raises PlayerError where it says
+    why not.
+    """
+    from fingerflow.player import main
+    from fingerflow.player.errors import PlayerError
+
+    logging.disable()  # not of interest, and it would stay in memory
+    results = bundle.parent / "results"
+    shutil.rmtree(results, ignore_errors=True)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+        options = ["--output", str(results), "--page", "off", "--provider", "cpu", "--threads", "1", "--no-spin"]
+        if main([str(bundle), *options]):
+            raise PlayerError(said.getvalue())
+    return results
+
+
 def _stream(path: Path) -> None:
+    _streamed(play(path))
+
+
+def _streamed(path: Path) -> None:
     from fingerflow.player.results import write_table
     from fingerflow.stream_result import open_stream
 
@@ -197,6 +221,7 @@ _READERS: dict[str, Callable[[Path], None]] = {
     "bundle": _bundle,
     "result": _result,
     "stream": _stream,
+    "streamed": _streamed,
     "played": _played,
 }
 

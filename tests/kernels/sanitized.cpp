@@ -128,14 +128,14 @@ void try_medians(std::int64_t points, std::int64_t positions, int threads) {
     const std::int64_t batch = 2;
     const auto reference = noise<float>(2 * points, 9), displacement = noise<float>(batch * 2 * points, 10);
     const auto lattice = noise<float>(2 * positions, 11);
-    std::vector<float> covariance, ellipses, medians(batch * 5), deviations(batch * 5);
+    std::vector<float> covariance, ellipses, medians(batch * 5), deviations(batch * 5), shares(batch);
     for (std::int64_t k = 0; k < batch * points; ++k)
         for (float number : {2.0f, 0.5f, 0.5f, 1.0f}) covariance.push_back(number);
     for (float middle : {200.0f, 2000.0f})
         for (float number : {middle, middle, 100.0f, 40.0f, 0.8f, 0.6f}) ellipses.push_back(number);
     for (const float* own : {static_cast<const float*>(nullptr), static_cast<const float*>(covariance.data())}) {
         const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
-                                            medians.data(), own ? deviations.data() : nullptr, batch, 1, points, positions,
+                                            medians.data(), own ? deviations.data() : nullptr, shares.data(), batch, 1, points, positions,
                                             0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4};
         fingerflow_medians_over_area(&given, threads);
     }

@@ -60,6 +60,8 @@ def test_same_medians(
     found = call(torch.float32)
     expected = portable(lambda: call(torch.float64))
     assert torch.equal(found.median.isfinite(), expected.median.isfinite())
+    # A position at a limit may count here and not there.
+    torch.testing.assert_close(found.known.double(), expected.known, rtol=0, atol=3 / 800, equal_nan=True)
     if points == 700 and not unknown:
         assert found.median.isfinite().all(1).sum() > 3
     torch.testing.assert_close(found.median.double(), expected.median, rtol=1e-4, atol=1e-4, equal_nan=True)

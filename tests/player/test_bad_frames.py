@@ -1,11 +1,10 @@
 """Frames that cannot be, in a stream: a press is played with each kind of them, and `process` is asked about the same.
 
-The press and its settings are those of tests/test_one_graph.py, whose tolerances hold here too; its exported bundle is
+The trials and their settings are those of tests/small_trials.py, and the exported bundle is
 played by the compiled kernels, in a tenth of the time.
 """
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,101 +14,69 @@ import torch
 
 import fingerflow
 from fingerflow import player
-from fingerflow.export import export_bundle
 from fingerflow.ops.frame_distances import LONGEST as LONGEST_RECORDED
 from fingerflow.ops.frame_distances import block_means
 from fingerflow.player.contract.variables import FRAME_STATUS, TRACK_STATUS
 from fingerflow.player.frame_check import LONGEST, USABLE, FrameCheck
 from fingerflow.player.upkeep import ThresholdSearch
-from fingerflow.synthetic import Press, write_recording
+from tests.small_trials import (
+    FRAMES,
+    GRAPHS,
+    HEIGHT,
+    SPOILED,
+    TRIALS,
+    WIDTH,
+    dim_contact,
+    write_bundle_of_trials,
+    write_trial,
+)
 
-FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
 # Alone, two and three in a row, where templates are looked at, at the end.
 PLACES = [3, 9, 17, 18, 30, 41, 55, 56, 57, 71]
 ALONE = [3, 9, 17, 30, 41, 49, 55, 64]  # one of each kind
-RECIPE = f"""
-[views]
-height = {HEIGHT}
-width = {WIDTH}
-[tracking]
-points = {POINTS}
-window_px = 21
-[fields]
-gauge_length_mm = 1.6
-[export]
-graphs = ["background", "contact", "detect", "key", "renew", "frame", "fields"]
-"""
-SETTINGS = f"""
-[contact]
-threshold = 0.27
-[tracking]
-points = {POINTS}
-window_px = 21
-[fields]
-gauge_length_mm = 1.6
-"""
 Frames = np.ndarray[Any, Any]
 
 
-def _torn(frame: Frames) -> Frames:
-    return np.concatenate([frame[: HEIGHT // 2], np.roll(frame[HEIGHT // 2 :], 25, axis=1)])
-
-
-def _without_lines(frame: Frames) -> Frames:
-    return np.where((np.arange(HEIGHT) // 10 == 9)[:, None], 0, frame).astype(frame.dtype)
-
-
-def _dim_contact(frame: Frames) -> Frames:
-    return np.concatenate([frame[:, :WIDTH], (0.7 * frame[:, WIDTH:]).astype(frame.dtype)], axis=1)
-
-
-#: What becomes of a frame, and the status that says so; as in tests/stages/test_frame_check.py.
-SPOILED: dict[str, tuple[Callable[[Frames], Frames], str]] = {
-    "black": (lambda frame: np.full_like(frame, 8), "dark"),
-    "saturated": (lambda frame: np.full_like(frame, 255), "saturated"),
-    "dim contact view": (_dim_contact, "jumps_and_returns"),
-    "brighter": (lambda frame: np.minimum(1.4 * frame, 255).astype(frame.dtype), "jumps_and_returns"),
-    "rolled": (lambda frame: np.roll(frame, 112, axis=0), "jumps_and_returns"),
-    "shifted": (lambda frame: np.roll(frame, 15, axis=1), "jumps_and_returns"),
-    "torn": (_torn, "jumps_and_returns"),
-    "lines lost": (_without_lines, "jumps_and_returns"),
-}
-
-
 class Small(NamedTuple):
-    """The press, its frames, and what a stream of the clean recording says."""
+    """A trial, its frames, and what a stream of the clean recording says."""
 
     folder: Path
+    bundle: Path
     frames: Frames
     clean: player.StreamResults
 
     def play(self, frames: Frames, *arguments: str) -> player.StreamResults:
         np.save(self.folder / "played.npy", frames)
         shutil.rmtree(self.folder / "out", ignore_errors=True)
-        options = ["--scene", str(self.folder / "press" / "scene.toml"), "--source", str(self.folder / "played.npy")]
+        options = ["--scene", str(self.folder / "trial" / "scene.toml"), "--source", str(self.folder / "played.npy")]
         options += ["--output", str(self.folder / "out"), "--page", "off", "--threads", "1", "--no-spin"]
-        assert player.main([str(self.folder / "bundle"), *options, "--provider", "compiled", *arguments]) == 0
+        assert player.main([str(self.bundle), *options, "--provider", "compiled", *arguments]) == 0
         found = player.read_results(self.folder / "out")
         return found._replace(records=np.array(found.records))
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
-    folder = tmp_path_factory.mktemp("bad_frames")
-    press = Press(
-        n_frames=FRAMES, frame_shape=(HEIGHT, 2 * WIDTH), rise_time=0.2, semi_axes=(2.1, 1.7), finger=(2.9, 2.4)
-    )
-    write_recording(folder / "press", press)
-    scene_file = folder / "press" / "scene.toml"
-    text = scene_file.read_text()
-    scene_file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :])
-    (folder / "recipe.toml").write_text(RECIPE)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
-        export_bundle(folder / "recipe.toml", folder / "bundle")
-    frames = np.load(folder / "press" / "frames.npy")
-    unplayed = Small(folder, frames, player.StreamResults(frames[:0], {}, []))
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bundle_of_trials(tmp_path_factory.mktemp("bundles") / "bundle", (*GRAPHS, "contact"))
+
+
+def _made(kind: str, bundle: Path, folder: Path) -> Small:
+    write_trial(folder / "trial", kind)
+    frames = np.load(folder / "trial" / "frames.npy")
+    unplayed = Small(folder, bundle, frames, player.StreamResults(frames[:0], {}, []))
     return unplayed._replace(clean=unplayed.play(frames))
+
+
+@pytest.fixture(scope="module")
+def small(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+    return _made("press", bundle, tmp_path_factory.mktemp("bad_frames"))
+
+
+@pytest.fixture(scope="module", params=TRIALS)
+def trial(request: pytest.FixtureRequest, bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+    if request.param == "press":
+        return request.getfixturevalue("small")  # type: ignore[no-any-return]
+    return _made(request.param, bundle, tmp_path_factory.mktemp(request.param))
 
 
 def _status_of(records: Frames) -> dict[int, str]:
@@ -142,22 +109,22 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
     np.testing.assert_array_equal(records["slip_flag"][good], clean["slip_flag"][good])
 
 
-def test_a_clean_press_has_no_bad_frame(small: Small) -> None:
-    assert _status_of(small.clean.records) == {}
-    assert [event["event"] for event in small.clean.events] == ["restart"]
+def test_a_clean_trial_has_no_bad_frame(trial: Small) -> None:
+    assert _status_of(trial.clean.records) == {}
+    assert [event["event"] for event in trial.clean.events] == ["restart"]
 
 
 @pytest.mark.parametrize("kind", SPOILED)
-def test_a_bad_frame_counts_in_no_number(small: Small, kind: str) -> None:
+def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
     """At ten places: its own are NaN with the reason, all others as without it, and nothing is chosen anew."""
     spoil, status = SPOILED[kind]
-    frames = small.frames.copy()
+    frames = trial.frames.copy()
     for k in PLACES:
         frames[k] = spoil(frames[k])
-    played = small.play(frames)
+    played = trial.play(frames)
     assert _status_of(played.records) == dict.fromkeys(PLACES, status)
     _assert_unknown(played.records, PLACES)
-    _assert_others_as_before(small, played.records, PLACES)
+    _assert_others_as_before(trial, played.records, PLACES)
     events = [(event["event"], event["frame"]) for event in played.events]
     begins = [k for k in PLACES if k - 1 not in PLACES]
     assert events == [("restart", 0), *(("not_usable", k) for k in begins)]
@@ -172,7 +139,7 @@ def test_process_says_the_same_of_the_same_recording(small: Small) -> None:
         frames[k] = spoil(frames[k])
     live = small.play(frames).records
     stream = fingerflow.open_stream(small.folder / "out")
-    shutil.copytree(small.folder / "press", small.folder / "damaged")
+    shutil.copytree(small.folder / "trial", small.folder / "damaged")
     np.save(small.folder / "damaged" / "frames.npy", frames)
     recorded = fingerflow.process(small.folder / "damaged" / "scene.toml")
     np.testing.assert_array_equal(live["frame_status"], recorded["frame_status"])
@@ -203,7 +170,7 @@ def test_a_stream_begins_with_its_first_picture(small: Small, kind: str) -> None
 def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
     """Each frame in which it is measured is black, or dim: it comes from the next ones. 3 mm2 on it is the same to
     0.004 of the light, as contacts of other sizes give it, and the area to 2 %."""
-    scene_file = small.folder / "press" / "scene.toml"
+    scene_file = small.folder / "trial" / "scene.toml"
     text = scene_file.read_text()
     scene_file.write_text(text.replace("threshold = 0.27\n", ""))
     try:
@@ -232,7 +199,7 @@ def test_a_measured_threshold_is_not_that_of_a_bad_frame(small: Small) -> None:
 def test_what_stays_is_the_new_state(small: Small) -> None:
     """A lamp that is dimmed for good: three frames do not count, then the trial goes on."""
     frames = small.frames.copy()
-    frames[40:] = np.stack([_dim_contact(one) for one in frames[40:]])
+    frames[40:] = np.stack([dim_contact(one) for one in frames[40:]])
     played = small.play(frames)
     assert sorted(_status_of(played.records)) == [40, 41, 42]
     assert np.isfinite(played.records["real_contact_area"][43:]).all()
@@ -243,7 +210,7 @@ def test_nothing_found_is_said(small: Small, capsys: pytest.CaptureFixture[str])
     small.play(np.full_like(small.frames[:8], 8))
     said = capsys.readouterr().out
     assert "no frame could be measured (8 dark)" in said
-    glass = np.load(small.folder / "press" / "empty.npy")
+    glass = np.load(small.folder / "trial" / "empty.npy")
     small.play(np.broadcast_to(glass.reshape(-1, *glass.shape[-2:])[0], (8, HEIGHT, 2 * WIDTH)).astype(np.uint8))
     said = capsys.readouterr().out
     assert "no frame showed a contact" in said

@@ -80,6 +80,17 @@ def test_a_threshold_of_each_frame_is_refused(stream: Stream) -> None:
     assert ended.results is None
 
 
+@pytest.mark.parametrize("since", ['"first_frame"', "12", '"0.25 s"'])
+def test_a_reference_other_than_onset_is_refused(stream: Stream, since: str) -> None:
+    """The graphs count from onset: a stream would show another quantity under the same name."""
+    stream.scene.write_text(stream.scene.read_text() + f"\n[fields]\nreference = {since}\n")
+    ended = stream.run(*stream.frames([frame()]))
+    assert ended.code == 2
+    assert f"fields.reference of the scene is {since.replace(chr(34), chr(39))}; the graphs of a stream" in ended.said
+    assert "`fingerflow process` of the recording counts from any frame" in ended.said
+    assert ended.results is None
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_a_background_of_means_is_taken(stream: Stream, kind: type) -> None:
     np.save(stream.bundle / "empty.npy", np.full((HEIGHT, 2 * WIDTH), 200.25, kind))

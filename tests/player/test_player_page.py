@@ -5,12 +5,10 @@
 
 import http.client
 import json
-import shutil
 import socket
 import struct
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,10 @@ import pytest
 from conftest import Ended, Stream
 from tiny_bundle import HEIGHT, POINTS, WIDTH
 
+from fingerflow.player.sources.synthetic import Synthetic
 from fingerflow.player.stream import Player
+
+DARK_EACH = 40  # frames of the source
 
 
 class Served:
@@ -82,6 +83,13 @@ def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
         return run(one)
 
     monkeypatch.setattr(Player, "run", remember)
+    read = Synthetic.read
+
+    def read_with_dark_frames(source: Synthetic) -> Any:
+        frame = read(source)
+        return np.zeros_like(frame) if source._next % DARK_EACH == 0 else frame
+
+    monkeypatch.setattr(Synthetic, "read", read_with_dark_frames)
     found = Served(stream)
     yield found
     running[0].stop()
@@ -91,6 +99,7 @@ def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 
 def test_what_is_served(served: Served) -> None:
     facts, arrays = served.live()
+    assert set(facts["not_usable"]) <= {"dark"}
     assert arrays["topography_view"].shape == arrays["contact_view"].shape == (HEIGHT, WIDTH)
     assert arrays["real_contact_mask"].sum() * facts["mm_per_px"] ** 2 == pytest.approx(
         facts["scalars"]["real_contact_area"]
@@ -122,20 +131,6 @@ def test_a_restart_is_for_the_page_only(served: Served) -> None:
     raise AssertionError("points were not chosen anew")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Playwright's own Chromium, or the system's."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as engine:
-        own = Path(engine.chromium.executable_path)
-        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-        if not own.exists() and system is None:
-            pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
-        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
-        yield started
-        started.close()
-
-
 COLOURS = """id => {
     const canvas = document.getElementById(id);
     const image = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -160,6 +155,7 @@ def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
     assert page.evaluate(COLOURS, "areas") > 5
     assert page.evaluate(NUMBER, "Points") == f"{POINTS} of {POINTS}"
     assert page.evaluate(NUMBER, "Dropped") == "0"
+    page.wait_for_function(f"/^[1-9][0-9]* [1-9][0-9]* dark$/.test(({NUMBER})('Not counted'))")
     before = page.evaluate(NUMBER, "Frames")
     page.wait_for_function(f"({NUMBER})('Frames') != {before!r}")
     page.click("#restart")

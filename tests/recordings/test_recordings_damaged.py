@@ -438,3 +438,21 @@ def test_an_interrupted_look_answers_for_no_other_file(tmp_path, monkeypatch):
     (tmp_path / "b.h5").write_bytes(b"x")
     assert "cannot be read" in walks.ask(tmp_path / "b.h5", "MATLAB")  # its own answer
     walks.close()
+
+
+@pytest.mark.parametrize("pages", [3, 130])  # tifffile itself looks for circles among the first hundred
+@pytest.mark.parametrize("bigtiff", [False, True])
+def test_pages_in_a_circle(tmp_path, pages, bigtiff):
+    path = tmp_path / "circle.tif"
+    with tifffile.TiffWriter(path, bigtiff=bigtiff) as writer:
+        for frame in np.zeros((pages, 8, 8), np.uint8):
+            writer.write(frame, photometric="minisblack", metadata=None, contiguous=False)
+    assert len(open_recording(path)) == pages
+    with tifffile.TiffFile(path) as file:
+        layout, last, earlier = file.tiff, file.pages[-1], file.pages[pages - 2].offset
+        at = last.offset + layout.tagnosize + len(last.tags) * layout.tagsize
+    with path.open("r+b") as file:
+        file.seek(at)
+        file.write(struct.pack(layout.offsetformat, earlier))
+    with pytest.raises(FingerflowError, match=rf"page {pages} is followed by the one at byte {earlier}, which came"):
+        open_recording(path)

@@ -9,20 +9,16 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.scene import Scene
-from fingerflow.synthetic import Press, write_recording
-
-PRESS = Press(
-    n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
-)
+from fingerflow.synthetic import write_recording
+from tests.small_trials import TINY_PRESS
 
 Change = Callable[..., Scene]
 
 
 @pytest.fixture(scope="session")
 def press(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """8 frames of 96 x 240 px: contact in the last six."""
     folder = tmp_path_factory.mktemp("small") / "press"
-    write_recording(folder, PRESS)
+    write_recording(folder, TINY_PRESS)
     return folder
 
 

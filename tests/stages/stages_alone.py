@@ -12,6 +12,7 @@ from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.stage import Stage, Trial
+from fingerflow.stages.tracking import TrackingStage
 from fingerflow.store import MemoryStore
 
 
@@ -23,7 +24,15 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     stage.series, stage.inputs, stage.cell_px = contact, inputs, 4
     check = object.__new__(FrameCheckStage)
     check.usable = np.ones(frames, dtype=bool)
-    trial.stages = {ContactStage: stage, LoadingStage: LoadingStage(trial), FrameCheckStage: check}
+    tracking = object.__new__(TrackingStage)
+    tracking.chosen = np.zeros(given["position"].shape[1] if "position" in given else 0, dtype=np.intp)
+    trial.stages = {
+        ContactStage: stage,
+        LoadingStage: LoadingStage(trial),
+        FrameCheckStage: check,
+        TrackingStage: tracking,
+    }
+    trial.results.put("frame_status", np.zeros(frames))
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})

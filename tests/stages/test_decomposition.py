@@ -18,8 +18,8 @@ FRAMES, SCALE = 4, 0.03
 
 def inputs() -> Inputs:
     fields = SimpleNamespace(
-        gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4, depth_mm=2.0,
-        rate_window_s=0.05,
+        reference="onset", gauge_length_mm=1.6, strain="infinitesimal", young_modulus_mpa=1.0, poisson_ratio=0.4,
+        depth_mm=2.0, rate_window_s=0.05,
     )  # fmt: skip
     scene = SimpleNamespace(
         fields=fields,

@@ -60,19 +60,23 @@ def test_a_trigger_in_newtons_is_said(changed: Change, press: Path, tmp_path: Pa
 
 
 def test_volts_are_no_force(changed: Change, press: Path, tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=r"changed\.csv: column 'normal_force' .* is in V, not in N; multiply"):
+    with pytest.raises(
+        FingerflowError, match=r"changed\.csv: column 'normal_force' .* is in V, not in N; give the sensor's sens"
+    ):
         processed(changed, press, rewritten(press, tmp_path, normal_force_V=lambda values: values))
 
 
 def test_a_normal_force_of_the_wrong_sign_is_refused(changed: Change, press: Path, tmp_path: Path) -> None:
-    with pytest.raises(FingerflowError, match=r"lies between -\d.* N: pressing must be positive; change its sign"):
+    with pytest.raises(
+        FingerflowError, match=r"lies between -\d.* N: pressing must be positive; give \[forces\] sign = -1"
+    ):
         processed(changed, press, rewritten(press, tmp_path, normal_force=lambda values: -values))
 
 
 def test_an_offset_at_rest_is_said(changed: Change, press: Path, tmp_path: Path) -> None:
     _, said = processed(changed, press, rewritten(press, tmp_path, normal_force=lambda values: values + 2.0))
     assert "'normal_force' is never below 1.99 N; if the finger was off the glass" in said
-    assert "take it off in the file" in said
+    assert "give [forces] offset or tare = [t0, t1] in the scene" in said
 
 
 def test_a_trigger_without_its_frame_is_said(changed: Change, press: Path, tmp_path: Path) -> None:

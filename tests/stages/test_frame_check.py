@@ -1,7 +1,6 @@
 """Frames that cannot be change no number of the others: a press and a slide, each kind of bad frame at ten places."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import FRAME_STATUS
 from fingerflow.scene import Scene
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
+from tests.small_trials import SPOILED, dim_contact
 
 FRAMES, HEIGHT, WIDTH = 120, 192, 240
 FRAME_SHAPE = (HEIGHT, 2 * WIDTH)
@@ -48,31 +48,6 @@ def clean(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     (folder / "scene.toml").write_text(text)
     scene = load_scene(folder / "scene.toml")
     return Clean(scene, np.load(folder / "frames.npy"), process(scene))
-
-
-def torn(frame: Frame) -> Frame:
-    return np.concatenate([frame[: HEIGHT // 2], np.roll(frame[HEIGHT // 2 :], 25, axis=1)])
-
-
-def without_lines(frame: Frame) -> Frame:
-    return np.where((np.arange(HEIGHT) // 10 == 9)[:, None], 0, frame).astype(frame.dtype)
-
-
-def dim_contact(frame: Frame) -> Frame:
-    return np.concatenate([frame[:, :WIDTH], (0.7 * frame[:, WIDTH:]).astype(frame.dtype)], axis=1)
-
-
-#: What becomes of a frame, and the status that says so.
-SPOILED: dict[str, tuple[Callable[[Frame], Frame], str]] = {
-    "black": (lambda frame: np.full_like(frame, 8), "dark"),
-    "saturated": (lambda frame: np.full_like(frame, 255), "saturated"),
-    "dim contact view": (dim_contact, "jumps_and_returns"),
-    "brighter": (lambda frame: np.minimum(1.4 * frame, 255).astype(frame.dtype), "jumps_and_returns"),
-    "rolled": (lambda frame: np.roll(frame, 112, axis=0), "jumps_and_returns"),
-    "shifted": (lambda frame: np.roll(frame, 15, axis=1), "jumps_and_returns"),
-    "torn": (torn, "jumps_and_returns"),
-    "lines lost": (without_lines, "jumps_and_returns"),
-}
 
 
 def with_frames(clean: Clean, frames: Frame, folder: Path) -> Scene:

@@ -14,7 +14,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.report import write_report
 from fingerflow.scene import Scene
 from fingerflow.stages import plausibility
-from fingerflow.synthetic import Press, write_recording
+from fingerflow.synthetic import write_recording
+from tests.small_trials import TINY_PRESS
 
 Array = np.ndarray[Any, Any]
 Change = Callable[..., Scene]
@@ -99,10 +100,8 @@ def test_points_that_are_all_lost_have_no_energy(changed: Change, frames: Array)
 
 def test_a_report_of_another_recording_is_refused(tmp_path: Path) -> None:
     """Two presses of the same size and length; the noise of the camera tells them apart."""
-    small = {"frame_shape": (96, 240), "finger": (1.8, 1.5), "semi_axes": (1.3, 1.1)}
-    press = Press(n_frames=8, frame_rate=8.0, frames_before_trigger=1, **small)  # type: ignore[arg-type]
     for name in ("one", "other"):
-        write_recording(tmp_path / name, press)
+        write_recording(tmp_path / name, TINY_PRESS)
     frames = np.load(tmp_path / "other" / "frames.npy")
     np.save(tmp_path / "other" / "frames.npy", frames + np.random.default_rng(0).integers(0, 2, frames.shape, np.uint8))
     one, other = (load_scene(tmp_path / name / "scene.toml") for name in ("one", "other"))

@@ -1,6 +1,7 @@
 """The stuck part against truth, the verdict of known trials, and trials that cannot be judged."""
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.plan import plan
 from fingerflow.scene import Scene, Views
+from fingerflow.stages.dense_flow_slip import DenseFlowSlipStage
 from fingerflow.stages.inputs import open_inputs
 from fingerflow.stages.slip import SlipStage, _incipient
 from fingerflow.stages.slip_grid import SlipGrid
@@ -305,6 +307,74 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
     assert worst < 2
     assert min(tracked) > 0.5
     assert result["stuck_ratio"].values[-5:].max() == 0
+
+
+def by_flow(scene: Scene) -> Scene:
+    return replace(scene, slip=replace(scene.slip, displacement="dense_flow"))
+
+
+@pytest.fixture(scope="module")
+def by_dense_flow(slip_trials: Path) -> xr.Dataset:
+    names = ["stuck_ratio", "skin_displacement", "position", "dense_flow_difference"]
+    return process(by_flow(load_scene(slip_trials / "abrupt" / "scene.toml")), names)
+
+
+def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
+    """As close as by points: within 0.04 in every frame."""
+    error = known(np.abs(by_dense_flow["stuck_ratio"].values - shares(slip_trials / "abrupt")))
+    assert error.max() < 0.04
+    assert verdict_of(by_dense_flow)["outcome"] == "vanishes abruptly"
+    assert json.loads(by_dense_flow.attrs["settings"])["slip"]["displacement"] == "dense_flow"
+    assert "dense_flow_slip" in json.loads(by_dense_flow.attrs["stage_seconds"])
+    assert warnings_of(by_dense_flow) == []
+
+
+def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
+    """To 3 um RMS in every eighth frame, in all cells of the contact; the difference from points is what it says."""
+    trial, field = rebuild_scene(slip_trials / "abrupt"), by_dense_flow["skin_displacement"]
+    row, column = np.indices(field.shape[1:3])
+    places = np.stack((column, row), -1) * field.attrs["cell_mm"] + field.attrs["first_cell_mm"]
+    ellipse = trial.truth.ellipse(0)
+    assert ellipse is not None
+    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0.1).numpy()
+    for frame in range(0, 120, 8):
+        moved = trial.truth.positions(trial.truth.material(places[inside], 0), frame) - places[inside]
+        error = field.values[frame][inside] - moved
+        assert np.isfinite(error).all(-1).mean() > 0.97
+        assert np.sqrt(np.nanmean(error**2)) < 0.004, frame
+    median, most = (by_dense_flow[f"dense_flow_difference{part}"].values for part in ("", "_95"))
+    assert median[0] == 0
+    assert 0.0002 < np.nanmedian(median) < 0.004
+    assert (most[1:] > median[1:]).all()
+
+
+def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> None:
+    """All points 5 um off, twice their deviation and that of the flow: in every frame, and a warning."""
+    inputs = open_inputs(by_flow(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None)), "cpu")
+    given = process(inputs.scene, ["position", "position_std_px", "gross_contact_region", "gross_contact_area"])
+    frames = 12
+    position = given["position"].values[:frames].copy()
+    position[1:] += 0.01
+    trial = trial_of(
+        inputs,
+        {"gross_contact_area": given["gross_contact_area"].values[:frames]},
+        frames,
+        position=position,
+        position_std_px=given["position_std_px"].values[:frames],
+        gross_contact_region=given["gross_contact_region"].values[:frames],
+    )
+    run(trial, DenseFlowSlipStage(trial))
+    np.testing.assert_allclose(values_of(trial, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
+    assert any("dense flow and tracked points differ" in warning for warning in inputs.warnings)
+
+
+def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:
+    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
+    with pytest.raises(FingerflowError, match="dense_flow_difference' comes by dense flow"):
+        plan(["dense_flow_difference"], scene)
+    assert "slip" in plan(["stuck_ratio"], scene).names
+    assert "dense_flow_slip" in plan(["stuck_ratio"], by_flow(scene)).names
+    assert "dense_flow_slip" not in plan(["gross_contact_area"], by_flow(scene)).names
 
 
 def test_a_contact_that_fills_the_view_has_no_share(tmp_path: Path) -> None:

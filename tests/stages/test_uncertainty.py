@@ -44,6 +44,7 @@ MOTIONS = {
 def inputs(template: str = "keyframe") -> Inputs:
     scene = SimpleNamespace(
         fields=SimpleNamespace(
+            reference="onset",
             gauge_length_mm=1.6,
             strain="green_lagrange",
             young_modulus_mpa=1.0,

@@ -13,9 +13,10 @@ from fingerflow import process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
-from fingerflow.result import export_table, load_result, save_result
+from fingerflow.result import load_result, save_result
 from fingerflow.scene import Scene
 from fingerflow.synthetic import rebuild_scene
+from fingerflow.tables import export_table
 
 Array = np.ndarray[Any, Any]
 Change = Callable[..., Scene]

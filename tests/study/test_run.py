@@ -45,7 +45,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     text = (lab / "study.toml").read_text(encoding="utf-8")
     (lab / "study.toml").write_text(text.replace("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"), encoding="utf-8")
     changed = load_manifest(lab)
-    assert {one.redo for one in plan_run(changed)} == {"numbers"}
+    assert {one.redo for one in plan_run(changed)} == {"changed"}
     _run(changed, scheduler)
     made = read_row(changed.results / "01_0_1")
     assert made is not None
@@ -61,7 +61,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     frames[3] //= 2
     np.save(lab / "p02/0um/trial1/frames.npy", frames)
     (planned,) = plan_run(changed)
-    assert (planned.entry.name, planned.redo) == ("02_0_1", "pictures")
+    assert (planned.entry.name, planned.redo) == ("02_0_1", "everything")
     assert "recording.frames changed" in planned.why
 
 
@@ -141,7 +141,7 @@ def test_a_worker_of_another_version_is_refused(
     study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker, "code_of", lambda part: "other")
-    with pytest.raises(FingerflowError, match="has other code for pictures, numbers, row"):
+    with pytest.raises(FingerflowError, match="has other code for result, row"):
         _run(study, scheduler, only="01_0_1")
 
 
@@ -150,9 +150,9 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
     late = [one.entry for one in plan_run(study, only="01_0_*")]
     _run(study, scheduler, only="01_0_*")
     stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
-    codes = {part: worker.code_of(part) for part in ("pictures", "numbers", "row")}
+    codes = worker.all_codes()
     for entry in late:
-        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), entry, "pictures", codes, 1))
+        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), entry, "everything", codes, 1))
         assert outcome.reason == "was done by another run meanwhile"
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 

@@ -1,4 +1,4 @@
-"""Where the stuck part of a contact ends, for who sees the skin through windows.
+"""Where the stuck part of a contact ends, for who sees the skin blurred: through windows, or by dense flow.
 
 Skin is continuous, and so is its strain: beside the stuck part its displacement begins as k x^p, x the distance from
 the border. On an elastic half-space, whose tractions begin with a root, p is 3/2 (Cattaneo 1938, Mindlin 1949); skin
@@ -12,15 +12,19 @@ centre has. At the border itself they show the level
 
 xi the places in the window along the normal of the border, w the width of the annulus that slips: beyond the contact
 nothing holds the skin, which moves as its rim does. Displacement below that level is what stuck skin shows. Below a
-fixed length of it (40 um in Terekhov & Hayward 2011) is also skin that has slipped by less.
+fixed length of it (40 um in Terekhov & Hayward 2011) is also skin that has slipped by less. Dense flow shows less at
+the border, as it looks less far and is stiff; what it shows of x^p is measured (`stages.flow_resolution`).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
+#: What is seen, mm^p, of a displacement x^p beyond a border, at distances (K,) mm from it, negative inside.
+Seen = Callable[[Values], Values]
 
 POWER = 1.75  # p
 
@@ -58,15 +62,13 @@ def seen_displacement(distance: Values, half_window: float) -> Values:
     return np.asarray((np.maximum(distance[:, None] + places, 0) ** POWER).mean(1))
 
 
-def border_level(width: Values, growth: float, half_window: float) -> Values:
-    """mm (K,), what windows show at the border of the stuck part where the slipping annulus is (K,) mm wide."""
-    places = np.maximum(window_places(half_window), 0)
-    beyond = np.maximum(places - np.maximum(width, 0)[:, None], 0)
-    return np.asarray(growth * (places**POWER - beyond**POWER).mean(1))
+def border_level(width: Values, growth: float, seen: Seen) -> Values:
+    """mm (K,), what is seen at the border of the stuck part where the slipping annulus is (K,) mm wide."""
+    return np.asarray(growth * (seen(np.zeros(1)) - seen(-np.maximum(width, 0))))
 
 
-def fit_border(distance: Values, displacement: Values, weight: Values, half_window: float) -> BorderFit | None:
-    """Where a displacement that windows have averaged begins.
+def fit_border(distance: Values, displacement: Values, weight: Values, seen: Seen, step: float) -> BorderFit | None:
+    """Where a displacement that is seen blurred begins.
 
     Weighted least squares in k and the base, which enter linearly, for each of the places where the border may lie.
 
@@ -74,7 +76,8 @@ def fit_border(distance: Values, displacement: Values, weight: Values, half_wind
         distance: (K,) mm from some contour of the displacement, positive on the side that sticks.
         displacement: (K,) mm along the slip, a mean over points at this distance.
         weight: (K,) one over its variance.
-        half_window: mm.
+        seen: how it is blurred.
+        step: mm between the places that are tried.
 
     Returns:
         None where the displacement does not grow, or at fewer than eight distances.
@@ -82,11 +85,10 @@ def fit_border(distance: Values, displacement: Values, weight: Values, half_wind
     if len(distance) < _FEWEST:
         return None
     root = np.sqrt(weight / weight.mean())
-    step = half_window / 50
     offsets = np.arange(distance.min(), distance.max(), step)
     best: BorderFit | None = None
     for offset in offsets:
-        shape = seen_displacement(offset - distance, half_window)
+        shape = seen(offset - distance)
         if shape.max() <= 0:
             continue
         matrix = np.stack((shape, np.ones_like(shape)), 1) * root[:, None]

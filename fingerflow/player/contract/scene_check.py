@@ -16,6 +16,8 @@ from .scene_keys import (
     Inside,
     Key,
     NotBefore,
+    NotBoth,
+    OneEach,
     Reader,
     Rule,
     Table,
@@ -179,6 +181,11 @@ class _Check:
             case Together():
                 if rule.key in self.given and rule.other not in self.given:
                     self._blame(rule.key, f"{rule.why}; {rule.remedy}")
+            case NotBoth():
+                if rule.key in self.given and rule.other in self.given:
+                    self._blame(rule.key, f"it and {rule.other.rpartition('.')[2]} exclude each other: {rule.why}")
+            case OneEach():
+                self._one_each(rule)
             case InPlaceOf():
                 self._in_place_of(rule)
             case Inside():
@@ -208,6 +215,14 @@ class _Check:
                 rule.key,
                 f"that is before {other}, {first}; both are included, so give at least {first} or leave {ours} out",
             )
+
+    def _one_each(self, rule: OneEach) -> None:
+        given, named = self._at(rule.key), [self._at(force) for force in rule.forces]
+        if not isinstance(given, tuple) or named[0] is None:
+            return
+        count = sum(len(one) if isinstance(one, tuple) else one is not None for one in named)
+        if len(given) != count:
+            self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
         """The other keys have what the calibration file says from here on."""

@@ -27,6 +27,11 @@ def read_scene(path: Path, reader: Reader) -> Checked:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one") from None
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8") from None
+    return parse_scene(text, path, reader)
+
+
+def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
+    """As :func:`read_scene`, of a text that is to become that file."""
     try:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

@@ -51,6 +51,33 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Column:
+    """The name of a column, or its number, from 1; with ``several`` a list of up to so many."""
+
+    several: int = 1
+
+
+@dataclass(frozen=True)
+class Each:
+    """A number for all forces, or a list of one each, normal first; ``among`` these, where not empty."""
+
+    number: Number = Number()
+    among: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """[t0, t1] s from the trigger, t0 before t1."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One of some words, a frame as a whole number from 0, or a time from the trigger as text, "0.25 s"."""
+
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class File:
     """A path relative to the scene file; "file.h5::/dataset" is a data set within a file.
 
@@ -73,7 +100,7 @@ class Transform:
     """[[a, b, x], [c, d, y]] that can be undone."""
 
 
-Type = Number | Switch | Text | Choice | File | PixelRange | Transform
+Type = Number | Switch | Text | Choice | Column | Each | TimeRange | Moment | File | PixelRange | Transform
 
 
 @dataclass(frozen=True)
@@ -126,11 +153,16 @@ SCENE: dict[str, Key | Table] = {
     "forces": Table(
         {
             "file": Key(File(there_for=PROCESS), needed_by=BOTH),
-            "normal": Key(Text(), needed_by=BOTH),
-            "tangential": Key(Text()),
-            "trigger": Key(Text()),
+            "normal": Key(Column(), needed_by=BOTH),
+            "tangential": Key(Column(several=2)),
+            "units": Key(Choice(("N", "mN", "g", "kgf", "V"))),
+            "gain": Key(Each()),
+            "sign": Key(Each(among=(1, -1)), default=1.0),
+            "offset": Key(Each()),
+            "tare": Key(TimeRange()),
+            "trigger": Key(Column()),
             "trigger_level": Key(Number()),
-            "time": Key(Text()),
+            "time": Key(Column()),
             "sample_rate": Key(POSITIVE),
         },
     ),
@@ -158,6 +190,7 @@ SCENE: dict[str, Key | Table] = {
     ),
     "fields": Table(
         {
+            "reference": Key(Moment(("onset", "first_frame")), default="onset"),
             "gauge_length_mm": Key(Number(above=0, most=100), default=1.6),
             "strain": Key(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
             "young_modulus_mpa": Key(POSITIVE, default=1.0),
@@ -170,6 +203,7 @@ SCENE: dict[str, Key | Table] = {
         {
             "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
             "stuck_mm": Key(POSITIVE, default=0.04),
+            "displacement": Key(Choice(("points", "dense_flow")), default="points"),
         }
     ),
     "stream": Table(
@@ -218,6 +252,23 @@ class Together:
 
 
 @dataclass(frozen=True)
+class NotBoth:
+    """Two keys of which one is given at most."""
+
+    key: str
+    other: str
+    why: str
+
+
+@dataclass(frozen=True)
+class OneEach:
+    """A list of one number a force, where it is a list."""
+
+    key: str
+    forces: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class InPlaceOf:
     """A calibration file that gives a scale and, it may be, a transform, of which the scale is needed else."""
 
@@ -245,12 +296,14 @@ class FitsTheViews:
     into: str
 
 
-Rule = NotBefore | Together | InPlaceOf | Inside | FitsTheViews
+Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | FitsTheViews
 _TRIGGER = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
 RULES: tuple[Rule, ...] = (
     NotBefore("recording.last_frame", "recording.first_frame"),
     Together("forces.trigger", "forces.trigger_level", _TRIGGER, "add trigger_level = 2.5 in the channel's unit"),
     Together("forces.trigger_level", "forces.trigger", _TRIGGER, "add trigger = with the channel's name"),
+    NotBoth("forces.tare", "forces.offset", "both say what the sensor reads without a load"),
+    *(OneEach(f"forces.{key}", ("forces.normal", "forces.tangential")) for key in ("gain", "sign", "offset")),
     InPlaceOf("calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"),
     Inside("stream.region", "views.topography"),
     FitsTheViews(

@@ -1,13 +1,28 @@
 """What a single setting may be: its value, or what is wrong with it in words."""
 
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
 from .calibration_file import can_be_undone
-from .scene_keys import Choice, Number, PixelRange, Switch, Text, Transform, Type, Whole
+from .scene_keys import (
+    Choice,
+    Column,
+    Each,
+    Moment,
+    Number,
+    PixelRange,
+    Switch,
+    Text,
+    TimeRange,
+    Transform,
+    Type,
+    Whole,
+)
 
 _LEAST_DETERMINANT = 1e-6
+_TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
@@ -26,6 +41,14 @@ def value_of(kind: Type, value: Any) -> Any:
             return _number(kind, value)
         case Choice():
             return _choice(kind, value)
+        case Column():
+            return _column(kind, value)
+        case Each():
+            return _each(kind, value)
+        case TimeRange():
+            return _time_range(value)
+        case Moment():
+            return _moment(kind, value)
         case PixelRange():
             return _pixel_range(value)
         case Transform():
@@ -88,6 +111,58 @@ def _choice(kind: Choice, value: Any) -> Any:
         return _number(kind.number, value)
     except WrongValue as wrong:
         raise WrongValue(f"{words}, or {wrong}") from None
+
+
+def seconds_of(moment: Any) -> float | None:
+    """Seconds from the trigger that a `Moment` states, "0.25 s"; None where it is a word or a frame."""
+    found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
+    return None if found is None else float(found.group(1))
+
+
+def _moment(kind: Moment, value: Any) -> str | int:
+    if value in kind.words or seconds_of(value) is not None:
+        return str(value)
+    if type(value) is int and value >= 0:
+        return value
+    raise WrongValue(
+        f"it should be {either(kind.words)}, the number of a frame, from 0, or a time from the trigger in quotes and "
+        'with its unit, "0.25 s"'
+    )
+
+
+def _column(kind: Column, value: Any) -> str | int | tuple[str | int, ...]:
+    if (isinstance(value, str) and value) or (type(value) is int and value >= 1):
+        return value
+    if isinstance(value, list) and kind.several > 1 and 1 <= len(value) <= kind.several:
+        return tuple(_column(Column(), item) for item in value)  # type: ignore[misc]
+    several = f", or a list of up to {kind.several} of them" if kind.several > 1 else ""
+    raise WrongValue(f"it should be the name of a column, in quotes, or its number, from 1{several}")
+
+
+def _each(kind: Each, value: Any) -> float | tuple[float, ...]:
+    if isinstance(value, list) and value:
+        return tuple(_one_of(kind, item) for item in value)
+    return _one_of(kind, value)
+
+
+def _one_of(kind: Each, value: Any) -> float:
+    number = _number(kind.number, value)
+    if kind.among and number not in kind.among:
+        raise WrongValue(f"it should be {' or '.join(f'{one:g}' for one in kind.among)}")
+    return number
+
+
+def _time_range(value: Any) -> tuple[float, float]:
+    needed = "two times in s from the trigger are needed, the earlier first, for example [-0.5, -0.1]"
+    if not isinstance(value, list) or len(value) != 2:
+        raise WrongValue(needed)
+    try:
+        first, last = (_number(Number(), item) for item in value)
+    except WrongValue as wrong:
+        raise WrongValue(f"of its items {wrong}; {needed}") from None
+    if first >= last:
+        raise WrongValue(needed)
+    return first, last
 
 
 def _pixel_range(value: Any) -> tuple[int, int]:

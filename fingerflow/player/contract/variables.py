@@ -76,8 +76,35 @@ FRAME_CHECK = (
 
 LOADING = (
     Variable("normal_force", FRAME, "N", "normal force", needs=("forces",)),
-    Variable("tangential_force", FRAME, "N", "tangential force", needs=("forces.tangential",)),
-    Variable("load_ratio", FRAME, "1", "tangential over normal force, T/N", needs=("forces.tangential",)),
+    Variable(
+        "tangential_force",
+        FRAME,
+        "N",
+        "tangential force; its length where two components are given",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "tangential_direction",
+        FRAME,
+        "rad",
+        "direction of the tangential force from the first component towards the second, of one channel 0 or pi by its "
+        "sign; NaN below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "load_ratio",
+        FRAME,
+        "1",
+        "friction ratio: tangential over normal force, T/N; NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
+    Variable(
+        "force_angle",
+        FRAME,
+        "rad",
+        "angle between the force and the normal of the glass, atan(T/N); NaN where the normal force is below 0.05 N",
+        needs=("forces.tangential",),
+    ),
 )
 
 CONTACT = (
@@ -125,19 +152,33 @@ TRACKING = (
     Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
 )
 
+ENTRY = ("never", "covered", "moved_in")
+#: From when displacement counts. The attribute ``reference`` of a variable says what it is in this result.
+SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
     Variable(
         "onset_frame", POINT, "1", "first frame in which the contact comes to cover the point, -1 for never", "i4"
     ),
     Variable(
+        "entry",
+        POINT,
+        "1",
+        "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
+        "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
+        "last of their points has touched",
+        "u1",
+        flags=ENTRY,
+    ),
+    Variable(
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position at onset; of points that are touched in passing alone, where they were then",
+        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
+        "touched in passing alone, where they were then",
     ),
-    Variable("displacement", ("frame", "point", "xy"), "mm", "displacement since onset"),
-    Variable("displacement_std", FRAME_POINT, "mm", "standard deviation of a component since onset", "f4"),
-    Variable("global_displacement_vector", ("frame", "xy"), "mm", "median displacement, by component"),
+    Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
+    Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),
+    Variable("global_displacement_vector", ("frame", "xy"), "mm", f"median displacement {SINCE}, by component"),
     Variable("global_displacement", FRAME, "mm", "length of the median displacement"),
 )
 
@@ -145,8 +186,8 @@ _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = "by the errors of the points alone: those of the ellipse and of the places of onset come on top"
 FIELDS = (
-    Variable("divergence", FRAME_POINT, "1", "divergence of the displacement", "f4"),
-    Variable("curl", FRAME_POINT, "rad", "curl of the displacement", "f4"),
+    Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
+    Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4"),
     Variable(
         "shear",
         ("frame", "point", "shear_component"),
@@ -167,6 +208,12 @@ FIELDS = (
     Variable("rigid_residual_median", FRAME, "mm", "median length of rigid_residual"),
     Variable("divergence_std", FRAME_POINT, "1", f"{_ERROR} divergence", "f4"),
     Variable("curl_std", FRAME_POINT, "rad", f"{_ERROR} curl", "f4"),
+    Variable(
+        "field_coverage",
+        FRAME,
+        "1",
+        "share of the gross contact in which divergence, curl and strain are known; medians below 0.85 are NaN",
+    ),
     Variable("median_divergence", FRAME, "1", f"median divergence {_MEDIAN}"),
     Variable("median_divergence_std", FRAME, "1", f"{_ERROR} median divergence {_ALONE}"),
     Variable("median_divergence_rate", FRAME, "1/s", "rate of median_divergence"),
@@ -179,7 +226,7 @@ FIELDS = (
 
 STRAIN = (
     Variable("triangles", ("triangle", "corner"), "1", "points at the corners of a triangle", "i4"),
-    Variable("strain", (*TRIANGLE, "strain_component"), "1", "strain of a triangle", "f4"),
+    Variable("strain", (*TRIANGLE, "strain_component"), "1", f"strain of a triangle {SINCE}", "f4"),
     Variable("strain_std", (*TRIANGLE, "strain_component"), "1", "standard deviation of the strain", "f4"),
     Variable(
         "principal_strains", (*TRIANGLE, "principal"), "1", "major and minor principal strain", "f4", unasked=False
@@ -229,6 +276,28 @@ SLIP = (
         FRAME,
         "mm",
         "root mean square of the part of incipient_slip that its curl makes",
+    ),
+    Variable(
+        "skin_displacement",
+        (*CELLS, "xy"),
+        "mm",
+        "displacement since the first frame, by dense flow, of the skin that lay in the cell in the first frame",
+        "f4",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference",
+        FRAME,
+        "mm",
+        "median over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
+    ),
+    Variable(
+        "dense_flow_difference_95",
+        FRAME,
+        "mm",
+        "95th percentile over tracked points of the distance between their displacement and that by dense flow",
+        needs=("dense_flow_slip",),
     ),
 )
 

@@ -117,12 +117,15 @@ const text = (value, digits) => value == null || !Number.isFinite(value) ? "\u20
 
 function numbers(live) {
   const s = live.scalars, ms = live.recent_ms;
+  const left = Object.values(live.not_usable).reduce((sum, count) => sum + count, 0);
+  const why = Object.entries(live.not_usable).map(([name, count]) => `${count} ${name.replaceAll("_", " ")}`).join(", ");
   const cells = [
     ["Rate", text(live.rate, 1), "frames/s"],
     ["Latency, median", text(ms.median, 2), "ms"],
     ["Latency, 99 %", text(ms.p99, 2), "ms"],
     ["Worst so far", text(live.latency_ms.worst, 1), "ms"],
     ["Frames", live.processed, `of ${live.frames_in}`],
+    ["Not counted", left, why, left > 0],
     ["Dropped", live.dropped, "", live.dropped > 0],
     ["Overruns", live.overruns, "", live.overruns > 0],
     ["Reconnects", live.reconnects, "", live.reconnects > 0],

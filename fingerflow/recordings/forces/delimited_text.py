@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.preamble import separator_of, without_preamble
 from fingerflow.recordings.forces.table import Table, split_unit
 from fingerflow.untrusted import first_line
 
@@ -17,7 +18,7 @@ COMMENTS = ("#", "%", "//")
 
 
 def read_table(path: Path) -> Table:
-    """Read all columns. The heading is the first line that is no comment; a line of units may follow it.
+    """Read all columns. The heading is the first line that is no comment and no preamble; a line of units may follow.
 
     A semicolon in the heading separates columns before a tab, a tab before a comma, a comma before blanks; a comma that
     does not separate is a decimal comma. Without a heading the columns are column_1, column_2, ...
@@ -28,12 +29,13 @@ def read_table(path: Path) -> Table:
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     table = Table(path, {})
+    text, table.sample_rate, table.start = without_preamble(path, text)
     lines = (line for line in re.finditer(r"[^\r\n]+", text) if _is_read(line.group()))
     first = next(lines, None)
     if first is None:
         raise FingerflowError(f"{path}: has no line besides comments")
     heading = first.group()
-    separator = next((mark for mark in (";", "\t", ",") if mark in heading), None)
+    separator = separator_of(heading)
     if separator is None:
         heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit separates no columns
     split = [cell.strip().strip('"').strip() for cell in heading.split(separator)]

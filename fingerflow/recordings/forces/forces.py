@@ -21,7 +21,8 @@ class Forces:
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
     "V", or "" for a trigger without one). `trigger`: name of the trigger's channel or None. `trigger_time`: s on the
-    clock of `times`, None until `align` has found it. `warnings`: what a user should read; `resample` adds to it.
+    clock of `times`, None until `align` has found it. `scales`: by which numbers of the file were multiplied to be in
+    `units`, 1 where it is left out. `warnings`: what a user should read; `resample` adds to it.
 
     Raises FingerflowError for times that are not finite or do not increase, and for channels of another length.
     """
@@ -32,6 +33,7 @@ class Forces:
     units: Mapping[str, str]
     trigger: str | None = None
     trigger_time: float | None = None
+    scales: Mapping[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:

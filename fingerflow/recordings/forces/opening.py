@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,14 @@ READER_OF = {
     ".csv": "delimited_text",
     ".txt": "delimited_text",
     ".tsv": "delimited_text",
+    ".lvm": "delimited_text",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
     ".mat": "matlab",
     ".tdms": "tdms",
 }
 TO_NEWTON = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6, "µN": 1e-6, "μN": 1e-6}
+TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # standard gravity (CGPM 1901), exact
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
@@ -34,22 +37,28 @@ SAME_RATE = 0.01  # relative difference up to which two clocks say the same
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
 
+#: The name of a column, or its number, from 1 as it stands in the file: of files without a heading.
+Column = str | int
+
+
 def open_forces(
     path: str | PathLike[str],
-    channels: Sequence[str] | Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    time: str | None = None,
+    channels: Sequence[Column] | Mapping[str, Column] | None = None,
+    units: Mapping[str, str] | Mapping[int, str] | Mapping[Column, str] | None = None,
+    time: Column | None = None,
     sample_rate: float | None = None,
-    trigger: str | None = None,
+    trigger: Column | None = None,
     lengths: Collection[str] = (),
 ) -> Forces:
     """Read forces and bring them to s, N and V, and positions beside them to m.
 
-    path: CSV or other delimited text, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
+    Columns are named, or numbered from 1 as they stand in the file.
+
+    path: CSV or other delimited text, LabVIEW's `.lvm` among them, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
     channels: names of the columns to keep, or a mapping from the name that they get to the name in the file; by
         default all.
-    units: unit of a column by its name in the file; goes before what the file says. Forces in N, mN, kN or uN become N;
-        V and mV become V; a time column may be in s, ms, us or min (s if nobody says).
+    units: unit of a column by its name in the file; goes before what the file says. Forces in N, mN, kN, uN, gf or
+        kgf become N; V and mV become V; a time column may be in s, ms, us or min (s if nobody says).
     time: name of the time column. By default one called time, t or timestamp, in any case of letters.
     sample_rate: Hz, for a file without times, or with times of too few digits; goes before the rate that the file
         states. Times that increase and tell another rate are not overruled.
@@ -71,9 +80,12 @@ def open_forces(
         table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:
         raise FingerflowError(f"{location}: has no column of numbers")
-    table.units.update(units or {})
-    for name in units or {}:
-        _column(table, name)
+    table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
+    time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
+    if isinstance(channels, Mapping):
+        channels = {name: _name(table, column) for name, column in channels.items()}
+    elif channels is not None and not isinstance(channels, str):
+        channels = [_name(table, column) for column in channels]
     times, time_column = _times(table, time, sample_rate)
     wanted = _wanted(table, channels, trigger, time_column, len(times) if time_column else None)
     if times.size == 0:  # the rate is known, the length follows from the columns
@@ -81,6 +93,7 @@ def open_forces(
         times = table.start + np.arange(count) / (sample_rate or table.sample_rate or math.nan)
     values: dict[str, NDArray[np.float64]] = {}
     canonical: dict[str, str] = {}
+    scales: dict[str, float] = {}
     for name, column in wanted.items():
         data = _column(table, column)
         if len(data) != len(times):
@@ -88,8 +101,8 @@ def open_forces(
                 f"{location}: column {column!r} has {len(data)} samples, but there are {len(times)} times"
             )
         factor, canonical[name] = _unit(table, column, column == trigger, column in lengths)
-        values[name] = data * factor
-    return Forces(location, times, values, canonical, trigger=_name_of(wanted, trigger), warnings=table.warnings)
+        values[name], scales[name] = data * factor, factor
+    return Forces(location, times, values, canonical, _name_of(wanted, trigger), scales=scales, warnings=table.warnings)
 
 
 def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
@@ -148,7 +161,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 
 def _wanted(
     table: Table,
-    channels: Sequence[str] | Mapping[str, str] | None,
+    channels: Sequence[Any] | Mapping[str, Any] | None,
     trigger: str | None,
     time_column: str | None,
     count: int | None,
@@ -180,6 +193,19 @@ def _is_time(name: str) -> bool:
     return re.split(r"[./]", name)[-1].strip().lower() in TIME_NAMES
 
 
+def _name(table: Table, column: Column) -> str:
+    """The name of a column that is named or numbered. Raises FingerflowError where there is none."""
+    names = list(table.columns)
+    if isinstance(column, int):
+        if not 1 <= column <= len(names):
+            raise FingerflowError(
+                f"{table.path}: has no column {column}; it has {len(names)}, numbered from 1: {_names(table)}"
+            )
+        return names[column - 1]
+    _column(table, column)
+    return column
+
+
 def _column(table: Table, name: str) -> NDArray[np.float64]:
     if name not in table.columns:
         raise FingerflowError(f"{table.path}: has no column {name!r}; its columns are {_names(table)}")
@@ -198,8 +224,8 @@ def _unit(table: Table, column: str, may_be_missing: bool, is_length: bool) -> t
     known = ", ".join(name for factors, _ in allowed for name in factors)
     state = "has no unit" if unit is None else f"is in {unit!r}, which is not known"
     raise FingerflowError(
-        f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, or leave the "
-        "column out with channels="
+        f"{table.path}: column {column!r} {state}. Pass units={{{column!r}: ...}} with one of {known}, in a scene "
+        "[forces] units, or leave the column out with channels="
     )
 
 

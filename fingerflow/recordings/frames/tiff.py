@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
     try:
         with reading(path, "TIFF"):
             file = tifffile.TiffFile(path)
+            _check_chain(path, file)
             description, stack = _describe(path, file, file.series, complaints.messages)
             return TiffRecording(description, frame_rate, file, stack)
     except FingerflowError:
@@ -87,6 +89,29 @@ class _Complaints(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         self.messages.append(record.getMessage())
         return False
+
+
+def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
+    """Each page says where the next one stands. Raises FingerflowError where that leads back: tifffile looks for it at
+    the hundredth page only, and not at all where it takes pages one by one.
+    """
+    layout, handle, size = file.tiff, file.filehandle, path.stat().st_size
+    seen: set[int] = set()
+    offset = file.pages.first.offset
+    while 0 < offset < size:
+        if offset in seen:
+            raise FingerflowError(
+                f"{path}: page {len(seen)} is followed by the one at byte {offset}, which came before; copy the file "
+                "again, or export it anew"
+            )
+        seen.add(offset)
+        handle.seek(offset)
+        tags = struct.unpack(layout.tagnoformat, handle.read(layout.tagnosize))[0]
+        handle.seek(offset + layout.tagnosize + tags * layout.tagsize)
+        following = handle.read(layout.offsetsize)
+        if len(following) < layout.offsetsize:  # the file ends, which the library says
+            return
+        offset = struct.unpack(layout.offsetformat, following)[0]
 
 
 def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list[str]) -> tuple[Description, _Stack]:

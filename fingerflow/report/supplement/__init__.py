@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fingerflow.atomic_write import is_marked, keep_others
 from fingerflow.report.model_movie import write_movie
 from fingerflow.report.supplement.of_models import decomposition, half_sphere, strains_at_depth
 from fingerflow.report.supplement.of_observer import curl, ideal_observer, individual_performance
@@ -35,6 +36,7 @@ FIGURES: dict[str, Callable[[Sources], Sheet]] = {
     "S12": individual_performance,
     "S13": curl,
 }
+MOVIE = "M3.mp4"
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,14 @@ class Written:
         return f"{self.name}: {self.path}" + (f" (without {skipped})" if skipped else "")
 
 
-def write_supplement(sources: Sources, folder: Path, progress: bool = True) -> list[Written]:
+def write_supplement(sources: Sources, folder: Path, progress: bool = True, overwrite: bool = False) -> list[Written]:
     """Writes each figure as PNG and the model's movie as `M3.mp4` into a folder, made where there is none.
 
-    Raises FingerflowError where a file cannot be written or a trace cannot be cut into epochs.
+    Raises FingerflowError where a file cannot be written or a trace cannot be cut into epochs; and, before anything is
+    drawn, where without ``overwrite`` a file of such a name is there that is no such figure.
     """
+    for name in (*(f"{figure}.png" for figure in FIGURES), MOVIE):
+        keep_others(folder / name, is_marked, overwrite)
     written = []
     with tqdm(FIGURES.items(), desc="figures", disable=not progress, leave=False) as bar:
         for name, make in bar:
@@ -65,5 +70,5 @@ def write_supplement(sources: Sources, folder: Path, progress: bool = True) -> l
             sheet = make(sources)
             path = sheet.write(folder) if sheet.panels else None
             written.append(Written(name, path, sheet.left_out))
-    movie = write_movie(sources.presses, folder / "M3.mp4", progress)
+    movie = write_movie(sources.presses, folder / MOVIE, progress)
     return [*written, Written("M3", movie, ())]

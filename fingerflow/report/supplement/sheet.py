@@ -7,11 +7,10 @@ from typing import Any
 
 from matplotlib.figure import Figure, SubFigure
 
-from fingerflow.atomic_write import write_atomically
+from fingerflow.report.picture_files import save_figure
 
 _COLUMNS = 3
 _PANEL_INCHES = (4.6, 3.8)
-_DPI = 110
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,5 @@ class Sheet:
     def write(self, folder: Path) -> Path:
         """Writes `S1.png` and so on, whole or not at all; raises FingerflowError where it cannot be written."""
         path = folder / f"{self.name}.png"
-        figure = self.figure()
-        write_atomically(path, lambda part: figure.savefig(part, format="png", dpi=_DPI))
+        save_figure(self.figure(), path)
         return path

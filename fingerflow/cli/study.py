@@ -1,15 +1,17 @@
-"""`fingerflow study ...`: one command a function, no logic."""
+"""Commands of a study: many recordings, one table."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fingerflow.cli.app import app
 from fingerflow.errors import FingerflowError
 
-app = typer.Typer(
+study = typer.Typer(
     help="Many recordings: from a folder to a table of trials, its statistics and figures.", no_args_is_help=True
 )
+app.add_typer(study, name="study")
 Manifest = Annotated[Path, typer.Argument(help="study.toml, or its folder.")]
 Scheduler = Annotated[
     str | None,
@@ -23,7 +25,7 @@ Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern
 _INTERRUPTED = 130
 
 
-@app.command()
+@study.command()
 def init(
     folder: Annotated[Path, typer.Argument(help="The folder of the recordings.")],
     answers: Annotated[
@@ -40,7 +42,7 @@ def init(
     typer.echo(f"then: fingerflow study run {found.manifest}")
 
 
-@app.command()
+@study.command()
 def run(
     manifest: Manifest,
     scheduler: Scheduler = None,
@@ -56,21 +58,21 @@ def run(
     from fingerflow.study.run import plan_run, run_study
     from fingerflow.study.table import write_tables
 
-    study = load_manifest(manifest)
+    loaded = load_manifest(manifest)
     if dry_run:
-        planned = plan_run(study, only, retry_failed)
+        planned = plan_run(loaded, only, retry_failed)
         for one in planned:
             typer.echo(f"{one.entry.name}: {one.why}")
-        typer.echo(f"{len(planned)} of {len(study.trials)} trials would be run")
+        typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
         return
-    summary = run_study(study, scheduler, workers, only, retry_failed)
+    summary = run_study(loaded, scheduler, workers, only, retry_failed)
     typer.echo(str(summary))
-    typer.echo(f"table: {write_tables(study).trials}")
+    typer.echo(f"table: {write_tables(loaded).trials}")
     if summary.interrupted:
         raise typer.Exit(_INTERRUPTED)
 
 
-@app.command()
+@study.command()
 def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
     """Write the page of a study: trials, figures and statistics, from what `run` has left."""
     from fingerflow.study.manifest import load_manifest
@@ -79,7 +81,7 @@ def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = N
     typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers)}")
 
 
-@app.command()
+@study.command()
 def simulate(
     folder: Annotated[Path, typer.Argument(help="A new folder.")],
     participants: Annotated[int, typer.Option(min=2, help="Half of them with softer skin.")] = 4,

@@ -1,0 +1,32 @@
+"""The command line: one command a function, no logic; each file has the commands of one purpose."""
+
+import sys
+
+import typer
+
+from fingerflow.cli import live, preparation, processing, reporting, study, synthetic, tables, viewing  # noqa: F401  commands add themselves
+from fingerflow.cli.app import app as app
+from fingerflow.errors import FingerflowError
+
+_INTERRUPTED = 130  # exit status, as shells have it for SIGINT
+
+
+def main() -> None:
+    """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    try:
+        # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
+        code = app(standalone_mode=False) or 0
+    except FingerflowError as error:
+        typer.echo(f"fingerflow: {error}", err=True)
+        sys.exit(2)
+    except (KeyboardInterrupt, typer.Abort):
+        code = _INTERRUPTED
+    except Exception as error:
+        # Wrong usage: typer's own message, with the place in the command line.
+        if hasattr(error, "show") and hasattr(error, "exit_code"):
+            error.show()
+            sys.exit(error.exit_code)
+        raise
+    if code == _INTERRUPTED:
+        typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
+    sys.exit(code)

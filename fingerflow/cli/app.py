@@ -1,0 +1,43 @@
+"""The application to which commands add themselves, and the options that several of them have."""
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    help="Contact area, skin motion and strain from recordings of a fingertip on glass.", no_args_is_help=True
+)
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for machines, and no progress bar.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace a file that this command has not written; never an input.")
+]
+
+
+def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
+    """`fingerflow.process` with a progress bar, unless it is to be quiet; torch is loaded here."""
+    from fingerflow.pipeline import process
+
+    return process(scene, outputs, progress=not quiet, **options)
+
+
+def print_json(facts: Any) -> None:
+    """For machines."""
+    typer.echo(json.dumps(facts, indent=1))
+
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        from fingerflow import __version__
+
+        typer.echo(f"fingerflow {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _of_all(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,35 @@
+"""Bundles for live streams."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import AsJson, app, print_json
+
+
+@app.command()
+def export(
+    recipe: Annotated[Path, typer.Argument(help="A recipe file, such as export/exact.toml.")],
+    bundle: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write the graphs of a recipe as ONNX, with a player, and compare them with torch."""
+    from fingerflow.export import as_text, export_bundle
+
+    rows = export_bundle(recipe, bundle, progress=not as_json)
+    if as_json:
+        print_json({"bundle": str(bundle), "differences": [row._asdict() for row in rows]})
+    else:
+        typer.echo(f"{as_text(rows)}\n\nbundle: {bundle}")
+
+
+@app.command(
+    add_help_option=False,  # the player answers --help itself
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
+def stream(context: typer.Context) -> None:
+    """Play an exported bundle on a camera, a recording or a synthetic stream: fingerflow stream BUNDLE --help."""
+    from fingerflow.player import main as play
+
+    raise typer.Exit(play(context.args, prog="fingerflow stream"))

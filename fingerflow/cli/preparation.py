@@ -1,0 +1,148 @@
+"""Before a scene is processed: what a recording holds, the scene file, the calibration."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fingerflow.cli.app import AsJson, Overwrite, app, print_json
+from fingerflow.errors import FingerflowError
+
+
+@app.command()
+def init(
+    path: Annotated[Path, typer.Argument(help="The scene file to write.")] = Path("scene.toml"),
+    gel: Annotated[Path | None, typer.Option(help="Recording of a soft sensor with printed markers.")] = None,
+    mm_per_px: Annotated[float | None, typer.Option(help="Scale on the gel, with --gel.")] = None,
+) -> None:
+    """Write a commented scene file: to fill in, or with --gel one that can be processed as it is."""
+    from fingerflow.atomic_write import write_atomically
+    from fingerflow.recordings import open_recording
+    from fingerflow.scene import gel_scene_text, scene_text
+
+    if path.exists():
+        raise FingerflowError(f"{path} exists already; name another file or remove it")
+    if (gel is None) != (mm_per_px is None):
+        raise FingerflowError("--gel and --mm-per-px belong together: the recording, and how many mm of gel a px shows")
+    if gel is None or mm_per_px is None:
+        text = scene_text()
+    else:
+        with open_recording(gel) as recording:
+            text = gel_scene_text(gel.resolve().as_posix(), recording.frame_shape, mm_per_px)
+    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
+    typer.echo(f"{path} was written; {'' if gel else 'fill it in, '}then: fingerflow process {path}")
+
+
+@app.command()
+def info(recording: Path, as_json: AsJson = False) -> None:
+    """Say what a recording holds, without reading its frames: damage that only decoding shows is not among it."""
+    from fingerflow.recordings import open_recording
+
+    found = open_recording(recording)
+    facts = {
+        "path": str(found.path),
+        "frames": len(found),
+        "rows": found.frame_shape[0],
+        "columns": found.frame_shape[1],
+        "bit_depth": found.bit_depth,
+        "dtype": str(found.dtype),
+        "frame_rate_hz": found.frame_rate,
+        "first_time_s": None if found.times is None or not len(found) else float(found.times[0]),
+        "lossy_codec": found.lossy,
+        "unreadable": {str(index): reason for index, reason in found.unreadable.items()},
+        "warnings": list(found.warnings),
+    }
+    if as_json:
+        print_json(facts)
+    else:
+        typer.echo("\n".join(f"{name:14} {value}" for name, value in facts.items()))
+
+
+PixelRanges = tuple[int, int, int, int]
+
+
+@app.command()
+def calibrate(
+    ring: Annotated[Path, typer.Option(help="Frame of the ring that gives the scale.")],
+    target: Annotated[Path | None, typer.Option(help="Frame of the target with three discs, for two views.")] = None,
+    background: Annotated[Path | None, typer.Option(help="Frame of the empty glass.")] = None,
+    contact: Annotated[
+        PixelRanges | None,
+        typer.Option(
+            help="Where the contact view lies in a frame: first row, end of rows, first column, end of columns. "
+            "Default: the right half, or the whole frame without a target."
+        ),
+    ] = None,
+    topography: Annotated[
+        PixelRanges | None, typer.Option(help="The same for the topography view. Default: the left half.")
+    ] = None,
+    hole_radius_mm: Annotated[float, typer.Option(help="Radius of the ring's hole.")] = 2.75,
+    output: Annotated[Path, typer.Option(help="Calibration file to write; a picture is written beside it.")] = Path(
+        "calibration.toml"
+    ),
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
+    from fingerflow import calibration
+    from fingerflow.atomic_write import keep_others, spare, write_atomically
+
+    ring_frame = _first_frame(ring)
+    target_frame = None if target is None else _first_frame(target)
+    empty_frame = None if background is None else _first_frame(background)
+    views = _views(ring_frame.shape, contact, topography, both=target is not None)
+    found = calibration.calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame)
+    picture = output.with_suffix(".png")
+    spare(output, ring, target, background)
+    spare(picture, ring, target, background)
+    keep_others(output, calibration.is_calibration, overwrite)
+    # The picture has no mark of its own: it is ours where the file beside it is.
+    keep_others(picture, lambda _: output.exists() and calibration.is_calibration(output), overwrite)
+
+    def write_both(part: Path) -> None:
+        part.write_text(found.to_toml(), encoding="utf-8")
+        write_atomically(picture, lambda part: calibration.draw_overlay(part, found, target_frame, ring_frame))
+
+    # Both or none: nothing but a renaming is left when the picture is there.
+    write_atomically(output, write_both)
+    facts: dict[str, Any] = {
+        "mm_per_px": found.mm_per_px,
+        "hole_radius_px": found.hole.radius_px,
+        "affine": None if found.affine is None else found.affine.matrix.tolist(),
+        "similarity_rms_px": None if found.similarity is None else found.similarity.rms_px,
+        "warnings": list(found.warnings),
+        "calibration": str(output),
+        "picture": str(picture),
+    }
+    if as_json:
+        print_json(facts)
+    else:
+        typer.echo("\n".join(f"{name:18} {value}" for name, value in facts.items()))
+
+
+def _first_frame(path: Path) -> Any:
+    from fingerflow.recordings import open_recording
+
+    with open_recording(path) as recording:
+        if not len(recording):
+            raise FingerflowError(f"{path} has no frame; one is needed")
+        frame = recording[0]
+        if recording.unreadable:
+            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
+        return frame
+
+
+def _views(
+    shape: tuple[int, int], contact: PixelRanges | None, topography: PixelRanges | None, both: bool
+) -> dict[str, Any]:
+    """The views of calibration frames: as given, or the halves of a frame, or the whole one."""
+    from fingerflow.views import View
+
+    rows, columns = shape
+    half = columns // 2 if both else 0
+    chosen = {"contact": contact or (0, rows, half, columns)}
+    if both:
+        chosen["topography"] = topography or (0, rows, 0, half)
+    elif topography is not None:
+        raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
+    return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}

@@ -1,0 +1,89 @@
+"""From a scene to a result, and what results there are."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
+from fingerflow.errors import FingerflowError
+
+
+@app.command()
+def process(
+    scene: Annotated[
+        Path | None, typer.Argument(help="A scene file; with --from the one of that result, where none is given.")
+    ] = None,
+    variables: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--variable",
+            "-v",
+            help="A variable that is wanted, as `fingerflow outputs` names it; may be repeated. Default: all.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Result file; default result.h5 beside the scene.")
+    ] = None,
+    earlier: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="A result of the same recording: what does not depend on the settings that have changed since is "
+            "taken from there, and only the rest is computed. It may be the file that is written.",
+        ),
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda ...")] = "auto",
+    engine: Annotated[str, typer.Option(help="torch, or onnx: the graphs of a bundle, by ONNX Runtime.")] = "torch",
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compute a scene and save the result."""
+    from fingerflow.result import scene_of
+    from fingerflow.scene import load_scene
+
+    if scene is None:
+        if earlier is None:
+            raise FingerflowError("name a scene file, or a result by --from whose scene is computed again")
+        scene = scene_of(earlier)
+    path = output or scene.parent / "result.h5"
+    loaded = load_scene(scene)
+    result = process_scene(
+        loaded, variables, quiet=as_json, device=device, engine=engine, to=path, overwrite=overwrite, earlier=earlier
+    )
+    taken = json.loads(result.attrs["taken_over"]) if earlier is not None else None
+    if as_json:
+        print_json(
+            {
+                "result": str(path),
+                "variables": sorted(map(str, result.data_vars)),
+                "warnings": json.loads(result.attrs["warnings"]),
+                **({} if taken is None else {"taken_over": taken}),
+            }
+        )
+    else:
+        for warning in json.loads(result.attrs["warnings"]):
+            typer.echo(f"warning: {warning}", err=True)
+        if taken is not None:
+            typer.echo(f"taken from {earlier}: {', '.join(taken['stages']) or 'nothing'}")
+            for stage, why in taken["computed"].items():
+                typer.echo(f"computed: {stage}, since {why}")
+        typer.echo(f"result: {path}")
+
+
+@app.command()
+def outputs(
+    names: Annotated[list[str] | None, typer.Argument(help="Of variables, or parts of names. Default: all.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the variables that can be computed: unit, dimensions, stage, definition and equation of each."""
+    from fingerflow.dictionary import dictionary
+
+    rows = [row for row in dictionary() if not names or any(name in row.name for name in names)]
+    if not rows:
+        raise FingerflowError(f"no variable is called {' or '.join(names or ())}; `fingerflow outputs` lists all")
+    if as_json:
+        print_json([row._asdict() for row in rows])
+    else:
+        typer.echo("\n".join(map(str, rows)))

@@ -1,0 +1,139 @@
+"""From results to pages, figures and verdicts."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import AsJson, Overwrite, app, print_json, process_scene
+from fingerflow.errors import FingerflowError
+
+
+@app.command()
+def report(
+    scene: Annotated[Path, typer.Argument(help="A scene file, or the results folder of a stream.")],
+    result: Annotated[Path | None, typer.Option(help="Default result.h5 beside the scene.")] = None,
+    friction: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="A coefficient of friction at which the skin chain is pressed with the measured force and drawn "
+            "beside the measured contact area and divergence; may be repeated."
+        ),
+    ] = None,
+    chain: Annotated[str, typer.Option(help="That chain's parameters: paper or lab.")] = "paper",
+    overwrite: Overwrite = False,
+) -> None:
+    """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
+    from fingerflow.report import write_report
+    from fingerflow.report.beside_chain import compare_with_chain
+    from fingerflow.result import load_result
+    from fingerflow.scene import load_scene
+
+    if scene.is_dir():
+        from fingerflow.stream_result import open_stream
+
+        if result is not None:
+            raise FingerflowError(
+                f"--result {result}: {scene} is the folder of a stream, which has its own; leave it out"
+            )
+        if friction:
+            raise FingerflowError(f"--friction: {scene} is the folder of a stream, which has no forces to press with")
+        typer.echo(f"report: {write_report(open_stream(scene), None, scene, overwrite=overwrite)}")
+        return
+    loaded = load_scene(scene)  # first: what is wrong with it is not the result's fault
+    stored = load_result(result or scene.parent / "result.h5")
+    beside = compare_with_chain(stored, friction, chain) if friction else None
+    typer.echo(f"report: {write_report(stored, loaded, scene.parent, chain=beside, overwrite=overwrite)}")
+
+
+@app.command()
+def slip(
+    scenes: Annotated[list[Path], typer.Argument(help="Scene files of trials of tangential loading.")],
+    figure: Annotated[Path | None, typer.Option(help="A folder for figures: one a trial, and one of all.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Judge whether the stuck area of each trial vanishes abruptly or fades."""
+    from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
+    from fingerflow.scene import load_scene
+
+    trials, failed = [], 0
+    for path in scenes:
+        try:
+            result = process_scene(load_scene(path), ["stuck_ratio"], quiet=True)
+        except FingerflowError as error:
+            failed += 1
+            typer.echo(f"{path}: not judged: {error}")
+            continue
+        trials.append(SlipTrial.of(result, str(path)))
+        typer.echo(verdict_line(trials[-1]))
+        for warning in json.loads(result.attrs["warnings"]):
+            typer.echo(f"warning: {path}: {warning}", err=True)
+    typer.echo(summary(trials, failed))
+    if figure is not None and trials:
+        typer.echo(f"figures: {write_figures(trials, figure, overwrite)}")
+    if not trials:
+        raise typer.Exit(2)
+
+
+@app.command()
+def figures(
+    folder: Annotated[Path, typer.Argument(help="Where to write S1.png, S4.png ... and M3.mp4.")],
+    tribometer: Annotated[
+        Path | None,
+        typer.Option(help="A trace of sliding friction, for figure S1: CSV, HDF5, .mat or .tdms."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="normal=NAME, tangential=NAME, position=NAME, amplitude=NAME or time=NAME: what a column of the trace "
+            "is called there; may be repeated."
+        ),
+    ] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=UNIT of a column of the trace that does not state it; may be repeated."),
+    ] = None,
+    trials: Annotated[
+        Path | None,
+        typer.Option(
+            help="A CSV file, one row a trial: participant, trial, condition (vibration amplitude in µm), answer (1 or "
+            "0) and any of max_force, time_to_max_force, duration, force_rate, max_displacement, global_displacement, "
+            "force_angle, real_contact_area, gross_contact_area, divergence, curl, strain, strain_rate, strain_energy, "
+            "strain_energy_rate, in N, s, mm, rad and mJ, strain and divergence without unit; "
+            "of any with _difference behind its name, comparison less reference."
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Draw the figures of Willemet et al. 2021 that simulation, a tribometer trace and a table of trials give."""
+    from fingerflow.report.supplement import Sources, write_supplement
+    from fingerflow.report.trials_file import load_trials
+    from fingerflow.report.tribometer import read_tribometer
+
+    names, units = _pairs("--column", column), _pairs("--unit", unit)
+    if tribometer is None and (names or units):
+        raise FingerflowError("--column and --unit are of a trace; give the file by --tribometer")
+    sources = Sources(
+        tribometer=None if tribometer is None else read_tribometer(tribometer, names, units),
+        trials=None if trials is None else load_trials(trials),
+    )
+    written = write_supplement(sources, folder, progress=not as_json, overwrite=overwrite)
+    if as_json:
+        print_json(
+            [
+                {"figure": one.name, "file": one.path and str(one.path), "left_out": list(one.left_out)}
+                for one in written
+            ]
+        )
+    else:
+        typer.echo("\n".join(map(str, written)))
+
+
+def _pairs(option: str, given: list[str] | None) -> dict[str, str]:
+    pairs = [text.partition("=") for text in given or []]
+    for name, equals, value in pairs:
+        if not (name and equals and value):
+            raise FingerflowError(f"{option} {name}{equals}{value}: give two names with = between them")
+    return {name: value for name, _, value in pairs}

@@ -1,0 +1,125 @@
+"""Recordings with known truth."""
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import AsJson, app, print_json, process_scene
+from fingerflow.errors import FingerflowError
+
+_DEMO_FILES = {
+    *("scene.toml", "frames.npy", "empty.npy", "dark.npy", "forces.csv", "truth.json"),
+    *("result.h5", "report.html", "overlay.mp4"),
+}
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Where to write.")] = Path("fingerflow-demo"), as_json: AsJson = False
+) -> None:
+    """Simulate a press, process it, and compare with its known truth."""
+    from fingerflow.comparison import as_text, compare
+    from fingerflow.report import write_report
+    from fingerflow.result import save_result
+    from fingerflow.scene import load_scene
+    from fingerflow.synthetic import rebuild_scene
+
+    if folder.exists():
+        _remove_demo(folder)
+    _simulate("press", folder)
+    scene = load_scene(folder / "scene.toml")
+    result = process_scene(scene, None, quiet=as_json)
+    save_result(result, folder / "result.h5")
+    rows = compare(result, rebuild_scene(folder))
+    report = write_report(result, scene, folder, rows)
+    if as_json:
+        print_json({"report": str(report), "comparison": [row._asdict() for row in rows]})
+    else:
+        typer.echo(f"{as_text(rows)}\n\nresult: {folder / 'result.h5'}\nreport: {report}")
+
+
+@app.command()
+def simulate(
+    kind: Annotated[
+        str,
+        typer.Argument(help="press, chain-press (skin moves as a skin chain under friction), slide or partial-slip"),
+    ],
+    folder: Path,
+    skin: Annotated[
+        str | None,
+        typer.Option(
+            help="loop, whorl or arch: a fingerprint with minutiae and pores, whose ridges break at the border of the "
+            "contact. Default: even rings of ridges, whole up to the border."
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--print",
+            help="A picture of a fingerprint, dark ridges on bright glass, as the skin. Where it is blank, and beyond "
+            "it, the skin is smooth and never touches. It is copied into the folder: the truth needs it.",
+        ),
+    ] = None,
+    dpi: Annotated[float | None, typer.Option(help="Pixels an inch of that picture. Default: 500.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of a chain-press. Default: 0.2.")] = None,
+) -> None:
+    """Write a synthetic recording with known truth, and a scene file for it."""
+    _simulate(kind, folder, skin, picture, dpi, friction)
+    typer.echo(f"{folder} was written; process it with: fingerflow process {folder / 'scene.toml'}")
+
+
+def _remove_demo(folder: Path) -> None:
+    """Removes what an earlier demo wrote; raises FingerflowError, and removes nothing, where anything else is there."""
+    strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)
+    if strange or not (folder / "truth.json").exists():
+        found = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"
+        raise FingerflowError(f"{folder} exists and {found}; give another folder, or remove it")
+    shutil.rmtree(folder)
+
+
+def _simulate(
+    kind: str,
+    folder: Path,
+    skin: str | None = None,
+    picture: Path | None = None,
+    dpi: float | None = None,
+    friction: float | None = None,
+) -> None:
+    from dataclasses import replace
+
+    from fingerflow.synthetic import (
+        ChainPress,
+        FingerprintTexture,
+        PartialSlip,
+        Press,
+        Scene,
+        Slide,
+        scene_of_print,
+        write_recording,
+    )
+
+    kinds: dict[str, type[Scene]] = {
+        "press": Press,
+        "chain-press": ChainPress,
+        "slide": Slide,
+        "partial-slip": PartialSlip,
+    }
+    if kind not in kinds:
+        raise FingerflowError(f"{kind!r} cannot be simulated; choose one of {', '.join(kinds)}")
+    if skin is not None and picture is not None:
+        raise FingerflowError("--skin and --print are two skins; give one of them")
+    if dpi is not None and picture is None:
+        raise FingerflowError("--dpi is the resolution of a picture; give the picture by --print")
+    if picture is not None:
+        scene = scene_of_print(kinds[kind], picture, **({} if dpi is None else {"dpi": dpi}))
+    else:
+        scene = kinds[kind]() if skin is None else kinds[kind](texture=FingerprintTexture(pattern=skin))
+    if friction is not None:
+        if not isinstance(scene, ChainPress):
+            raise FingerflowError(f"--friction {friction:g} is of a chain-press; a {kind} has none that moves its skin")
+        if not 0 <= friction < float("inf"):
+            raise FingerflowError(f"--friction {friction:g}: a coefficient is 0 or more")
+        scene = replace(scene, friction=friction)
+    write_recording(folder, scene)

@@ -1,0 +1,71 @@
+"""From results to files for other programs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import Overwrite, app
+from fingerflow.errors import FingerflowError
+
+Result = Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")]
+
+
+@app.command("export-table")
+def export_table(
+    result: Result,
+    table: Annotated[Path, typer.Argument(help="A .csv or .mat file.")],
+    rows: Annotated[
+        str,
+        typer.Option(
+            help="What is a row of a .csv: frame; point, one a point in each frame; or track, columns as napari's "
+            "tracks have them: ID, t, y, x."
+        ),
+    ] = "frame",
+    variables: Annotated[
+        list[str] | None,
+        typer.Option("--variable", "-v", help="A variable that is a column; may be repeated. Default: all."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a result as CSV (a row a frame, a point or a step of a track) or .mat (everything)."""
+    if result.is_dir() and table.suffix == ".csv" and rows == "frame" and not variables:
+        _export_stream(result, table, overwrite)
+        return
+    from fingerflow import tables
+    from fingerflow.result import load_result
+    from fingerflow.stream_result import open_stream
+
+    given = open_stream(result) if result.is_dir() else load_result(result)
+    tables.export_table(given, table, rows, variables, overwrite)
+    typer.echo(f"{table} was written")
+
+
+@app.command("export-map")
+def export_map(
+    result: Annotated[Path, typer.Argument(help="A result file.")],
+    variable: Annotated[str, typer.Argument(help="With a value for each point or triangle, such as divergence.")],
+    picture: Annotated[Path, typer.Argument(help="A .tif file, for ImageJ, or a .csv file.")],
+    step_mm: Annotated[float, typer.Option(help="Between the places of the grid, on the glass.")] = 0.1,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a variable on a regular grid of the glass: a stack of maps, one a frame."""
+    from fingerflow import tables
+    from fingerflow.result import load_result
+
+    tables.export_map(load_result(result), picture, variable, step_mm, overwrite)
+    typer.echo(f"{picture} was written")
+
+
+def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
+    """The player's own table has the same columns, and needs no torch."""
+    from fingerflow.atomic_write import keep_others
+    from fingerflow.player import PlayerError, write_table
+    from fingerflow.tables import is_table
+
+    keep_others(table, is_table, overwrite)
+    try:
+        write_table(folder, table, overwrite=True)
+    except PlayerError as error:
+        raise FingerflowError(str(error)) from None
+    typer.echo(f"{table} was written")

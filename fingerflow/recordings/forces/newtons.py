@@ -1,0 +1,72 @@
+"""Readings of force sensors to newtons: unit, zero, sensitivity and sign, in one place for all that read forces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.forces.forces import Forces
+
+_CHANGES = 0.1  # N by which a force may change in the time in which nothing touches
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How readings of a channel become a force: sign x gain x (reading - zero), in N.
+
+    Attributes:
+        gain: N for a unit of the reading, which is V where the channel is in V, N else.
+        sign: -1 where the channel falls as the force grows.
+        offset: reading without a load, in the channel's unit as it stands in the file; None where `tare` tells.
+        tare: s from the trigger, in which nothing touches: the mean reading there is the zero.
+    """
+
+    gain: float | None = None
+    sign: float = 1.0
+    offset: float | None = None
+    tare: tuple[float, float] | None = None
+
+
+def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
+    """The same recording, aligned, with the channels of `sensors` in N.
+
+    Args:
+        forces: from `open_forces`; times count from the trigger.
+        sensors: by channel.
+        columns: names of these channels in the file, for messages.
+
+    Raises FingerflowError for a channel in V without a gain, and a tare that holds no sample.
+    """
+    values, units = dict(forces.channels), dict(forces.units)
+    warnings = list(forces.warnings)
+    for name, sensor in sensors.items():
+        if units[name] != "N" and sensor.gain is None:
+            raise FingerflowError(
+                f"{forces.path}: column {columns[name]!r} of the {name.replace('_', ' ')} is in {units[name]}, not in "
+                f"N; give the sensor's sensitivity in the scene, [forces] gain = 2.5 in N/{units[name]}, and [forces] "
+                f'units = "N" if the heading is wrong'
+            )
+        factor = sensor.sign * (1.0 if sensor.gain is None else sensor.gain)
+        readings = forces.channels[name]
+        zero = 0.0 if sensor.offset is None else sensor.offset * forces.scales.get(name, 1.0)
+        if sensor.tare is not None:
+            first, last = sensor.tare
+            resting = readings[(forces.times >= first) & (forces.times <= last)]
+            resting = resting[np.isfinite(resting)]
+            if not resting.size:
+                raise FingerflowError(
+                    f"{forces.path}: forces.tare is [{first:g}, {last:g}] s from the trigger, and no sample of "
+                    f"{columns[name]!r} lies there: the file lasts from {forces.times[0]:g} to {forces.times[-1]:g} s"
+                )
+            zero = float(resting.mean())
+            early, late = (float(part.mean()) for part in np.array_split(resting, 2)) if resting.size > 1 else (0, 0)
+            if abs(factor * (late - early)) > _CHANGES:
+                warnings.append(
+                    f"{forces.path}: the {name.replace('_', ' ')} changes by {abs(factor * (late - early)):.2g} N "
+                    f"within forces.tare = [{first:g}, {last:g}] s: is the finger off the glass all the time?"
+                )
+        values[name], units[name] = factor * (readings - zero), "N"
+    return replace(forces, channels=values, units=units, warnings=warnings)

@@ -1,0 +1,186 @@
+"""Skin that moved into the contact, where displacement by the places of onset has no gradient.
+
+Where a contact grows over skin, neighbours touch at places as far apart as they are, and the gradient of displacement
+by the places of onset is the usual one. Skin that moves in over a border at rest touches along one line: an area of it
+has places of onset without an area, and no gradient by them (`synthetic.Truth.gradient` is NaN there).
+What can be said of such skin is how it has deformed since its own entry, all neighbours counted from that moment:
+with F the gradient of its position by the place in a common frame, F(t) F(entry)^-1 - I.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, QhullError, cKDTree
+from torch import Tensor
+
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.store import Values
+
+LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
+_FRAMES = 64  # read at a time
+Points = NDArray[np.float64]
+Numbers = NDArray[np.integer]
+
+
+def moved_in(
+    position: Values, chosen: Numbers, onset: Numbers, reference: Points, gauge_mm: float
+) -> NDArray[np.bool_]:
+    """Which points (N,) came into contact by moving into it.
+
+    Those whose neighbours' places of onset span less than `LEAST_AREA` of the area of the skin, by local fits among
+    points that have an onset. Those of which the skin around that touches already has moved by an eighth of the gauge
+    length since its own onset, in the median: where a contact grows at twice the speed of the skin or faster, it has
+    moved by less; it tells of single points, and of a narrow band along a border, which span no area. And those that
+    were chosen later than the others, within the contact.
+
+    Args:
+        position: (frames, N, 2) mm.
+        chosen: (N,) frame in which a point was chosen.
+        onset: (N,) frame, -1 for none.
+        reference: (N, 2) mm, places of onset.
+        gauge_mm: over which a fit is made.
+    """
+    first = chosen.min(initial=0)
+    found = (onset >= 0) & (chosen > first) & (onset <= chosen)
+    for frame in np.unique(chosen):
+        places = position[slice(frame, frame + 1)][0]
+        counts = (onset > max(frame, 0)) & np.isfinite(places + reference).all(1)
+        if counts.sum() < 3:
+            continue
+        shift = np.where(counts[:, None], reference - places, np.nan)
+        fit = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(shift)[None], gauge_length=gauge_mm)
+        area = torch.linalg.det(torch.eye(2) + fit.gradient[0]).numpy()
+        moves_in = (area < LEAST_AREA) | (
+            _neighbours_moved(position, places, onset, reference, gauge_mm) > gauge_mm / 8
+        )
+        found |= counts & (chosen == frame) & moves_in
+    return np.asarray(found)
+
+
+def _neighbours_moved(
+    position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float
+) -> NDArray[np.float64]:
+    """(N,) mm, median of how far points within half a gauge length that touched before had moved since, at the onset of
+    each; NaN where there is none, and for points that touch first.
+    """
+    moved = np.full(len(onset), np.nan)
+    known = np.isfinite(places + reference).all(1) & (onset >= 0)
+    here = np.flatnonzero(known & (onset > onset[known].min(initial=0)))
+    if not len(here):
+        return moved
+    touched = np.flatnonzero(known)
+    near = cKDTree(places[touched]).query_ball_point(places[here], gauge_mm / 2)
+    around = {point: touched[some] for point, some in zip(here, near, strict=True)}
+    for first in range(0, position.shape[0], _FRAMES):
+        rows: Points | None = None
+        for point in here[(onset[here] >= first) & (onset[here] < first + _FRAMES)]:
+            if rows is None:
+                rows = position[slice(first, min(first + _FRAMES, position.shape[0]))]
+            before = around[point][onset[around[point]] < onset[point]]
+            way = np.linalg.norm(rows[onset[point] - first, before] - reference[before], axis=1)
+            if np.isfinite(way).any():
+                moved[point] = np.nanmedian(way)
+    return moved
+
+
+class _Group(NamedTuple):
+    """Points that were chosen in one frame, and all that say something of their surroundings."""
+
+    members: Numbers  # (M,)
+    near: Numbers  # (K,)
+    places: Tensor  # (1, K, 2) mm in that frame
+    queries: Tensor  # (1, M, 2)
+
+
+class SinceEntry(NamedTuple):
+    """Of n frames and E points that moved in; NaN before the entry and where too little is known."""
+
+    gradient: Tensor  # (n, E, 2, 2) of the displacement since the own entry, by the places then
+    covariance: Tensor  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
+
+
+class EntryGradients:
+    """Gradients of the displacement since each point's own entry; frames come in the order of time."""
+
+    def __init__(self, entered: Numbers, position: Values, chosen: Numbers, onset: Numbers, gauge_mm: float) -> None:
+        """``entered`` (E,) are numbers of points; the others as for `moved_in`."""
+        self.entered, self._onset, self._gauge = entered, onset, gauge_mm
+        self._groups = []
+        for frame in np.unique(chosen[entered]):
+            members = entered[chosen[entered] == frame]
+            places = position[slice(frame, frame + 1)][0]
+            known = np.flatnonzero(np.isfinite(places).all(1))
+            apart, _ = cKDTree(places[members]).query(places[known])
+            near = known[apart <= gauge_mm / 2]
+            self._groups.append(_Group(members, near, _batch(places[near]), _batch(places[members])))
+        self._begun = torch.full((len(onset), 2, 2), torch.nan, dtype=torch.float64)
+        self._begun_covariance = torch.full((len(onset), 2, 2, 2, 2), torch.nan, dtype=torch.float64)
+
+    def at(self, frames: Numbers, position: Points, variance: NDArray[np.floating]) -> SinceEntry:
+        """In these frames (n,), from positions (n, N, 2) mm and the variance (n, N) mm^2 of a component against the
+        frame in which points were chosen. Half of it is that frame's, the same at all times.
+        """
+        size = (len(frames), len(self._onset))
+        gradient = torch.full((*size, 2, 2), torch.nan, dtype=torch.float64)
+        covariance = torch.full((*size, 2, 2, 2, 2), torch.nan, dtype=torch.float64)
+        identity = torch.eye(2, dtype=torch.float64)
+        for members, near, places, queries in self._groups:
+            moved = torch.from_numpy(position[:, near]) - places
+            noise = torch.from_numpy(variance[:, near].astype(np.float64) / 2)
+            fit = local_gradients(places, moved, queries, gauge_length=self._gauge, variance=noise)
+            assert fit.covariance is not None
+            now = identity + fit.gradient
+            for k, frame in enumerate(frames):
+                enter = np.flatnonzero(self._onset[members] == frame)
+                self._begun[members[enter]] = now[k, enter]
+                self._begun_covariance[members[enter]] = fit.covariance[k, enter]
+            gradient[:, members] = now @ _inverse(self._begun[members]) - identity
+            covariance[:, members] = fit.covariance + self._begun_covariance[members]
+        return SinceEntry(gradient[:, self.entered], covariance[:, self.entered])
+
+
+class EntryTriangles(NamedTuple):
+    """Triangles (M, 3) of points of which one at least moved in, and the frame (M,) from which each counts: in which
+    the last of its points has touched.
+    """
+
+    corners: NDArray[np.int32]
+    begins: NDArray[np.int64]
+
+
+def entry_triangles(entered: Numbers, position: Values, usable: Numbers, onset: Numbers) -> EntryTriangles:
+    """Delaunay triangles in the last of the ``usable`` frames, of points that are known there and have touched."""
+    none = EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
+    if not len(entered):
+        return none
+    last = int(usable[-1])
+    places = position[slice(last, last + 1)][0]
+    known = np.flatnonzero(np.isfinite(places).all(1) & (onset >= 0))
+    triangles = triangulate(np.where(np.isin(np.arange(len(places)), known)[:, None], places, np.nan))
+    triangles = triangles[np.isin(triangles, entered).any(1)]
+    return EntryTriangles(triangles, onset[triangles].max(1, initial=0).astype(np.int64))
+
+
+def triangulate(reference: Points) -> NDArray[np.int32]:
+    """Delaunay triangles (M, 3) of the finite points; none where fewer than three of them span an area."""
+    finite = np.flatnonzero(np.isfinite(reference).all(-1))
+    if len(finite) < 3:
+        return np.zeros((0, 3), dtype=np.int32)
+    try:
+        result: NDArray[np.int32] = finite[Delaunay(reference[finite]).simplices].astype(np.int32)
+        return result
+    except QhullError:  # all on one line
+        return np.zeros((0, 3), dtype=np.int32)
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """Of 2 x 2 matrices; NaN passes."""
+    (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
+    adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
+    return adjugate / (a * d - b * c)[..., None, None]
+
+
+def _batch(points: Points) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(points))[None]

@@ -1,0 +1,97 @@
+"""A result as rows and named columns."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+
+_PARTS = ("xy", "axis", "strain_component", "shear_component", "principal")  # dimensions that are columns each
+
+
+class Table(NamedTuple):
+    """`names` (C,) of the columns with their units, `rows` (R, C)."""
+
+    names: tuple[str, ...]
+    rows: NDArray[np.float64]
+
+
+def by_frame(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+    """One row a frame: frame, time, and what there is of it."""
+    columns = {"frame": result["frame"].values, **_of(result["time"])}
+    for values in _chosen(result, variables, ("frame",)):
+        columns |= _of(values)
+    return Table(tuple(columns), np.column_stack(list(columns.values())))
+
+
+def by_point(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+    """One row a point in a frame, frame by frame: frame, time, point, and what there is of it. A variable of points
+    alone, such as its onset, stands in each of its rows.
+    """
+    frames, points = _sizes(result)
+    columns: dict[str, NDArray[np.generic]] = {"frame": np.repeat(result["frame"].values, points)}
+    columns |= {name: np.repeat(one, points) for name, one in _of(result["time"]).items()}
+    columns["point"] = np.tile(np.arange(points), frames)
+    for values in _chosen(result, variables, ("frame", "point"), ("point",)):
+        for name, one in _of(values).items():
+            columns[name] = one.reshape(-1) if values.dims[0] == "frame" else np.tile(one, frames)
+    return Table(tuple(columns), np.column_stack(list(columns.values())))
+
+
+def by_track(result: xr.Dataset, variables: Sequence[str] | None) -> Table:
+    """As `napari.layers.Tracks` wants them: ID, t, y, x in frames and px, sorted by ID and time, where a point is
+    tracked; the columns beyond are properties.
+    """
+    if "position_px" not in result:
+        raise FingerflowError("the result has no position_px, of which tracks are; compute it, or the rows of frames")
+    frames, points = _sizes(result)
+    position = result["position_px"].values.transpose(1, 0, 2).reshape(-1, 2)
+    columns: dict[str, NDArray[np.generic]] = {
+        "track_id": np.repeat(np.arange(points), frames),
+        "t": np.tile(result["frame"].values, points),
+        "y": position[:, 1],
+        "x": position[:, 0],
+    }
+    named = _chosen(result, variables, ("frame", "point")) if variables else ()
+    for values in named:
+        columns |= {name: one.T.reshape(-1) for name, one in _of(values).items()}
+    rows = np.column_stack(list(columns.values()))
+    return Table(tuple(columns), rows[np.isfinite(position).all(1)])
+
+
+def _sizes(result: xr.Dataset) -> tuple[int, int]:
+    if "point" not in result.sizes:
+        raise FingerflowError("the result has no points; compute an output of them, such as position")
+    return result.sizes["frame"], result.sizes["point"]
+
+
+def _chosen(result: xr.Dataset, variables: Sequence[str] | None, *dims: tuple[str, ...]) -> Iterator[xr.DataArray]:
+    """Variables with these dimensions, and with parts; all that there are, or those named."""
+
+    def fits(values: xr.DataArray) -> bool:
+        of_it = tuple(map(str, values.dims))
+        return of_it in dims or (of_it[:-1] in dims and of_it[-1] in _PARTS)
+
+    for name in result.data_vars if variables is None else variables:
+        if name not in result:
+            there = [str(one) for one in result.data_vars if fits(result[one])]
+            raise FingerflowError(f"the result has no {name}; of such rows it has {', '.join(there)}")
+        if fits(result[name]):
+            yield result[name]
+        elif variables is not None:
+            raise FingerflowError(
+                f"{name} has a value for each of {', '.join(map(str, result[name].dims))}, not for each "
+                f"{' and '.join(dims[0])}; take other rows, or leave it out"
+            )
+
+
+def _of(values: xr.DataArray) -> dict[str, NDArray[np.generic]]:
+    """A variable's columns by their names with units, a part each."""
+    units = values.attrs["units"]
+    if values.dims[-1] not in _PARTS:
+        return {f"{values.name} ({units})": values.values}
+    parts = values[values.dims[-1]].values
+    return {f"{values.name}_{part} ({units})": values.values[..., k] for k, part in enumerate(parts)}

@@ -1,0 +1,90 @@
+"""Who may ask: the page itself, on this computer, opened by the address that was printed."""
+
+import hmac
+import secrets
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+HEADER = "x-fingerflow"  # another site's page cannot send it without leave, which it is not given
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Guard:
+    """Refuses names that are not this computer's (DNS rebinding), other origins, and whoever lacks the token.
+
+    Attributes:
+        token: of this run; in the address that opens the page, then in a cookie that only its own pages send.
+    """
+
+    def __init__(self, app: ASGIApp, port: int) -> None:
+        self._app = app
+        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self._cookie = f"fingerflow-{port}"  # cookies know no ports
+        self.token = secrets.token_urlsafe(24)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers itself, or lets the application."""
+        if scope["type"] != "http":
+            return
+        refused = self._refused(Headers(scope=scope), scope)
+        if refused is not None:
+            await refused(scope, receive, send)
+        else:
+            await self._app(scope, receive, _with_headers(send))
+
+    def _refused(self, headers: Headers, scope: Scope) -> Response | None:
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            return PlainTextResponse("this address is not served under that name", 421)
+        own = f"http://{hosts[0].lower()}"
+        if any(origin.lower() != own for origin in origins):
+            return PlainTextResponse("pages of other sites are refused", 403)
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not _opens(headers, scope):
+            return PlainTextResponse("pages of other sites are refused", 403)
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if scope["method"] == "GET" and scope["path"] == "/" and self._is_token(given):
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self._cookie, self.token, httponly=True, samesite="strict")
+            return answer
+        if not self._is_token(self._token_of(headers)):
+            return PlainTextResponse("open the whole address that `fingerflow view` has printed", 403)
+        if scope["method"] not in ("GET", "HEAD") and HEADER not in headers:
+            return PlainTextResponse("pages of other sites are refused", 403)
+        return None
+
+    def _token_of(self, headers: Headers) -> str:
+        try:
+            cookies = SimpleCookie(headers.get("cookie", ""))
+        except CookieError:
+            return ""
+        return cookies[self._cookie].value if self._cookie in cookies else ""
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+
+def _opens(headers: Headers, scope: Scope) -> bool:
+    """A link that somebody follows to the page itself, which the token still guards."""
+    return scope["path"] == "/" and headers.get("sec-fetch-mode") == "navigate" and scope["method"] == "GET"
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: object) -> None:
+        if isinstance(message, dict) and message["type"] == "http.response.start":
+            added = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
+            message = {**message, "headers": [*message.get("headers", []), *added]}
+        await send(message)  # type: ignore[arg-type]
+
+    return sending

@@ -1,0 +1,47 @@
+"""The keys of a scene for the forms of the page: from the table that `process` checks them with."""
+
+from typing import Any
+
+from fingerflow.player.contract.scene_keys import SCENE, Choice, File, Key, Number, Switch, Table, Text, Whole
+from fingerflow.player.contract.scene_kinds import KINDS
+
+
+def kinds() -> list[str]:
+    """Of scenes."""
+    return list(KINDS)
+
+
+def forms() -> dict[str, list[dict[str, Any]]]:
+    """By table, its keys: name, kind of input, limits, default. Views are drawn, not typed."""
+    return {
+        name: [_form(key, one) for key, one in table.keys.items() if isinstance(one, Key)]
+        for name, table in SCENE.items()
+        if isinstance(table, Table)
+    }
+
+
+def _form(name: str, key: Key) -> dict[str, Any]:
+    kind = key.type
+    said: dict[str, Any] = {"name": name, "default": key.default, "needed": "process" in key.needed_by}
+    match kind:
+        case Whole():
+            return {**said, "input": "whole", **_limits(kind), "odd": kind.odd}
+        case Number():
+            return {**said, "input": "number", **_limits(kind)}
+        case Choice():
+            return {**said, "input": "choice", "words": kind.words, "number": kind.number and _limits(kind.number)}
+        case Switch():
+            return {**said, "input": "switch"}
+        case File():
+            return {**said, "input": "file"}
+        case Text():
+            return {**said, "input": "text"}
+        case _:
+            return {**said, "input": "toml"}  # a matrix, a polygon: as it stands in the file
+
+
+def _limits(number: Number) -> dict[str, float | None]:
+    return {
+        "least": number.above if number.least is None else number.least,
+        "most": number.below if number.most is None else number.most,
+    }

@@ -1,0 +1,291 @@
+// Before processing: views, contact, points and forces of a scene that is being set up.
+import { arrays, get, newest, post, say } from "./net.js";
+import { $, digits, make, toggle } from "./elements.js";
+import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
+import { makeForms } from "./forms.js";
+
+const REACH = 9;  // screen px around an edge that take hold of it
+
+export class Setup {
+  constructor(app) {
+    this.app = app;
+    this.layer = { contact: true, points: true, blend: false };
+    this.points = null;
+    this.forces = null;
+    this.found = null;
+    this.edited = newest(async () => this.send());
+    this.pending = new Map();
+  }
+  get frames() { return this.facts?.recording?.frames || 0; }
+  get first() { return 0; }
+  async load() {
+    this.take(await get("api/setup"));
+    return this.facts.draft !== null;
+  }
+  async enter() {
+    const { app } = this;
+    app.picture.layers = (pen, at, scale) => this.draw(pen, at, scale);
+    app.picture.gestures = { down: (...a) => this.hold(...a), move: (...a) => this.drag(...a), up: () => this.drop(),
+      hover: (x, y) => this.cursor(x, y) };
+    $("layers").replaceChildren(
+      toggle("contact", this.layer.contact, on => this.set("contact", on), "Where process will find real contact"),
+      toggle("points", this.layer.points, on => this.set("points", on), "The points that process would follow"),
+      toggle("topography on contact", this.layer.blend, on => this.set("blend", on),
+        "The topography view laid over the contact view by the calibration: ridges should fall on ridges"));
+    $("hint").textContent = "Drag a view or its edges; wheel to zoom, double click for all.";
+    $("save-csv").hidden = true;
+    this.panel();
+    app.chart.show({ label: "", values: [] }, []);
+    $("courses").hidden = true;
+    this.legend();
+  }
+  set(name, on) {
+    this.layer[name] = on;
+    this.app.show();
+  }
+  panel() {
+    if (!this.facts.draft) return $("panel").replaceChildren(make("p", {}, "A result was opened. Name its scene to set it up."));
+    this.form = makeForms(this.facts, (key, value) => this.edit(key, value));
+    this.status = make("div", { id: "setup-status" });
+    this.numbers = make("dl", { className: "numbers" });
+    this.name = make("input", { type: "text", id: "scene-name", value: this.facts.draft.split(/[\\/]/).pop() });
+    this.name.setAttribute("aria-label", "Scene file");
+    $("panel").replaceChildren(
+      make("div", { className: "card" }, make("h2", {}, "Scene"), this.status,
+        make("div", { className: "bar" }, this.name,
+          make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
+          make("button", { id: "process", onclick: () => this.process() }, "Process")),
+        make("div", { id: "progress" })),
+      make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
+      make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
+      make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
+    this.update();
+  }
+  take(facts) {
+    this.facts = facts;
+    this.views = Object.fromEntries(Object.entries(facts.values?.views || {}).filter(([name, view]) =>
+      name in VIEW && Array.isArray(view?.rows) && Array.isArray(view?.columns)));
+  }
+  update() {
+    const { facts } = this;
+    this.form.update(facts);
+    $("text").textContent = facts.text;
+    const other = facts.problems.map(({ key, said }) => make("li", {}, make("b", {}, key), ` ${said}`));
+    const warned = [...(facts.recording?.warnings || []), ...(this.forces?.warnings || []), ...(this.points?.warnings || [])];
+    this.status.replaceChildren(...[
+      facts.recording_error ? make("p", { className: "wrong" }, facts.recording_error) : null,
+      other.length ? make("ul", { className: "wrong", id: "problems" }, other)
+        : make("p", { className: "good" }, facts.stored ? `${facts.draft} has these settings.` : "Complete. Not written yet."),
+      ...[...new Set(warned)].map(one => make("p", { className: "warned" }, one)),
+    ].filter(Boolean));
+    $("process").disabled = !facts.stored || other.length > 0;
+  }
+  edit(key, value) {
+    this.pending.set(key, value);
+    this.edited();
+  }
+  async send() {
+    const set = [...this.pending];
+    if (!set.length) return;
+    this.pending.clear();
+    const kind = this.facts.kind;
+    this.take(await post("api/edit", { set }));
+    say("");
+    this.update();
+    this.found = null;
+    if (kind !== this.facts.kind || set.some(([key]) => !key.startsWith("contact."))) await this.app.measure();
+    await this.app.show();
+    this.later();
+  }
+  // What takes longer than a frame, once nothing moves any more.
+  later() {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.refreshed(), 250);
+  }
+  refreshed = newest(async () => {
+    if (!this.facts.draft) return;
+    if (this.facts.problems.length) {
+      this.points = this.forces = null;
+    } else {
+      const found = await arrays("api/forces").catch(error => ({ why: error.message }));
+      this.forces = found.arrays ? found : null;
+      this.points = await arrays("api/points").catch(error => ({ why: error.message }));
+      say(found.why || "");
+    }
+    if (this.app.tab !== this) return;
+    this.update();
+    this.courses();
+    this.after(this.app.frame);
+    this.legend();
+    this.app.picture.redraw();
+  });
+  courses() {
+    const found = this.forces?.arrays;
+    const names = Object.keys(found || {}).filter(name => name !== "time");
+    $("courses").hidden = !names.length;
+    if (!names.length) return;
+    $("course-bar").replaceChildren(make("h2", {}, "Forces at the times of the frames"));
+    $("chart-hint").textContent = "Click for a frame. Low-passed to the frame rate, as process does.";
+    $("chart-csv").hidden = true;
+    const units = { normal_force: "N", tangential_force: "N", load_ratio: "1" };
+    const labels = { normal_force: "normal force", tangential_force: "tangential force", load_ratio: "tangential over normal" };
+    this.app.chart.show({ label: "time (s)", values: found.time.values },
+      names.map(name => ({ label: labels[name] || name, units: units[name] || "N", values: found[name].values })));
+    this.app.chart.cursor(this.app.frame - this.forces.first_frame);
+  }
+  frameOfChart(k) { return k + (this.forces?.first_frame || 0); }
+  async frame(k) {
+    const contact = this.layer.contact && !this.facts.problems.length && this.app.ready;
+    this.found = await arrays(`api/frame?frame=${k}${contact ? "&contact" : ""}`);
+    this.found.asked = contact;
+    return [this.found, this.views.contact || this.views.camera];
+  }
+  after(k) {
+    const numbers = this.found?.numbers, rate = this.facts.recording?.frame_rate;
+    const time = numbers?.time ?? (rate ? k / rate : null);
+    $("where").value = `frame ${k} of 0–${this.frames - 1}${time === null ? "" : `   ${digits(time, 4)} s`}`;
+    if (!this.numbers) return;
+    const forces = this.forces?.arrays, place = k - (this.forces?.first_frame || 0);
+    const rows = [
+      ["threshold", numbers?.contact_threshold, ""],
+      ["real contact area", numbers?.real_contact_area, "mm²"],
+      ["gross contact area", numbers?.gross_contact_area, "mm²"],
+      ["normal force", forces?.normal_force?.values[place], "N"],
+      ["tangential force", forces?.tangential_force?.values[place], "N"],
+    ];
+    this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value, unit]) =>
+      make("div", {}, make("dt", {}, name), make("dd", {}, digits(value), make("small", {}, ` ${unit}`)))));
+    const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame does not count (recording.first_frame, last_frame)." : "");
+    if (why || !rows.some(([, value]) => value !== undefined)) {
+      this.numbers.append(make("p", { className: "soft" }, why || (this.facts.problems.length ? "Contact shows when the settings are complete." : "Loading …")));
+    }
+    if (this.forces) this.app.chart.cursor(place);
+  }
+  draw(pen, at, scale) {
+    const contact = this.views.contact || this.views.camera, forces = this.forces;
+    if (this.layer.blend && forces && this.views.topography && contact) this.blend(pen, at, scale, contact);
+    const numbers = this.found?.numbers;
+    if (forces && numbers?.ellipse_center && this.layer.contact) {
+      drawEllipse(pen, at, placesIn(this.views, forces.mm_per_px, forces.topography_to_contact),
+        numbers.ellipse_center, numbers.ellipse_semi_axes, numbers.ellipse_angle);
+    }
+    const points = this.points?.arrays?.points, view = this.views.topography || this.views.camera;
+    if (points && view && this.layer.points) {
+      drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: Math.max(1.2, Math.min(4, 3 * scale)) });
+    }
+    drawViews(pen, at, this.views, true);
+  }
+  blend(pen, at, scale, contact) {
+    const { topography } = this.views, [[a, b, x], [c, d, y]] = this.forces.topography_to_contact, every = this.app.picture.every;
+    const [x0, y0] = at(contact.columns[0] - 0.5, contact.rows[0] - 0.5), [x1, y1] = at(contact.columns[1] - 0.5, contact.rows[1] - 0.5);
+    // Pixel p of the bitmap has its middle at every * (p + 0.5) - 0.5 of the frame.
+    const fx = px => every * px - 0.5 - topography.columns[0], fy = py => every * py - 0.5 - topography.rows[0];
+    const map = (px, py) => at(a * fx(px) + b * fy(py) + x + contact.columns[0], c * fx(px) + d * fy(py) + y + contact.rows[0]);
+    const [o, u, v] = [map(0, 0), map(1, 0), map(0, 1)];
+    pen.clip(x0, y0, x1 - x0, y1 - y0, () => {
+      const back = inverse(this.forces.topography_to_contact), cut = this.app.picture.bitmap;
+      if (!back.flat().every(Number.isFinite)) return;
+      const part = document.createElement("canvas");  // the topography view alone
+      [part.width, part.height] = [cut.width, cut.height];
+      const [l, t, r, e] = [topography.columns[0], topography.rows[0], topography.columns[1], topography.rows[1]].map(n => n / every);
+      part.getContext("2d").drawImage(cut, l, t, r - l, e - t, l, t, r - l, e - t);
+      pen.bitmap(part, [u[0] - o[0], u[1] - o[1], v[0] - o[0], v[1] - o[1], o[0], o[1]], 0.5);
+    });
+  }
+  legend() {
+    const points = this.points?.arrays?.points;
+    const entries = [];
+    if (!this.facts.problems?.length) {
+      entries.push(make("span", {}, make("i", { className: "mask" }), "real contact"), make("span", {}, make("i", { className: "ellipse" }), "gross contact (ellipse)"));
+    }
+    if (points) entries.push(make("span", {}, make("i", { className: "point" }),
+      `${points.shape[0]} of ${this.facts.values.tracking?.points ?? 700} points, chosen in frame ${this.points.frame}`));
+    else if (this.points?.why) entries.push(make("span", { className: "soft" }, `no points: ${this.points.why}`));
+    $("legend").replaceChildren(...entries);
+  }
+  // Dragging of views.
+  edge(x, y) {
+    const reach = REACH / this.app.picture.view.scale;
+    for (const [name, { rows, columns }] of Object.entries(this.views).reverse()) {
+      const near = (value, edge) => Math.abs(value - edge) < reach;
+      if (x < columns[0] - reach || x > columns[1] + reach || y < rows[0] - reach || y > rows[1] + reach) continue;
+      const sides = { left: near(x, columns[0]), right: near(x, columns[1]), top: near(y, rows[0]), bottom: near(y, rows[1]) };
+      if (Object.values(sides).some(Boolean)) return { name, ...sides };
+    }
+    for (const [name, { rows, columns }] of Object.entries(this.views)) {
+      if (x > columns[0] && x < columns[1] && y > rows[0] && y < rows[1]) return { name, whole: true };
+    }
+    return null;
+  }
+  cursor(x, y) {
+    const found = this.edge(x, y);
+    if (!found) return "default";
+    if (found.whole) return "move";
+    const across = found.left || found.right, down = found.top || found.bottom;
+    return across && down ? (found.left === found.top ? "nwse-resize" : "nesw-resize") : across ? "ew-resize" : "ns-resize";
+  }
+  hold(x, y, event) {
+    const found = this.app.picture.zoom && !event.shiftKey && this.edge(x, y)?.whole ? null : this.edge(x, y);
+    if (!found) return false;
+    const view = this.views[found.name];
+    this.held = { ...found, x, y, rows: [...view.rows], columns: [...view.columns] };
+    return true;
+  }
+  drag(x, y) {
+    const { name, whole, left, right, top, bottom, rows, columns } = this.held, [height, width] = this.app.picture.shape;
+    const dx = Math.round(x - this.held.x), dy = Math.round(y - this.held.y), least = 16;
+    const clamp = (value, low, high) => Math.max(low, Math.min(high, value));
+    let [r0, r1] = rows, [c0, c1] = columns;
+    if (whole) {
+      const sx = clamp(dx, -c0, width - c1), sy = clamp(dy, -r0, height - r1);
+      [r0, r1, c0, c1] = [r0 + sy, r1 + sy, c0 + sx, c1 + sx];
+    } else {
+      if (left) c0 = clamp(c0 + dx, 0, c1 - least);
+      if (right) c1 = clamp(c1 + dx, c0 + least, width);
+      if (top) r0 = clamp(r0 + dy, 0, r1 - least);
+      if (bottom) r1 = clamp(r1 + dy, r0 + least, height);
+    }
+    this.views[name] = { rows: [r0, r1], columns: [c0, c1] };
+    this.app.picture.redraw();
+  }
+  drop() {
+    const { name } = this.held, { rows, columns } = this.views[name];
+    if (rows + "" === this.held.rows + "" && columns + "" === this.held.columns + "") return;
+    this.pending.set(`views.${name}.rows`, rows);
+    this.edit(`views.${name}.columns`, columns);
+  }
+  async write(replace) {
+    try {
+      this.take(await post("api/write", { to: this.name.value, replace }));
+      say("");
+      this.update();
+    } catch (error) {
+      if (!error.asks) return say(error.message);
+      const ask = make("div", { className: "ask", id: "ask" }, make("p", {}, `${error.message}. Replace it?`),
+        make("button", { id: "replace", onclick: () => { ask.remove(); this.write(true); } }, "Replace"),
+        make("button", { onclick: () => ask.remove() }, "Keep it"));
+      $("ask")?.remove();
+      this.status.append(ask);
+    }
+  }
+  async process() {
+    try {
+      this.follow(await post("api/process", {}));
+    } catch (error) { say(error.message); }
+  }
+  async follow(state) {
+    const bar = make("progress", { max: 1 }), words = make("span");
+    $("progress").replaceChildren(bar, words, make("button", { onclick: () => post("api/end", {}) }, "End"));
+    $("process").disabled = true;
+    while (state.running) {
+      if (state.of) bar.value = state.done / state.of;
+      words.textContent = state.of ? ` ${state.step} ${state.done} of ${state.of} ` : " starts ";
+      await new Promise(later => setTimeout(later, 400));
+      state = await get("api/progress");
+    }
+    const said = state.said.map(one => make("p", { className: "warned" }, one.replace(/^warning: /, "")));
+    $("progress").replaceChildren(...(state.failed ? [make("p", { className: "wrong" }, "It did not end well:"), ...said] : said.slice(0, -1)));
+    $("process").disabled = false;
+    if (!state.failed) await this.app.openResult();
+  }
+}

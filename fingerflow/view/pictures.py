@@ -1,0 +1,47 @@
+"""Frames as grey pictures of 8 bits, with one contrast for all of a recording."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import Recording
+
+_MOST_SIDE = 1400  # px; of larger frames every 2nd, 3rd ... pixel is shown
+_STEP = 4  # px between those that tell the contrast
+_DARKEST, _BRIGHTEST = 0.2, 99.9  # %
+
+
+class Pictures:
+    """Pictures of a recording.
+
+    Attributes:
+        every: of how many pixels, across and down, one is shown.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        """Raises FingerflowError where no frame can be read."""
+        if not len(recording):
+            raise FingerflowError(f"{recording.path} has no frame; copy it again, or name another recording")
+        self.recording = recording
+        self.every = -(-max(recording.frame_shape) // _MOST_SIDE)
+        some = [recording[k][::_STEP, ::_STEP] for k in (0, len(recording) // 2)]
+        known = np.concatenate([one[np.isfinite(one)] for one in some])
+        low, high = np.percentile(known, (_DARKEST, _BRIGHTEST)) if known.size else (0.0, 1.0)
+        self._low, self._scale = float(low), 255 / max(float(high - low), 1e-9)
+        self._table = np.clip((np.arange(256) - self._low) * self._scale, 0, 255).astype(np.uint8)
+
+    def picture(self, frame: int) -> NDArray[np.uint8]:
+        """(h, w) of a frame by its number in the file."""
+        return self.of(self.recording[frame])
+
+    def of(self, frame: NDArray[Any]) -> NDArray[np.uint8]:
+        """(h, w) of a frame (H, W)."""
+        shown = frame[:: self.every, :: self.every]
+        if shown.dtype == np.uint8:
+            return np.asarray(cv2.LUT(np.ascontiguousarray(shown), self._table), dtype=np.uint8)
+        grey = (shown.astype(np.float32) - self._low) * self._scale
+        result: NDArray[np.uint8] = np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)
+        return result

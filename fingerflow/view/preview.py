@@ -1,0 +1,160 @@
+"""What `process` will find in a frame: its own stages, run for that frame alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.plan import VARIABLES, plan
+from fingerflow.scene import Scene
+from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.frame_check import FrameCheckStage
+from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
+from fingerflow.stages.loading import LoadingStage
+from fingerflow.stages.stage import Batch, Trial
+from fingerflow.stages.tracking import TrackingStage
+from fingerflow.store import MemoryStore
+
+_MARKERS = "the markers of a soft sensor are found from all frames together: process the scene to see them"
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Contact of one frame.
+
+    Attributes:
+        mask: (h, w) bool, the real contact in the contact view.
+        numbers: by the names of the results; NaN where there is no contact.
+    """
+
+    mask: NDArray[np.bool_]
+    numbers: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The points that would be followed: (N, 2) px of the topography view, in which frame, and warnings."""
+
+    points: NDArray[np.floating]
+    frame: int
+    warnings: list[str]
+
+
+class Previewer:
+    """The stages of a scene, begun but not finished: they step through single frames.
+
+    Every frame is taken for usable: which are not, `process` tells from all of them together.
+    """
+
+    def __init__(self, scene: Scene, before: "Previewer | None" = None) -> None:
+        """`before` lends what has been opened, where the files and views are the same.
+
+        Raises FingerflowError for what the user can put right.
+        """
+        self.scene = scene
+        self._of_files: list[str]  # what was warned of when these were opened
+        self._of_forces: list[str]
+        self._loading: LoadingStage
+        if scene.soft_sensor:
+            raise FingerflowError(_MARKERS)
+        same = before if before is not None and _opened(before.scene) == _opened(scene) else None
+        if same is None:
+            self._inputs: Inputs = open_inputs(scene, "cpu")
+        else:
+            self._inputs = replace(same._inputs, scene=scene, warnings=list(same._of_files))
+        self._of_files = list(self._inputs.warnings)
+        self._trial = self._begin_trial()
+        if same is not None and same.scene.forces == scene.forces:
+            # Forces are resampled once: they do not depend on what is moved on the page.
+            self._loading, self._of_forces = same._loading, same._of_forces
+            self._inputs.warnings.extend(self._of_forces)
+        else:
+            self._loading = self._begin(LoadingStage(self._trial))
+            self._of_forces = self._inputs.warnings[len(self._of_files) :]
+        check = FrameCheckStage(self._trial)
+        check.usable = np.ones(len(self._trial), dtype=bool)
+        stages: dict[Any, Any] = {LoadingStage: self._loading, FrameCheckStage: check}
+        self._trial.stages = stages
+        self._contact = ContactStage(self._trial)
+        stages[ContactStage] = self._contact
+        self._begin(self._contact)
+        self._seen: dict[int, Preview] = {}
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """(frames,) s, of those that count."""
+        return self._inputs.times
+
+    @property
+    def reference_frame(self) -> int:
+        """Where most contact is expected, from 0 for the first frame that counts."""
+        return self._contact.reference_frame
+
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences of the opened files and of the stages so far."""
+        return list(self._inputs.warnings)
+
+    def forces(self) -> dict[str, NDArray[np.float64]]:
+        """Forces at the frames that count, by the names of the results."""
+        given = {
+            "normal_force": self._loading.normal,
+            "tangential_force": self._loading.tangential,
+            "load_ratio": self._loading.ratio,
+        }
+        return {name: values for name, values in given.items() if values is not None}
+
+    def contact(self, frame: int) -> Preview:
+        """Of a frame, from 0 for the first one that counts."""
+        if frame not in self._seen:
+            with torch.inference_mode():
+                found = self._contact.step(self._batch(frame))
+            names = [name for name in self._contact.series if name != "frame_status"]
+            numbers = {name: self._contact.series[name][frame] for name in names}
+            self._seen = {frame: Preview(found.real_contact_mask[0, 0].numpy(), numbers)}
+        return self._seen[frame]
+
+    def chosen(self) -> Chosen:
+        """The points that `process` would follow, as it chooses them in the first frame (or the last one, backward).
+
+        Raises FingerflowError where there are too few, or no topography view.
+        """
+        if self.scene.views.topography is None:
+            raise FingerflowError("the scene has no topography view: no points are followed, areas are all it gives")
+        before = len(self._inputs.warnings)
+        frame = len(self._trial) - 1 if self.scene.tracking.direction == "backward" else 0
+        trial = self._begin_trial(frame + 1)
+        trial.stages = {**self._trial.stages}
+        tracking = TrackingStage(trial)
+        with torch.inference_mode():
+            tracking.begin()
+            batch = self._batch(frame)
+            batch.keep(self._contact, self._contact.step(batch))
+            tracking.step(batch)
+        points = trial.results["position_px"][np.array([frame])][0]
+        said = self._inputs.warnings[before:]
+        del self._inputs.warnings[before:]
+        return Chosen(points, frame, said)
+
+    def _begin_trial(self, stored: int = 1) -> Trial:
+        """With room for the results of some frames: the stages write those of the ones that they step through."""
+        planned = plan(None, self.scene)
+        return Trial(self._inputs, MemoryStore(VARIABLES, stored), planned.stages, planned.asked, {})
+
+    def _begin(self, stage: Any) -> Any:
+        with torch.inference_mode():
+            stage.begin()
+        return stage
+
+    def _batch(self, frame: int) -> Batch:
+        indices = np.array([frame])
+        return Batch(indices, read_frames(self._inputs.recording[indices]))
+
+
+def _opened(scene: Scene) -> Sequence[Any]:
+    """All that opened files depend on."""
+    return (scene.path.parent, scene.recording, dict(scene.views), scene.background, scene.calibration)

@@ -1,0 +1,60 @@
+"""`fingerflow process` in a process of its own, so that the page goes on; its bar tells how far it is."""
+
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import fingerflow
+
+_COUNT = re.compile(r"(\w+):[^\r\n|]*\|[^\r\n|]*\|\s*(\d+)/(\d+)")
+_KEPT = 4000  # characters of what it says last
+_READ = 256  # bytes at a time
+
+
+class Processing:
+    """One run. Ending it leaves nothing half-written."""
+
+    def __init__(self, scene: Path, to: Path) -> None:
+        self.to = to
+        self._said = ""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "fingerflow", "process", str(scene), "--to", str(to)],
+            cwd=Path(fingerflow.__file__).resolve().parents[1],  # this package, not another that is installed
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+        self._listener = threading.Thread(target=self._listen, name="processing", daemon=True)
+        self._listener.start()
+
+    def state(self) -> dict[str, Any]:
+        """What the page shows: whether it runs, how far it is, and what it said where it failed."""
+        code = self._process.poll()
+        if code is not None:
+            self._listener.join(5)
+        counts = _COUNT.findall(self._said)
+        name, done, of = counts[-1] if counts else ("", "0", "0")
+        said = [line for line in re.split(r"[\r\n]+", self._said) if line.strip() and not _COUNT.search(line)]
+        return {
+            "running": code is None,
+            "failed": code not in (None, 0),
+            "step": name,
+            "done": int(done),
+            "of": int(of),
+            "said": said[-12:],
+            "to": str(self.to),
+        }
+
+    def end(self) -> None:
+        """Ends it where it still runs."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait(20)
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        while part := self._process.stdout.read1(_READ):  # type: ignore[attr-defined]  # of a buffered pipe
+            self._said = (self._said + part.decode(errors="replace"))[-_KEPT:]

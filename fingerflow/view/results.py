@@ -1,0 +1,231 @@
+"""A file of results, read as it is looked at: a frame, a course, a point at a time."""
+
+import json
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.variables import LABELS
+from fingerflow.result import open_result
+from fingerflow.untrusted import open_hdf5
+
+_SAMPLED = 24  # frames that tell the range of colours
+_RANGE = 0.96  # share of the values below its end
+_ARROW_PX = 40  # length that the largest displacements are drawn with
+_PLACES = ("position", "position_px")  # drawn as places, not as colours
+Values = NDArray[np.floating]
+
+
+class Results:
+    """One result.
+
+    What can be shown is named by a key: a variable, and behind a colon the component of one that has several:
+    "divergence", "strain:exx", "displacement:length".
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises FingerflowError where the file is no result."""
+        self.path = path.resolve()
+        self.data = open_result(self.path)
+        # A frame of a variable takes 2 ms through xarray and h5netcdf, which look it up by its name each time; so 0.2.
+        self._file = open_hdf5(self.path)
+        self._stored: dict[str, Any] = {}
+        self._ranges: dict[str, tuple[float, float]] = {}
+        self._courses = {
+            str(name): values.values for name, values in self.data.data_vars.items() if values.dims == ("frame",)
+        }
+
+    def close(self) -> None:
+        """Lets go of the file."""
+        self.data.close()
+        self._stored.clear()
+        self._file.close()
+
+    def facts(self) -> dict[str, Any]:
+        """What there is to be shown, and in which words."""
+        data = self.data
+        return {
+            "path": str(self.path),
+            "frames": data.sizes["frame"],
+            "first_frame": int(data["frame"][0]),
+            "points": data.sizes.get("point", 0),
+            "warnings": json.loads(data.attrs["warnings"]),
+            "mm_per_px": float(data.attrs["mm_per_px"]),
+            "topography_to_contact": json.loads(data.attrs["topography_to_contact"]),
+            "maps": self._listed(("frame", "point")) + self._listed(("frame", "triangle")),
+            "curves": self._listed(("frame",)),
+            "flags": {
+                str(name): str(values.attrs["flag_meanings"]).split()
+                for name, values in data.data_vars.items()
+                if "flag_meanings" in values.attrs
+            },
+            "triangles": "triangles" in data,
+            "cells": [name for name in data if data[name].dims[1:] == ("cell_row", "cell_column")],
+            "arrow_scale": self._arrow_scale(),
+        }
+
+    def frame(self, frame: int, shown: str | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Numbers and arrays of a frame, from 0 for the first one of the result.
+
+        Raises FingerflowError for what there is not.
+        """
+        self._within(frame)
+        data = self.data
+        numbers: dict[str, Any] = {name: values[frame] for name, values in self._courses.items()}
+        numbers["time"] = float(data["time"][frame])
+        numbers |= {name: self._row(name, frame) for name in ("ellipse_center", "ellipse_semi_axes") if name in data}
+        arrays: dict[str, NDArray[Any]] = {}
+        if "position" in data:
+            arrays["position"] = self._row("position", frame).astype(np.float32)
+            arrays["status"] = self._row("status", frame).astype(np.uint8)
+        if "displacement" in data:
+            arrays["displacement"] = self._row("displacement", frame).astype(np.float32)
+        if "principal_angle" in data and shown is not None and shown.startswith("principal_strains"):
+            arrays["principal_angle"] = self._row("principal_angle", frame).astype(np.float32)
+        for name in ("gross_contact_region", "stuck_region"):
+            if name in data:
+                arrays[name] = self._row(name, frame).astype(np.uint8)
+                numbers[name] = {key: float(data[name].attrs[key]) for key in ("cell_mm", "first_cell_mm")}
+        if shown is not None:
+            arrays["shown"] = self._of_frame(shown, frame).astype(np.float32)
+        return numbers, arrays
+
+    def triangles(self) -> NDArray[np.int32]:
+        """(M, 3) numbers of the points at their corners."""
+        return np.asarray(self.data["triangles"].values, dtype=np.int32)
+
+    def course(self, key: str) -> Values:
+        """(frames,) of a variable of frames, or "time"."""
+        if key == "time":
+            return np.asarray(self.data["time"].values, dtype=np.float64)
+        values = self._component(key, self.data[self._name(key)].dims, self.data[self._name(key)].values)
+        if values.ndim != 1:
+            raise FingerflowError(f"{key} is no course of frames: choose one of those that are listed")
+        return values
+
+    def of_points(self, key: str, points: Sequence[int]) -> Values:
+        """(frames, points) of a variable of points: their history."""
+        variable = self.data[self._name(key)]
+        if variable.dims[:2] != ("frame", "point"):
+            raise FingerflowError(f"{key} is not of points: choose a map of points")
+        chosen = np.unique(np.asarray(points, dtype=np.intp))
+        if not len(chosen) or chosen[0] < 0 or chosen[-1] >= self.data.sizes["point"]:
+            raise FingerflowError(f"the points {list(points)[:5]} are not among the {self.data.sizes['point']} there")
+        return self._component(key, variable.dims, variable.isel(point=chosen).values)
+
+    def median_of_points(self, key: str, points: Sequence[int]) -> Values:
+        """(frames,) median over these points of what is not NaN."""
+        from fingerflow.stages.series import nanmedian  # with it comes torch: not before the first picture
+
+        return nanmedian(self.of_points(key, points))
+
+    def range_of(self, key: str) -> tuple[float, float]:
+        """Colours run from the first number to the second in all frames; about 0 where there is both sides of it.
+
+        From 24 frames, without the 4 % of most extreme values on either side.
+        """
+        if key not in self._ranges:
+            count = self.data.sizes["frame"]
+            frames = np.unique(np.linspace(0, count - 1, min(count, _SAMPLED)).round().astype(int))
+            values = np.concatenate([self._of_frame(key, int(k)).ravel() for k in frames])
+            values = values[np.isfinite(values)]
+            low, high = np.quantile(values, (1 - _RANGE, _RANGE)) if values.size else (0.0, 1.0)
+            if low < 0:
+                high = max(-low, high)
+                low = -high
+            else:
+                low = 0.0
+            self._ranges[key] = (float(low), float(high) if high > low else float(low) + 1.0)
+        return self._ranges[key]
+
+    def table_of_courses(self, keys: Sequence[str], points: Sequence[int], point_key: str | None) -> str:
+        """CSV, one row a frame: courses, and the median of chosen points."""
+        columns = {"frame": self.data["frame"].values.astype(float), "time (s)": self.course("time")}
+        columns |= {f"{key} ({self._units(key)})": self.course(key) for key in keys}
+        if point_key and len(points):
+            said = f"point {points[0]}" if len(points) == 1 else f"median of {len(points)} points"
+            columns[f"{point_key} of {said} ({self._units(point_key)})"] = self.median_of_points(point_key, points)
+        return _csv(columns)
+
+    def table_of_frame(self, frame: int, shown: str | None) -> str:
+        """CSV, one row a point, and what is shown where that is of points; of triangles a row each."""
+        _, arrays = self.frame(frame, shown)
+        if shown is not None and self.data[self._name(shown)].dims[1] == "triangle":
+            corners = self.triangles()
+            middle = arrays["position"].astype(float)[corners].mean(axis=1)
+            columns = {"triangle": np.arange(len(corners)), "x (mm)": middle[:, 0], "y (mm)": middle[:, 1]}
+        else:
+            place = arrays["position"].astype(float)
+            columns = {"point": np.arange(len(place)), "x (mm)": place[:, 0], "y (mm)": place[:, 1]}
+            columns["status"] = arrays["status"]
+        if shown is not None:
+            columns[f"{shown} ({self._units(shown)})"] = arrays["shown"]
+        return _csv(columns)
+
+    def _listed(self, dims: tuple[str, ...]) -> list[dict[str, Any]]:
+        """Everything of these dimensions, components one by one."""
+        found = []
+        for name, variable in self.data.data_vars.items():
+            rest = variable.dims[len(dims) :]
+            if variable.dims[: len(dims)] != dims or name in _PLACES or any(dim not in LABELS for dim in rest):
+                continue
+            parts = [""] if not rest else list(LABELS[str(rest[0])])
+            if rest == ("xy",):
+                parts.insert(0, "length")
+            for part in parts:
+                key = f"{name}:{part}" if part else str(name)
+                said, units = str(variable.attrs.get("long_name", name)), str(variable.attrs.get("units", ""))
+                found.append({"key": key, "said": said, "units": units, "of": dims[-1]})
+        return found
+
+    def _arrow_scale(self) -> float:
+        """Factor that makes the largest displacements visible; 0 where there are none."""
+        if "displacement" not in self.data:
+            return 0.0
+        _, largest = self.range_of("displacement:length")
+        return float(f"{_ARROW_PX * float(self.data.attrs['mm_per_px']) / largest:.1g}")
+
+    def _name(self, key: str) -> str:
+        name = key.partition(":")[0]
+        if name not in self.data:
+            raise FingerflowError(f"{self.path} has no {name!r}: it holds {', '.join(sorted(map(str, self.data)))}")
+        return name
+
+    def _units(self, key: str) -> str:
+        return str(self.data[self._name(key)].attrs.get("units", ""))
+
+    def _of_frame(self, key: str, frame: int) -> Values:
+        name = self._name(key)
+        return self._component(key, self.data[name].dims[1:], self._row(name, frame))
+
+    def _row(self, name: str, frame: int) -> NDArray[Any]:
+        """A variable in one frame, as the file has it."""
+        if name not in self._stored:
+            self._stored[name] = self._file[name]
+        row: NDArray[Any] = self._stored[name][frame]
+        return row
+
+    def _component(self, key: str, dims: tuple[Hashable, ...], values: NDArray[Any]) -> Values:
+        part, last = key.partition(":")[2], str(dims[-1]) if dims else ""
+        values = np.asarray(values, dtype=np.float64)
+        if last not in LABELS:
+            return values
+        if part == "length":
+            return np.asarray(np.linalg.norm(values, axis=-1))
+        if part not in LABELS[last]:
+            raise FingerflowError(f"{key}: the components are {', '.join(LABELS[last])}")
+        return values[..., LABELS[last].index(part)]
+
+    def _within(self, frame: int) -> None:
+        if not 0 <= frame < self.data.sizes["frame"]:
+            raise FingerflowError(f"frame {frame} is not among the {self.data.sizes['frame']} of {self.path}")
+
+
+def _csv(columns: dict[str, NDArray[Any]]) -> str:
+    lines = [",".join(columns)]
+    lines += [",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join(lines) + "\n"

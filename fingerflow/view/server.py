@@ -1,0 +1,168 @@
+"""The server of the page: what is asked for, answered by a session."""
+
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from fingerflow.errors import FingerflowError
+from fingerflow.view.draft import NeedsLeaveError
+from fingerflow.view.guard import Guard
+from fingerflow.view.opening import open_path
+from fingerflow.view.packing import plain
+from fingerflow.view.session import Session
+
+_HOST = "127.0.0.1"
+_PAGE = Path(__file__).with_name("page")
+_BINARY, _CSV = "application/octet-stream", "text/csv; charset=utf-8"
+Answer = Callable[[Request], Any]
+
+
+class Served:
+    """A page that is being served, until it is closed.
+
+    Attributes:
+        address: what opens it, with its token.
+    """
+
+    def __init__(self, path: Path | None, port: int = 0) -> None:
+        """Port 0 takes a free one. Raises FingerflowError for what cannot be opened, or a port that is taken."""
+        self.session = Session(open_path(path))
+        self.session.open()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind((_HOST, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise FingerflowError(f"port {port} of {_HOST} cannot be served ({error}); give another --port") from None
+        self._socket.listen()  # who asks before it runs waits, and is answered
+        self.port: int = self._socket.getsockname()[1]
+        guard = Guard(application(self.session), self.port)
+        self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
+        config = uvicorn.Config(guard, log_level="warning", access_log=False, ws="none", lifespan="off")
+        self._server = uvicorn.Server(config)
+
+    def run(self) -> None:
+        """Serves until it is interrupted."""
+        try:
+            self._server.run(sockets=[self._socket])
+        finally:
+            self.session.close()
+
+    def __enter__(self) -> Self:
+        """Serves in a thread of its own."""
+        self._thread = threading.Thread(target=self.run, name="view")
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.should_exit = True
+        self._thread.join(30)
+
+
+def serve(path: Path | None, port: int = 0, opened: Callable[[str], Any] = print) -> None:
+    """Serves the page of a scene, a recording or a result to this computer until it is interrupted.
+
+    Args:
+        path: None for scene.toml in the current folder.
+        port: 0 takes a free one.
+        opened: is told the address, when it is answered.
+
+    Raises:
+        FingerflowError: it cannot be opened, or the port is taken.
+    """
+    served = Served(path, port)
+    opened(served.address)
+    served.run()
+
+
+def application(session: Session) -> Starlette:
+    """What is answered, whoever asks: `Guard` decides that."""
+    asked = session
+
+    def number(request: Request, name: str) -> int:
+        text = request.query_params.get(name, "")
+        if not text.lstrip("-").isdigit():
+            raise FingerflowError(f"{name}={text!r} is no whole number")
+        return int(text)
+
+    def frame(request: Request) -> bytes:
+        return asked.frame(number(request, "frame"), "contact" in request.query_params)
+
+    def result_frame(request: Request) -> bytes:
+        query = request.query_params
+        return asked.result_frame(number(request, "frame"), query.get("shown") or None, "contact" in query)
+
+    def calibration(_: Request) -> Response:
+        picture = asked.calibration_picture()
+        return Response(status_code=404) if picture is None else Response(picture, media_type="image/png")
+
+    routes = [
+        Route("/api/ready", _get(lambda _: asked.ready())),
+        Route("/api/setup", _get(lambda _: asked.setup())),
+        Route("/api/frame", _get(frame)),
+        Route("/api/points", _get(lambda _: asked.points())),
+        Route("/api/forces", _get(lambda _: asked.forces())),
+        Route("/api/calibration.png", _get(calibration)),
+        Route("/api/edit", _post(asked.edit), methods=["POST"]),
+        Route("/api/write", _post(asked.write), methods=["POST"]),
+        Route("/api/process", _post(asked.process), methods=["POST"]),
+        Route("/api/end", _post(asked.end), methods=["POST"]),
+        Route("/api/progress", _get(lambda _: asked.progress())),
+        Route("/api/result", _get(lambda _: asked.result())),
+        Route("/api/result/frame", _get(result_frame)),
+        Route("/api/result/range", _get(lambda request: asked.result_range(request.query_params.get("key", "")))),
+        Route("/api/result/triangles", _get(lambda _: asked.triangles())),
+        Route("/api/result/courses", _get(lambda request: asked.courses(request.query_params.getlist("key")))),
+        Route("/api/result/history", _post(asked.history), methods=["POST"]),
+        Route("/api/result/table", _post(asked.table), methods=["POST"]),
+        Mount("/", StaticFiles(directory=_PAGE, html=True)),
+    ]
+    handlers: Mapping[Any, Any] = {FingerflowError: _put_right, NeedsLeaveError: _asks}
+    return Starlette(routes=routes, exception_handlers=handlers)
+
+
+def _get(answer: Answer) -> Callable[[Request], Any]:
+    async def endpoint(request: Request) -> Response:
+        return _response(await run_in_threadpool(answer, request))
+
+    return endpoint
+
+
+def _post(act: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
+    async def endpoint(request: Request) -> Response:
+        try:
+            asked = await request.json()
+        except ValueError:
+            raise FingerflowError("what was sent is no JSON") from None
+        return _response(await run_in_threadpool(act, asked))
+
+    return endpoint
+
+
+def _response(answer: Any) -> Response:
+    if isinstance(answer, Response):
+        return answer
+    if isinstance(answer, bytes):
+        return Response(answer, media_type=_BINARY)
+    if isinstance(answer, str):
+        return Response(answer, media_type=_CSV)
+    return JSONResponse(plain(answer))
+
+
+async def _put_right(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": str(error)}, 422)
+
+
+async def _asks(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": str(error), "asks": True}, 409)

@@ -1,0 +1,361 @@
+"""What the page looks at: a draft of a scene, a result, and what is opened of them. One request at a time."""
+
+import contextlib
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+from tomlkit.exceptions import TOMLKitError
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import Recording, open_recording
+from fingerflow.result import is_result
+from fingerflow.scene import Scene, load_scene, scene_of_settings
+from fingerflow.view.draft import Draft, files_beside
+from fingerflow.view.keys import forms, kinds
+from fingerflow.view.opening import Opened
+from fingerflow.view.packing import packed
+from fingerflow.view.pictures import Pictures
+from fingerflow.view.processing import Processing
+from fingerflow.view.results import Results
+
+if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does without
+    from fingerflow.view.preview import Previewer
+
+Facts = dict[str, Any]
+
+
+class Session:
+    """Of one page; several windows see the same."""
+
+    def __init__(self, opened: Opened) -> None:
+        self._lock = threading.RLock()
+        self._draft = opened.draft
+        self._pictures: dict[tuple[Path, float | None], Pictures] = {}
+        self._preview: tuple[str, Previewer] | None = None
+        self._result_path = opened.result
+        self._result: Results | None = None
+        self._scene_of_result: Scene | None = None
+        self._result_preview: Previewer | None = None
+        self._processing: Processing | None = None
+
+    def open(self) -> None:
+        """Opens what the page asks for first; what cannot be opened it says itself."""
+        with contextlib.suppress(FingerflowError):
+            if self._result_path is not None:
+                self.result()
+            else:
+                self.setup()
+
+    def ready(self) -> Facts:
+        """Loads what the first picture does without, while it is looked at: contact, points and forces come after."""
+        import fingerflow.view.preview  # noqa: F401
+
+        return {"ready": True}
+
+    def close(self) -> None:
+        """Ends what runs, lets go of files."""
+        if self._processing is not None:
+            self._processing.end()
+        with self._lock:
+            self._close_result()
+            for pictures in self._pictures.values():
+                pictures.recording.close()
+            self._pictures.clear()
+
+    # Setting up.
+
+    def setup(self) -> Facts:
+        """The draft: what it says, what is wrong with it, the recording."""
+        with self._lock:
+            draft = self._draft
+            if draft is None:
+                return {"draft": None, "result": self._result_path is not None}
+            facts: Facts = {
+                "draft": str(draft.path),
+                "values": draft.values(),
+                "kind": draft.kind(),
+                "problems": draft.problems(),
+                "stored": draft.is_stored,
+                "text": draft.text,
+                "forms": forms(),
+                "kinds": kinds(),
+                "files": files_beside(draft.path),
+                "result": self._result_path is not None,
+            }
+            try:
+                facts["recording"] = _recording_facts(self._pictures_of_draft())
+            except FingerflowError as error:
+                facts["recording"], facts["recording_error"] = None, str(error)
+            return facts
+
+    def frame(self, frame: int, contact: bool) -> bytes:
+        """A frame by its number in the file; with the contact that would be found, where the scene allows it."""
+        with self._lock:
+            pictures = self._pictures_of_draft()
+            _check_frame(frame, pictures.recording)
+            facts: Facts = {"frame": frame, "every": pictures.every, "shape": pictures.recording.frame_shape}
+            arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
+            if contact:
+                try:
+                    facts["numbers"], mask = self._contact_of(self._previewer(), frame)
+                except FingerflowError as error:
+                    facts["why_no_contact"] = str(error)
+                else:
+                    if mask is not None:
+                        arrays["mask"] = mask
+            return packed(facts, arrays)
+
+    def points(self) -> bytes:
+        """The points that would be followed."""
+        with self._lock:
+            found = self._previewer().chosen()
+            first = self._previewer().scene.recording.first_frame
+            facts = {"frame": found.frame + first, "warnings": found.warnings}
+            return packed(facts, {"points": found.points.astype(np.float32)})
+
+    def forces(self) -> bytes:
+        """Forces of the draft against the time of the frames, what its calibration says, and warnings."""
+        with self._lock:
+            previewer = self._previewer()
+            scene = previewer.scene
+            facts = {
+                "reference_frame": previewer.reference_frame + scene.recording.first_frame,
+                "first_frame": scene.recording.first_frame,
+                "warnings": previewer.warnings,
+                "mm_per_px": scene.calibration.mm_per_px,
+                "topography_to_contact": scene.calibration.topography_to_contact,
+                "calibration_picture": _calibration_picture(scene) is not None,
+            }
+            return packed(facts, {"time": previewer.times, **previewer.forces()})
+
+    def calibration_picture(self) -> bytes | None:
+        """The picture that `fingerflow calibrate` has written beside the calibration of the draft."""
+        with self._lock:
+            path = None if self._draft is None else _calibration_picture(self._draft.scene())
+            return None if path is None else path.read_bytes()
+
+    def edit(self, asked: Mapping[str, Any]) -> Facts:
+        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is read as TOML."""
+        with self._lock:
+            draft = self._drafted()
+            for key, value in asked["set"]:
+                if key == "kind":
+                    draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
+                else:
+                    draft.set(tuple(str(key).split(".")), _value_of(str(key), value))
+            return self.setup()
+
+    def write(self, asked: Mapping[str, Any]) -> Facts:
+        """Writes the scene file; raises NeedsLeaveError where it would replace what nobody here has read."""
+        with self._lock:
+            name = asked.get("to")
+            to = None if not name else self._drafted().path.parent / str(name)
+            self._drafted().write(to, bool(asked.get("replace")))
+            return self.setup()
+
+    # Processing.
+
+    def process(self, asked: Mapping[str, Any]) -> Facts:
+        """Starts `fingerflow process` of the stored scene; what it writes is `result.h5` beside the scene."""
+        del asked
+        with self._lock:
+            draft = self._drafted()
+            if not draft.is_stored:
+                raise FingerflowError("the scene file differs from what is on this page; write it first")
+            if self._processing is not None and self._processing.state()["running"]:
+                raise FingerflowError("a run is under way; wait for it, or end it")
+            load_scene(draft.path)
+            self._close_result()  # some systems do not let an open file be replaced
+            self._processing = Processing(draft.path, draft.path.parent / "result.h5")
+            return self.progress()
+
+    def end(self, asked: Mapping[str, Any]) -> Facts:
+        """Ends the run."""
+        del asked
+        if self._processing is not None:
+            self._processing.end()
+        return self.progress()
+
+    def progress(self) -> Facts:
+        """How far the run is."""
+        if self._processing is None:
+            return {"running": False, "none": True}
+        state = self._processing.state()
+        if not state["running"] and not state["failed"]:
+            self._result_path = self._processing.to
+        return state
+
+    # Looking at results.
+
+    def result(self) -> Facts:
+        """What the result holds, and where its views lie in the picture."""
+        with self._lock:
+            result = self._opened_result()
+            facts = result.facts()
+            try:
+                scene = self._result_scene()
+                facts["views"] = {
+                    name: {"rows": view.rows, "columns": view.columns} for name, view in scene.views.items()
+                }
+                facts["kind"], facts["scene"] = scene.kind, str(scene.path)
+                facts["recording"] = _recording_facts(self._pictures_of(scene.recording.frames, None))
+            except FingerflowError as error:
+                facts["recording"], facts["recording_error"] = None, str(error)
+            return facts
+
+    def result_frame(self, frame: int, shown: str | None, contact: bool) -> bytes:
+        """A frame of the result, from 0 for the first one that counts, with its picture where that is still there."""
+        with self._lock:
+            result = self._opened_result()
+            numbers, arrays = result.frame(frame, shown)
+            facts: Facts = {"frame": frame, "numbers": numbers, "every": 1, "shape": None}
+            try:
+                scene = self._result_scene()
+                pictures = self._pictures_of(scene.recording.frames, None)
+                facts["every"], facts["shape"] = pictures.every, pictures.recording.frame_shape
+                number = frame + scene.recording.first_frame
+                arrays["picture"] = pictures.picture(number)
+                if contact and not scene.soft_sensor:
+                    _, mask = self._contact_of(self._result_previewer(), number)
+                    if mask is not None:
+                        arrays["mask"] = mask
+            except FingerflowError as error:
+                facts["why_no_picture"] = str(error)
+            return packed(facts, arrays)
+
+    def result_range(self, key: str) -> Facts:
+        """The range of colours of what is shown."""
+        with self._lock:
+            return {"key": key, "range": self._opened_result().range_of(key)}
+
+    def triangles(self) -> bytes:
+        """Corners of the triangles."""
+        with self._lock:
+            return packed({}, {"triangles": self._opened_result().triangles()})
+
+    def courses(self, keys: Sequence[str]) -> bytes:
+        """Variables of frames."""
+        with self._lock:
+            result = self._opened_result()
+            return packed({"keys": list(keys)}, {key: result.course(key) for key in keys})
+
+    def history(self, asked: Mapping[str, Any]) -> bytes:
+        """Of one point, its own values; of several, their median; and what became of each."""
+        key, points = asked["key"], [int(one) for one in asked["points"]]
+        with self._lock:
+            result = self._opened_result()
+            arrays = {"values": result.median_of_points(key, points)}
+            if len(points) == 1 and "status" in result.data:
+                arrays["status"] = result.of_points("status", points)[:, 0].astype(np.uint8)
+            known = np.isfinite(result.of_points(key, points)).sum(axis=1).astype(np.int32)
+            return packed({"key": key, "points": points}, {**arrays, "known": known})
+
+    def table(self, asked: Mapping[str, Any]) -> str:
+        """CSV of the courses that are shown, or of the frame that is."""
+        with self._lock:
+            result = self._opened_result()
+            if asked["of"] == "frame":
+                return result.table_of_frame(int(asked["frame"]), asked.get("shown"))
+            return result.table_of_courses(asked["keys"], [int(k) for k in asked["points"]], asked.get("shown"))
+
+    # What is opened.
+
+    def _drafted(self) -> Draft:
+        if self._draft is None:
+            raise FingerflowError("there is no scene to set up: a result alone was opened; name its scene instead")
+        return self._draft
+
+    def _pictures_of_draft(self) -> Pictures:
+        draft = self._drafted()
+        said = draft.values().get("recording", {})
+        frames, rate = said.get("frames"), said.get("frame_rate")
+        if not isinstance(frames, str):
+            raise FingerflowError(f"{draft.path}: recording.frames names no recording")
+        return self._pictures_of(draft.path.parent / frames, rate if isinstance(rate, float | int) else None)
+
+    def _pictures_of(self, path: Path, rate: float | None) -> Pictures:
+        if (path, rate) not in self._pictures:
+            self._pictures[path, rate] = Pictures(open_recording(path, frame_rate=rate))
+        return self._pictures[path, rate]
+
+    def _previewer(self) -> "Previewer":
+        from fingerflow.view.preview import Previewer
+
+        text = self._drafted().text
+        if self._preview is None or self._preview[0] != text:
+            before = None if self._preview is None else self._preview[1]
+            self._preview = (text, Previewer(self._drafted().scene(), before))
+        return self._preview[1]
+
+    def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, NDArray[np.uint8] | None]:
+        """By the number in the file; nothing in frames that do not count."""
+        place = number - previewer.scene.recording.first_frame
+        if not 0 <= place < len(previewer.times):
+            return {"counts": False}, None
+        found = previewer.contact(place)
+        return {"counts": True, "time": float(previewer.times[place]), **found.numbers}, found.mask.astype(np.uint8)
+
+    def _opened_result(self) -> Results:
+        if self._result is None:
+            if self._result_path is None or not is_result(self._result_path):
+                raise FingerflowError("there is no result yet; process the scene first")
+            self._result = Results(self._result_path)
+        return self._result
+
+    def _result_scene(self) -> Scene:
+        result = self._opened_result()
+        if self._scene_of_result is None:
+            self._scene_of_result = scene_of_settings(result.data.attrs["settings"])
+        return self._scene_of_result
+
+    def _result_previewer(self) -> "Previewer":
+        from fingerflow.view.preview import Previewer
+
+        if self._result_preview is None:
+            self._result_preview = Previewer(self._result_scene())
+        return self._result_preview
+
+    def _close_result(self) -> None:
+        if self._result is not None:
+            self._result.close()
+        self._result = self._result_preview = self._scene_of_result = None
+
+
+def _recording_facts(pictures: Pictures) -> Facts:
+    found = pictures.recording
+    return {
+        "path": str(found.path),
+        "frames": len(found),
+        "shape": found.frame_shape,
+        "bit_depth": found.bit_depth,
+        "frame_rate": found.frame_rate,
+        "warnings": found.warnings,
+    }
+
+
+def _check_frame(frame: int, recording: Recording) -> None:
+    if not 0 <= frame < len(recording):
+        raise FingerflowError(f"frame {frame} is not among the {len(recording)} of {recording.path}")
+
+
+def _calibration_picture(scene: Scene) -> Path | None:
+    file = scene.calibration.file
+    picture = None if file is None else file.with_suffix(".png")
+    return picture if picture is not None and picture.is_file() else None
+
+
+def _value_of(key: str, value: Any) -> Any:
+    """A value of the page, or TOML of it."""
+    if not isinstance(value, dict):
+        return value
+    try:
+        return tomlkit.parse(f"value = {value['toml']}")["value"]
+    except TOMLKitError as error:
+        raise FingerflowError(
+            f"{key}: {value['toml']!r} is not TOML ({error}); write it as in the scene file"
+        ) from None

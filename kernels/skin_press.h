@@ -1,0 +1,169 @@
+// One press of a skin chain, or of as many as a vector has lanes: what it holds, and what is done with it.
+#pragma once
+
+#include "plane_algebra.h"
+#include "skin_chain_press.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+// A place of the bone and of all elements.
+template <class T>
+struct Body {
+    Pair<T>* at;
+    Pair<T> bone;
+};
+
+constexpr std::int64_t kBytesEach = (10 * 2 + 4 + 3 * 4) * 8;  // of an element of one chain: pairs, numbers, blocks
+
+template <class T>
+struct Press {
+    using Mask = typename Of<T>::Mask;
+    static constexpr int kLanes = Of<T>::kLanes;
+    static constexpr double kGamma = 2 - 1.41421356237309504880;
+    static constexpr double kLater = 1 / (kGamma * (2 - kGamma));
+    static constexpr double kEarlier = (1 - kGamma) * (1 - kGamma) / (kGamma * (2 - kGamma));
+    static constexpr double kError = 2 * (-3 * kGamma * kGamma + 4 * kGamma - 2) / (12 * (2 - kGamma));
+    static constexpr int kMostIterations = 12;
+
+    const fingerflow_skin_chain& given;
+    const std::int64_t count;
+    const bool held_x, held_z;
+    // Of the chain.
+    Pair<T>* reference;
+    T* mu;
+    T radius, membrane, tissue, shear, nail, contact, damping, bone_damping, spring, exponent;
+    // Of the motion: what is known of a stage, what is left over, and Dahl's forces before, in the middle and after.
+    Body<T> start, start_speed, middle, middle_speed, end, known, left_over, guess;
+    T *rubbed, *rubbed_middle, *rubbed_end;
+    // Of the system: what the sweep leaves of it.
+    Block<T> *undone, *from_bone, *to_bone;
+    Pair<T>* swept;
+    Block<T> bone_block;
+    Pair<T> bone_gone;
+    T c;
+
+    Press(const fingerflow_skin_chain& of, char* memory) : given(of), count(of.count), held_x(of.held_x), held_z(of.held_z) {
+        const auto take = [&](auto& to) {
+            to = reinterpret_cast<decltype(+to)>(memory);
+            memory += static_cast<std::size_t>(count) * sizeof *to;
+        };
+        take(reference), take(mu);
+        take(start.at), take(start_speed.at), take(middle.at), take(middle_speed.at), take(end.at);
+        take(known.at), take(left_over.at), take(guess.at);
+        take(rubbed), take(rubbed_middle), take(rubbed_end);
+        take(undone), take(from_bone), take(to_bone);
+        take(swept);
+    }
+
+    void load(std::int64_t first) {
+        T* const numbers[] = {&radius, &membrane, &tissue, &shear, &nail, &contact, &damping, &bone_damping, &spring, &exponent};
+        for (int lane = 0; lane < kLanes; ++lane) {
+            const std::int64_t chain = chain_of(first, lane);
+            for (int k = 0; k < 10; ++k) put(*numbers[k], lane, given.numbers[10 * chain + k]);
+            for (std::int64_t i = 0; i < count; ++i) {
+                const std::int64_t at = chain * count + i;
+                put(reference[i].x, lane, given.reference[2 * at]);
+                put(reference[i].z, lane, given.reference[2 * at + 1]);
+                put(mu[i], lane, given.friction[at]);
+                put(start.at[i].x, lane, given.place[2 * at]);
+                put(start.at[i].z, lane, given.place[2 * at + 1]);
+                put(rubbed[i], lane, given.rubbed[at]);
+            }
+            put(start.bone.x, lane, given.bone[2 * chain]);
+            put(start.bone.z, lane, given.bone[2 * chain + 1]);
+        }
+    }
+
+    void store(std::int64_t first, std::int64_t chains) const {
+        for (int lane = 0; lane < kLanes && lane < chains; ++lane) {
+            const std::int64_t chain = first + lane;
+            if (chain >= given.batch) break;
+            for (std::int64_t i = 0; i < count; ++i) {
+                const std::int64_t at = chain * count + i;
+                given.place[2 * at] = Of<T>::at(start.at[i].x, lane);
+                given.place[2 * at + 1] = Of<T>::at(start.at[i].z, lane);
+                given.rubbed[at] = Of<T>::at(rubbed[i], lane);
+            }
+            given.bone[2 * chain] = Of<T>::at(start.bone.x, lane);
+            given.bone[2 * chain + 1] = Of<T>::at(start.bone.z, lane);
+        }
+    }
+
+    // Lanes beyond the last chain repeat it.
+    std::int64_t chain_of(std::int64_t first, int lane) const {
+        const std::int64_t chain = first + lane;
+        return chain < given.batch ? chain : given.batch - 1;
+    }
+
+    // Forces: skin_press_forces.h.
+    void elastic(Body<T>& force) const;
+    // What tissue and nail hold an element back with, and the slope of that.
+    struct Held {
+        Pair<T> force;
+        Symmetric<T> slope;
+    };
+    Held held_at(const Body<T>& body, std::int64_t i) const;
+    Pair<T> drawn(const Body<T>& body, std::int64_t i) const;
+    // Dahl's force of an element after a slide and its slopes: with the place along and above the plate, with the force
+    // before, the height it slid from, mu k_c and sigma_0. With the place it slid from along the plate: minus the first.
+    struct Rubbed {
+        T force, along, above, before, from_above, steep, spring;
+    };
+    Rubbed rub(std::int64_t i, Pair<T> from, Pair<T> to, T before) const;
+    static bool any(bool mask) { return mask; }
+#if defined(__GNUC__) || defined(__clang__)
+    static bool any(const Integers& mask) {
+        std::int64_t one = 0;
+        for (int lane = 0; lane < kSide; ++lane) one |= mask[lane];
+        return one != 0;
+    }
+#endif
+
+    // Newton's method: skin_press_newton.h.
+    // One element's rows of (damping I + c K) moved = what is left over, before and after the elements outside of it
+    // were eliminated.
+    struct Row {
+        Block<T> undone, from_bone, to_bone;
+        Pair<T> swept;
+    };
+    Row assembled(const Body<T>& from, const T* before, std::int64_t i, Pair<T>& held, Block<T>& whole) const;
+    void follow(Row& row, const Row& before, T joined) const;
+    void finish(Row& row, std::int64_t i, Mask here, bool whole);
+    template <class Make, class Side, class Gone>
+    Pair<T> sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone);
+    T newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole);
+    Pair<T> bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const;
+    T solved(const Body<T>& side);
+    void newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
+                std::int64_t* iterations);
+
+    // Steps: skin_chain_press.cpp.
+    T unbalanced(Pair<T> load);
+    void run(std::int64_t first, std::int64_t chains);
+    static double quarters(double error);
+    void record(std::int64_t chain, int lane, std::int64_t number, double time, double step) const;
+    double* written(double* to, int lane, const Body<T>& body, const T* rub) const;
+
+    // Derivatives: skin_press_back.h.
+    void back(const fingerflow_skin_back& asked, std::int64_t chain);
+    void read(Body<T>& body, T* rub, const double* from) const;
+    static Body<T> swapped(Body<T> one, Body<T>& other);
+    void through(const Body<T>& from, const T* before, double* stiffness, double* of_mu);
+    void by_stiffness(const Body<T>& along, double times, double* stiffness) const;
+
+    void hold(Pair<T>& value, Pair<T> by) const {
+        if (held_x) value.x = by.x;
+        if (held_z) value.z = by.z;
+    }
+    static void take(Mask where, Block<T>& to, Block<T> from) {
+        if constexpr (kLanes == 1) to = from;
+        else to = {pick(where, from.xx, to.xx), pick(where, from.xz, to.xz), pick(where, from.zx, to.zx), pick(where, from.zz, to.zz)};
+    }
+    static void take(Mask where, Pair<T>& to, Pair<T> from) { to = {pick(where, from.x, to.x), pick(where, from.z, to.z)}; }
+};
+
+}  // namespace
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow

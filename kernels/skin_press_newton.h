@@ -1,0 +1,206 @@
+// A stage of a step by Newton's method, whose linear system is swept from both ends at once: two chains of operations that
+// do not wait for each other, and mirrored results for a mirrored press.
+#pragma once
+
+#include "skin_press.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+template <class T>
+inline typename Press<T>::Row Press<T>::assembled(const Body<T>& from, const T* before, std::int64_t i, Pair<T>& held,
+                                                    Block<T>& whole) const {
+    const Held own = held_at(end, i);
+    const Rubbed rubbing = rub(i, from.at[i], end.at[i], before[i]);
+    const Pair<T> at = end.at[i], off = known.at[i] - at, pull = drawn(end, i);
+    const T none = all<T>(0), links = i == 0 || i == count - 1 ? membrane : 2.0 * membrane;
+    const T touching = pick(at.z < none, contact, none);
+    held = own.force;
+    whole = scaled(c, own.slope);
+    const Block<T> column{-whole.xx, -whole.xz, -whole.zx, -whole.zz};
+    return {{damping + c * (own.slope.xx + links + rubbing.along), c * (own.slope.xz + rubbing.above), c * own.slope.xz,
+             damping + c * (own.slope.zz + links + touching)},
+            column,
+            column,
+            {damping * off.x + c * (pull.x - own.force.x - rubbing.force),
+             damping * off.z + c * (pull.z - own.force.z + contact * greater(-at.z, none))}};
+}
+
+// A row after its neighbour's.
+template <class T>
+inline void Press<T>::follow(Row& row, const Row& before, T joined) const {
+    row.undone = row.undone - (joined * joined) * before.undone;
+    row.from_bone = row.from_bone - joined * before.from_bone;
+    row.to_bone = row.to_bone - joined * (before.to_bone * before.undone);
+    row.swept = row.swept - joined * before.swept;
+}
+
+template <class T>
+inline void Press<T>::finish(Row& row, std::int64_t i, Mask here, bool whole) {
+    row.undone = inverse(row.undone);
+    row.from_bone = row.undone * row.from_bone;
+    row.swept = row.undone * row.swept;
+    swept[i] = row.swept;
+    if (kLanes == 1 || whole) {
+        undone[i] = row.undone, from_bone[i] = row.from_bone, to_bone[i] = row.to_bone;
+    } else {
+        take(here, undone[i], row.undone), take(here, from_bone[i], row.from_bone), take(here, to_bone[i], row.to_bone);
+    }
+}
+
+// Rows made one by one and swept from both ends; the bone's right-hand side from what its links to elements add up to;
+// then where each element goes. The swept matrix stays for `solved`, in the lanes `here`. Gives the bone's motion.
+template <class T>
+template <class Make, class Side, class Gone>
+inline Pair<T> Press<T>::sweep(Mask here, bool whole, Make make, Side side, Pair<T> motion, Gone gone) {
+    const std::int64_t centre = count / 2;
+    const T joined = -c * membrane, none = all<T>(0);
+    Block<T> of{bone_damping, none, none, bone_damping};
+    Pair<T> on_bone{none, none}, bone{none, none}, held{}, other_held{};
+    Block<T> slope{}, other_slope{};
+    Row left{}, right{};
+    for (std::int64_t i = 0; i < centre; ++i) {
+        const std::int64_t j = count - 1 - i;
+        Row row = make(i, held, slope);
+        if (i) follow(row, left, joined);
+        finish(row, i, here, whole);
+        left = row;
+        if (j > centre) {
+            row = make(j, other_held, other_slope);
+            if (i) follow(row, right, joined);
+            finish(row, j, here, whole);
+            right = row;
+            on_bone = on_bone + (held + other_held);
+            of = of + (slope + other_slope) - (left.to_bone * left.from_bone + right.to_bone * right.from_bone);
+            bone = bone + (left.to_bone * left.swept + right.to_bone * right.swept);
+        } else {
+            on_bone = on_bone + held;
+            of = of + slope - left.to_bone * left.from_bone;
+            bone = bone + left.to_bone * left.swept;
+        }
+    }
+    Row row = make(centre, held, slope);
+    const Row sum{left.undone + right.undone, left.from_bone + right.from_bone,
+                  left.to_bone * left.undone + right.to_bone * right.undone, left.swept + right.swept};
+    row.undone = row.undone - (joined * joined) * sum.undone;
+    row.from_bone = row.from_bone - joined * sum.from_bone;
+    row.to_bone = row.to_bone - joined * sum.to_bone;
+    row.swept = row.swept - joined * sum.swept;
+    finish(row, centre, here, whole);
+    of = of + slope - row.to_bone * row.from_bone;
+    bone = bone + row.to_bone * row.swept;
+    if (whole) bone_block = of;
+    else take(here, bone_block, of);
+
+    const Pair<T> by = bone_motion(of, side(on_bone + held) - bone, motion);
+    Pair<T> last = row.swept - row.from_bone * by, other = last;
+    gone(centre, last);
+    for (std::int64_t i = centre - 1; i >= 0; --i) {
+        const std::int64_t j = count - 1 - i;
+        last = swept[i] - from_bone[i] * by - joined * (undone[i] * last);
+        gone(i, last);
+        if (j > centre) {
+            other = swept[j] - from_bone[j] * by - joined * (undone[j] * other);
+            gone(j, other);
+        }
+    }
+    return by;
+}
+
+// A step of Newton's from `end`, gone along by the lanes `here`. The greatest motion.
+template <class T>
+inline T Press<T>::newton_step(const Body<T>& from, const T* before, Pair<T> load, Mask here, bool whole) {
+    const T none = all<T>(0);
+    T most = none;
+    const auto make = [&](std::int64_t i, Pair<T>& held, Block<T>& slope) { return assembled(from, before, i, held, slope); };
+    const auto side = [&](Pair<T> on_bone) {
+        const Pair<T> off = known.bone - end.bone;
+        return Pair<T>{bone_damping * off.x + c * (on_bone.x + load.x), bone_damping * off.z + c * (on_bone.z + load.z)};
+    };
+    const auto gone = [&](std::int64_t i, Pair<T> moved) {
+        most = farthest(most, moved);
+        if (kLanes == 1 || whole) end.at[i] = end.at[i] + moved;
+        else end.at[i] = end.at[i] + Pair<T>{pick(here, moved.x, none), pick(here, moved.z, none)};
+    };
+    bone_gone = sweep(here, whole, make, side, load - end.bone, gone);
+    end.bone = end.bone + Pair<T>{pick(here, bone_gone.x, none), pick(here, bone_gone.z, none)};
+    return farthest(most, bone_gone);
+}
+
+template <class T>
+inline Pair<T> Press<T>::bone_motion(Block<T> of, Pair<T> side, Pair<T> motion) const {
+    if (held_x && held_z) return motion;
+    if (held_x) return {motion.x, (side.z - of.zx * motion.x) / of.zz};
+    if (held_z) return {(side.x - of.xz * motion.z) / of.xx, motion.z};
+    return inverse(of) * side;
+}
+
+// The greatest of the solution of the last matrix for a right-hand side; that of a direction which is held is its motion.
+template <class T>
+inline T Press<T>::solved(const Body<T>& side) {
+    const std::int64_t centre = count / 2;
+    const T joined = -c * membrane, none = all<T>(0);
+    Pair<T> bone{none, none};
+    for (std::int64_t i = 0; i < centre; ++i) {
+        const std::int64_t j = count - 1 - i;
+        swept[i] = undone[i] * (i ? side.at[i] - joined * swept[i - 1] : side.at[i]);
+        const Pair<T> one = to_bone[i] * swept[i];
+        if (j > centre) {
+            swept[j] = undone[j] * (i ? side.at[j] - joined * swept[j + 1] : side.at[j]);
+            bone = bone + (one + to_bone[j] * swept[j]);
+        } else {
+            bone = bone + one;
+        }
+    }
+    swept[centre] = undone[centre] * (side.at[centre] - joined * (swept[centre - 1] + swept[centre + 1]));
+    const Pair<T> by = bone_motion(bone_block, side.bone - (bone + to_bone[centre] * swept[centre]), side.bone);
+    T most = farthest(none, by);
+    Pair<T> last = swept[centre] - from_bone[centre] * by, other = last;
+    most = farthest(most, last);
+    for (std::int64_t i = centre - 1; i >= 0; --i) {
+        const std::int64_t j = count - 1 - i;
+        last = swept[i] - from_bone[i] * by - joined * (undone[i] * last);
+        most = farthest(most, last);
+        if (j > centre) {
+            other = swept[j] - from_bone[j] * by - joined * (undone[j] * other);
+            most = farthest(most, other);
+        }
+    }
+    return most;
+}
+
+// damping (X - known) = c forces(X) from `end` on, which becomes X, with Dahl's forces `after` the slide from a place;
+// lanes where it is not found are taken off those which go on.
+template <class T>
+inline void Press<T>::newton(const Body<T>& from, const T* before, T* after, Pair<T> load, const double* tolerance, bool* go_on,
+                             std::int64_t* iterations) {
+    bool busy[kLanes];
+    Mask going{};
+    bool whole = true;
+    for (int lane = 0; lane < kLanes; ++lane) {
+        Of<T>::set(going, lane, busy[lane] = go_on[lane]);
+        whole = whole && busy[lane];
+    }
+    for (int iteration = 0; iteration < kMostIterations; ++iteration) {
+        const T most = newton_step(from, before, load, going, whole);
+        bool more = false;
+        for (int lane = 0; lane < kLanes; ++lane) {
+            if (!busy[lane]) continue;
+            ++iterations[lane];
+            const double by = Of<T>::at(most, lane), bone = Of<T>::at(bone_gone.z, lane);
+            const bool lost = !(by < 1.0) || bone != bone || iteration + 1 == kMostIterations;  // m
+            if (by <= tolerance[lane]) busy[lane] = false;
+            else if (lost) busy[lane] = go_on[lane] = false;
+            Of<T>::set(going, lane, busy[lane]);
+            more = more || busy[lane];
+            whole = whole && busy[lane];
+        }
+        if (!more) break;
+    }
+    for (std::int64_t i = 0; i < count; ++i) after[i] = rub(i, from.at[i], end.at[i], before[i]).force;
+}
+
+}  // namespace
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow

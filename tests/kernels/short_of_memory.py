@@ -1,0 +1,185 @@
+"""Refuses every request for memory of every kernel, one after the other, and says what became of it: a line a kernel.
+
+LD_PRELOAD=<failing_new.cpp as a library> python -m tests.kernels.short_of_memory
+
+Each trial is a forked child, whose pool of threads is new, as are the workspaces of its threads: nothing that an
+earlier call has left is there. In the child the request is refused, the op has to raise MemoryError, and to give what
+it gives otherwise when it is called once more. Where the request was one for a thread of the pool, fewer threads do the
+work, and the op gives what it gives otherwise at once.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import torch
+
+from fingerflow import kernels
+from fingerflow.kernels import library
+from fingerflow.models.skin_chain import press
+from fingerflow.ops.triangle_strain import triangle_strain
+from tests.embedded import CASES, scene, tensors_of
+
+THREADS = 3
+FIRST = 16  # requests that are refused one by one; behind them every fourth more than the last
+RIGHT, FEWER_THREADS, NOT_REFUSED, OTHER_EXCEPTION, OTHER_RESULT = range(5)
+WORDS = ("MemoryError", "fewer threads", "all granted", "another exception", "another result")
+# They work on what they are given, and ask for no memory.
+FOR_TESTS = {"limit_instruction_set", "inject_fault"}
+
+
+def calls() -> dict[str, Callable[[], Any]]:
+    """What reaches every kernel, through the ops as far as they do."""
+    first, _, points, moved = scene()
+    mask = first > 110
+    light = torch.full((1, 1, *first.shape[2:]), 200.0)
+    tall = first.repeat(1, 1, 4, 1)  # work for several threads
+    covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
+    triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
+    moving = first.float().expand(-1, 2, -1, -1) / 100
+    friction = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
+
+    def chain() -> Any:
+        with torch.enable_grad():
+            pressed = press(friction, elements=9)
+            return (pressed.position.detach(), *torch.autograd.grad(pressed.divergence.sum(), friction))
+
+    own: dict[str, Callable[[], Any]] = {
+        name: lambda case=case: case.call(*case.inputs) for name, case in CASES.items()
+    }
+    return own | {
+        "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
+        "fill_holes": lambda: kernels.fill_holes(mask),
+        "largest_component": lambda: kernels.largest_component(mask),
+        "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
+        "mask_moments": lambda: kernels.mask_moments(mask),
+        "fit_ellipse": lambda: kernels.fit_ellipse(mask),
+        "real_contact_mask": lambda: kernels.real_contact_mask(
+            tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
+        ),
+        "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
+        "mean_response": lambda: kernels.mean_response(tall),
+        "halve": lambda: kernels.halve(tall),
+        "flow_to_cells": lambda: kernels.flow_to_cells(moving, light.expand_as(first) / 200),
+        "flow_warp": lambda: kernels.flow_warp(first.float(), moving),
+        "triangle_strain": lambda: triangle_strain(
+            points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
+        ),
+        "skin_chain": chain,
+    }
+
+
+@contextmanager
+def entered(seen: Callable[[str, Callable[[], None]], None]) -> Iterator[None]:
+    """Within it `seen` gets the name of every kernel that is entered, and what enters it."""
+    plain = library.Entry.__call__
+
+    def called(self: library.Entry, **given: Any) -> None:
+        seen(self._name, lambda: plain(self, **given))
+
+    library.Entry.__call__ = called  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        library.Entry.__call__ = plain  # type: ignore[method-assign]
+
+
+def reached(call: Callable[[], Any]) -> set[str]:
+    names: set[str] = set()
+
+    def noted(name: str, enter: Callable[[], None]) -> None:
+        names.add(name)
+        enter()
+
+    with entered(noted):
+        call()
+    return names
+
+
+def same(one: Any, other: Any) -> bool:
+    pairs = zip(tensors_of(one), tensors_of(other), strict=True)
+    return all(torch.allclose(a.double(), b.double(), rtol=0, atol=0, equal_nan=True) for a, b in pairs)
+
+
+def tried(call: Callable[[], Any], right: Any, wanted: str, number: int, hooks: ctypes.CDLL) -> int:
+    """What became of a call of the op whose kernel `wanted` is refused a request, in a thread that is new."""
+    refused = 0
+
+    def refusing(name: str, enter: Callable[[], None]) -> None:
+        nonlocal refused
+        if name != wanted or refused:
+            return enter()
+        hooks.refuse_request(number)
+        try:
+            enter()
+        finally:
+            refused += hooks.requests_refused()
+            hooks.refuse_request(-1)
+        return None
+
+    outcome = [OTHER_EXCEPTION]
+
+    def judge() -> None:
+        torch.set_grad_enabled(False)
+        try:
+            with entered(refusing):
+                results = [call()]
+            end = FEWER_THREADS if refused else NOT_REFUSED
+        except MemoryError:
+            results, end = [], RIGHT
+        results.append(call())
+        outcome[0] = end if all(same(one, right) for one in results) else OTHER_RESULT
+
+    thread = threading.Thread(target=judge)
+    thread.start()
+    thread.join()
+    return outcome[0]
+
+
+def in_a_child(function: Callable[[], int]) -> str:
+    """What the function says in a forked child, in words, or the signal that ends it."""
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        try:
+            os._exit(function())
+        finally:
+            os._exit(OTHER_EXCEPTION)
+    _, status = os.waitpid(child, 0)
+    return WORDS[os.WEXITSTATUS(status)] if os.WIFEXITED(status) else signal.Signals(os.WTERMSIG(status)).name
+
+
+def main() -> None:
+    warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+    hooks = ctypes.CDLL(None)
+    hooks.refuse_request.argtypes, hooks.requests_refused.restype = (ctypes.c_long,), ctypes.c_long
+    torch.set_num_threads(1)
+    torch.set_grad_enabled(False)
+    torch.get_num_threads = lambda: THREADS  # of the kernels: torch itself has none that a fork could lose
+    every, by_kernel, results = calls(), {}, {}
+    for name, call in every.items():
+        for kernel in reached(call):
+            by_kernel.setdefault(kernel, name)
+    missing = set(library._library() or ()) - set(by_kernel) - FOR_TESTS
+    print("missing:", *sorted(missing))
+    for kernel, name in sorted(by_kernel.items()):
+        call = every[name]
+        right = results.setdefault(name, call())
+        words: dict[str, int] = {}
+        number = 0
+        while WORDS[NOT_REFUSED] not in words:
+            word = in_a_child(partial(tried, call, right, kernel, number, hooks))
+            words[word] = words.get(word, 0) + 1
+            number = number + 1 if number < FIRST else 5 * number // 4
+        print(f"{kernel}:", ", ".join(f"{count} {word}" for word, count in words.items()), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""Compiled and portable forms on hard cases drawn by seed: the same statuses, the same NaN, numbers to a tolerance.
+
+Each draw is a pair of frames (ridges of any contrast, saturated or blank, noise from none to more than the ridges; 8
+and 16 bit, floating, with pixels that are none), points all over the frame and beyond it, on whole pixels and on no
+pixel, motion from none to farther than a search goes, and any setting.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow import kernels
+from fingerflow.ops.flow import dense_flow
+from fingerflow.ops.search import search_windows
+from fingerflow.ops.templates import find_templates, prepare_templates
+from fingerflow.ops.tracking import track_points
+from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.synthetic import RidgeTexture
+
+pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+Portable = Callable[[Callable[[], object]], Any]
+DRAWS, POINTS = 50, 50
+# Of the standard deviation of a position, and px: both forms take the same steps, and rounding of float32 is amplified
+# by a structure tensor that is nearly singular as much as noise is. Most differ by 1e-5 px, that of the coordinates.
+OF_DEVIATION, ROUNDING_PX = 0.05, 2e-4
+
+
+class Draw(NamedTuple):
+    """Two frames (B, 1, H, W), points (B, N, 2), and settings."""
+
+    first: Tensor
+    second: Tensor
+    points: Tensor
+    settings: dict[str, Any]
+
+
+def drawn(seed: int, size: tuple[int, int] = (90, 110)) -> Draw:
+    random = np.random.default_rng(seed)
+    kind = random.choice(["uint8", "uint16", "float", "holes"])
+    noise, contrast = random.choice([0.0, 0.5, 2.0, 8.0, 25.0]), random.choice([0.0, 2.0, 10.0, 80.0, 300.0])
+    motion = random.uniform(-1, 1, 2) * random.choice([0.0, 0.5, 2.0, 6.0, 12.0])
+    if seed % 5 == 0:
+        motion = motion.round()
+    batch = 1 + seed % 2
+    first, second = (
+        torch.stack([_picture(shift, noise, contrast, size, seed * 4 + 2 * k + later) for k in range(batch)])[:, None]
+        for later, shift in enumerate((np.zeros(2), motion))
+    )
+    if kind == "uint8":
+        first, second = (one.round().clamp(0, 255).to(torch.uint8) for one in (first, second))
+    elif kind == "uint16":
+        first, second = ((16 * one).round().clamp(0, 4095).to(torch.uint16) for one in (first, second))
+    else:
+        first, second = first.float(), second.float()
+    if kind == "holes":
+        down, across = size[0] // 3, size[1] // 3
+        first[0, 0, down : down + 2, across : across + 3], second[0, 0, 2 * down, 2 * across] = torch.nan, torch.inf
+    points = torch.from_numpy(random.uniform(-8, [size[1] + 8, size[0] + 8], (batch, POINTS, 2))).float()
+    if seed % 3 == 0:
+        points = points.round()
+    points[0, 0], points[0, 1] = torch.nan, torch.inf
+    settings = {
+        "window": int(random.choice([5, 9, 15, 21, 31])),
+        "gain_offset": bool(random.integers(2)),
+        "search": int(random.choice([0, 8])),
+        "passes": int(random.choice([1, 2])),
+    }
+    return Draw(first, second, points, settings)
+
+
+def _picture(shift: Any, noise: float, contrast: float, size: tuple[int, int], seed: int) -> Tensor:
+    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in size), indexing="ij")
+    ridges = RidgeTexture()((x - shift[0]) * 0.0325, (y - shift[1]) * 0.0325)
+    grain = torch.randn(size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return 110 + contrast * ridges + noise * grain
+
+
+def same_found(found: Any, expected: Any, case: str) -> int:
+    """The same statuses, NaN and numbers of points (B, N); returns how many have a position."""
+    differ = (found.status != expected.status).nonzero().tolist()
+    said = [(place, int(found.status[*place]), int(expected.status[*place])) for place in differ]
+    assert not said, f"{case}: statuses of points {said}"
+    tracked = expected.status == TrackStatus.TRACKED
+    known = tracked | (expected.status >= TrackStatus.MISMATCH)
+    for one in (found, expected):
+        assert torch.equal(one.points.isfinite().all(-1), tracked), case
+        assert torch.equal(one.covariance.isfinite().all(-1).all(-1), tracked), case
+        assert torch.equal(one.error.isfinite(), known), case
+    deviation = expected.covariance[tracked].diagonal(dim1=-2, dim2=-1).amax(-1).sqrt()
+    limit = ROUNDING_PX + OF_DEVIATION * deviation
+    off = (found.points[tracked] - expected.points[tracked]).abs().amax(-1)
+    assert (off <= limit).all(), f"{case}: {(off / limit).max():.2f} of the tolerance in positions"
+    return int(tracked.sum())
+
+
+@pytest.mark.parametrize("base", [0, 1000])
+def test_tracked_points(instruction_set: int, portable: Portable, base: int) -> None:
+    tracked = 0
+    for seed in range(base, base + DRAWS):
+        first, second, points, settings = drawn(seed)
+
+        def call() -> Any:
+            return track_points(first, second, points, **settings)  # noqa: B023
+
+        tracked += same_found(call(), portable(call), f"draw {seed}, {settings}")
+    assert tracked > 300
+
+
+def test_templates_with_a_warp(instruction_set: int, portable: Portable) -> None:
+    """Prepared for any deformation, steep ones too, and found where it leads."""
+    tracked = 0
+    for seed in range(DRAWS):
+        first, second, points, settings = drawn(seed)
+        random = torch.Generator().manual_seed(seed)
+        size = (0.02, 0.1, 0.6)[seed % 3]
+        warp = torch.eye(2) + size * (torch.rand(*points.shape, 2, generator=random) - 0.5)
+
+        def call() -> Any:
+            window, free = settings["window"], settings["gain_offset"]  # noqa: B023
+            kept = prepare_templates(first, points, window, warp, gain_offset=free)  # noqa: B023
+            return find_templates(kept, second, points + 0.3, rounds=1 + seed % 3)  # noqa: B023
+
+        tracked += same_found(call(), portable(call), f"draw {seed}, {settings}")
+    assert tracked > 100
+
+
+def test_searched_windows(instruction_set: int, portable: Portable) -> None:
+    """In saturated pictures too: of places that are equally like, both take the same one. Beyond the frame, where its
+    border is repeated, many are equal along it, and up to one in 500 is decided by rounding.
+    """
+    beyond = differing = 0
+    for seed in range(DRAWS):
+        first, second, points, settings = drawn(seed)
+        index = torch.arange(len(points))[:, None].expand(points.shape[:2]).flatten()
+        flat = points.flatten(0, 1)
+        guess = flat + 3 * torch.randn(flat.shape, generator=torch.Generator().manual_seed(seed))
+        radius = (1, 6, 13, 24)[seed % 4]
+
+        def call() -> Any:
+            return search_windows(first, second, index, flat, guess, settings["window"], radius)  # noqa: B023
+
+        found, expected = call(), portable(call)
+        assert torch.equal(found.isfinite(), expected.isfinite()), f"draw {seed}"
+        # A start for the tracker, good to about a pixel; float32 of a vertex of three scores: 1e-4 px.
+        apart = (found - expected).abs().nan_to_num(0.0).amax(-1) > 1e-3
+        inside = ((flat > 16) & (flat < torch.tensor([94.0, 74.0]))).all(-1)
+        assert not apart[inside].any(), f"draw {seed}: {flat[inside & apart]}"
+        beyond, differing = beyond + int((~inside).sum()), differing + int(apart.sum())
+    assert beyond > 1000
+    assert differing <= beyond / 500
+
+
+@pytest.mark.parametrize("size", [(4, 4), (5, 31), (12, 9)])
+def test_tiny_frames(portable: Portable, size: tuple[int, int]) -> None:
+    for seed in range(12):
+        first, second, points, settings = drawn(seed, size)
+
+        def call() -> Any:
+            return track_points(first, second, points, **settings)  # noqa: B023
+
+        same_found(call(), portable(call), f"draw {seed}, {settings}")
+
+
+@pytest.mark.parametrize("shape", [(0, 7), (2, 0), (0, 0)])
+def test_no_points_and_no_frames(portable: Portable, shape: tuple[int, int]) -> None:
+    images, points = torch.zeros(shape[0], 1, 40, 50), torch.zeros(*shape, 2)
+    warp = torch.eye(2).expand(*shape, 2, 2)
+    flat = points.flatten(0, 1)
+    index = torch.zeros(len(flat), dtype=torch.int64)
+    for call in (
+        lambda: track_points(images, images, points).status,
+        lambda: find_templates(prepare_templates(images, points, 9, warp), images, points, rounds=2).status,
+        lambda: search_windows(images, images, index, flat, flat, 9, 3),
+    ):
+        assert call().shape == portable(call).shape
+
+
+def test_flow(instruction_set: int, portable: Portable) -> None:
+    """Of frames without holes, which dense flow does not take; to the tolerance to which both iterate."""
+    for seed in range(20):
+        first, second, _, _ = drawn(seed)
+        if not first.isfinite().all():
+            continue
+
+        def call() -> Any:
+            return dense_flow(first, second)  # noqa: B023
+
+        found, expected = call(), portable(call)
+        for name in found._fields:
+            one, other = getattr(found, name), getattr(expected, name)
+            assert torch.equal(one.isfinite(), other.isfinite()), f"draw {seed}: {name}"
+        off = (found.displacement - expected.displacement).nan_to_num(0.0).abs().max()
+        assert off < 2e-2, f"draw {seed}: {off} px"

@@ -1,0 +1,83 @@
+"""Trials that are small enough for a test, and what may be wrong with a frame of them: one place for all tests."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fingerflow.export import export_bundle
+from fingerflow.synthetic import Press, Slide, write_recording
+
+Frame = np.ndarray[Any, Any]
+
+#: 8 frames of 96 x 240 px: contact in the last six.
+TINY_PRESS = Press(
+    n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
+)
+
+# What a stream and `process` are compared on.
+FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
+GRAPHS = ("background", "detect", "key", "renew", "frame", "fields")
+_SHARED = f"""
+[tracking]
+points = {POINTS}
+window_px = 21
+[fields]
+gauge_length_mm = 1.6
+"""
+_SHAPE: dict[str, Any] = {"n_frames": FRAMES, "frame_shape": (HEIGHT, 2 * WIDTH), "semi_axes": (2.1, 1.7)}
+TRIALS: dict[str, Press | Slide] = {
+    "press": Press(**_SHAPE, rise_time=0.2, finger=(2.9, 2.4)),
+    "slide": Slide(**_SHAPE, finger=(2.9, 2.4)),
+}
+
+
+def write_trial(folder: Path, kind: str = "press") -> Path:
+    """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
+    write_recording(folder, TRIALS[kind])
+    scene = folder / "scene.toml"
+    text = scene.read_text(encoding="utf-8")
+    settings = f"[contact]\nthreshold = 0.27\n{_SHARED}"
+    scene.write_text(text[: text.index("[contact]")] + settings + text[text.index("[stream]") :], encoding="utf-8")
+    return scene
+
+
+def write_bundle_of_trials(folder: Path, graphs: tuple[str, ...] = GRAPHS) -> Path:
+    """Exports the graphs that play these trials; what tests/export verifies is not verified again."""
+    recipe = folder.with_name(f"{folder.name}.toml")
+    views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
+    recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {list(graphs)}\n".replace("'", '"'), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])
+        export_bundle(recipe, folder)
+    return folder
+
+
+def _torn(frame: Frame) -> Frame:
+    half = len(frame) // 2
+    return np.concatenate([frame[:half], np.roll(frame[half:], 25, axis=1)])
+
+
+def _without_lines(frame: Frame) -> Frame:
+    return np.where((np.arange(len(frame)) // 10 % 20 == 9)[:, None], 0, frame).astype(frame.dtype)
+
+
+def dim_contact(frame: Frame) -> Frame:
+    """The contact view, on the right, at 70 % of its light."""
+    middle = frame.shape[1] // 2
+    return np.concatenate([frame[:, :middle], (0.7 * frame[:, middle:]).astype(frame.dtype)], axis=1)
+
+
+#: What becomes of a frame (H, W) of 8 bits, and the status that says so.
+SPOILED: dict[str, tuple[Callable[[Frame], Frame], str]] = {
+    "black": (lambda frame: np.full_like(frame, 8), "dark"),
+    "saturated": (lambda frame: np.full_like(frame, 255), "saturated"),
+    "dim contact view": (dim_contact, "jumps_and_returns"),
+    "brighter": (lambda frame: np.minimum(1.4 * frame, 255).astype(frame.dtype), "jumps_and_returns"),
+    "rolled": (lambda frame: np.roll(frame, 7 * len(frame) // 12, axis=0), "jumps_and_returns"),
+    "shifted": (lambda frame: np.roll(frame, 15, axis=1), "jumps_and_returns"),
+    "torn": (_torn, "jumps_and_returns"),
+    "lines lost": (_without_lines, "jumps_and_returns"),
+}

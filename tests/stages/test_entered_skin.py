@@ -1,0 +1,115 @@
+"""Skin that moves into a contact whose border rests: a synthetic slide, whose rear rim draws skin in."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+
+from fingerflow import load_scene, process
+from fingerflow.ops.area_medians import Apart, area_medians
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.player.contract.variables import ENTRY
+from fingerflow.synthetic import Slide, write_recording
+
+SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
+MOVED_IN, LAST = ENTRY.index("moved_in"), SLIDE.n_frames - 1
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    folder: Path = tmp_path_factory.mktemp("slide") / "slide"
+    write_recording(folder, SLIDE)
+    return process(load_scene(folder / "scene.toml"))
+
+
+@pytest.fixture(scope="module")
+def material(result: xr.Dataset) -> np.ndarray:
+    truth = SLIDE.truth
+    return truth.material(truth.topography_positions(result["position_px"].values[0]), 0)
+
+
+def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
+    """All points of which truth says so, but a quarter: those within a step of the border at rest, which is known to
+    0.06 mm, so that they touch in the first frame or have moved by too little to tell."""
+    after_start = SLIDE.truth.onset_time(material) > SLIDE.times[SLIDE.frames_before_trigger]
+    found = result["entry"].values == MOVED_IN
+    assert after_start.sum() > 30
+    assert (found & after_start).sum() >= 0.75 * after_start.sum()
+    assert (found & ~after_start).sum() <= 0.15 * found.sum()
+
+
+def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material: np.ndarray) -> None:
+    """Against the same estimator on true positions: 3 um/mm in the median, of errors of the time of entry, and none of
+    smoothing; against truth itself 10 um/mm RMS, of smoothing over 1.6 mm where divergence changes by 100 um/mm a mm.
+    """
+    truth = SLIDE.truth
+    entered = np.flatnonzero((result["entry"].values == MOVED_IN) & (truth.onset_frame(material) >= 0))
+    places = torch.from_numpy(truth.positions(material, 0))
+    onset = truth.onset_frame(material)[entered]
+
+    def deformation(frame: int) -> torch.Tensor:
+        moved = torch.from_numpy(truth.positions(material, frame)) - places
+        fit = local_gradients(places[None], moved[None], places[None, entered], gauge_length=1.6)
+        return torch.eye(2, dtype=torch.float64) + fit.gradient[0]
+
+    begun = torch.stack([deformation(int(frame))[k] for k, frame in enumerate(onset)])
+    expected = torch.linalg.solve(begun.mT, deformation(LAST).mT).mT.diagonal(dim1=1, dim2=2).sum(1).numpy() - 2
+    measured = result["divergence"].values[LAST, entered]
+    known = np.isfinite(measured + expected)
+    assert known.mean() > 0.9
+    error = 1000 * (measured - expected)[known]
+    assert abs(np.median(error)) < 3
+    exact = truth.entry_gradient(material, LAST)[entered]
+    error = 1000 * (measured - exact[:, 0, 0] - exact[:, 1, 1])[known]
+    assert np.sqrt((error**2).mean()) < 15
+    assert np.abs(measured[known]).max() < 0.3
+
+
+def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset) -> None:
+    """Truth: the energy of F(t) F(entry)^-1 over the skin in contact. By places of onset it came to 1000 times that."""
+    truth = SLIDE.truth
+    ellipse = truth.ellipse(LAST)
+    assert ellipse is not None
+    step = 0.1
+    axis = np.arange(-6, 6, step)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
+    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
+    gradient = truth.entry_gradient(truth.material(places[inside], LAST), LAST)
+    deformation = np.eye(2) + gradient
+    strain = (deformation.transpose(0, 2, 1) @ deformation - np.eye(2)) / 2
+    young, poisson = 1.0, 0.4
+    trace = np.trace(strain, axis1=1, axis2=2)
+    shear, bulk = young / (1 + poisson), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    density = (shear * (strain**2).sum((1, 2)) + bulk * trace**2) / 2
+    true = np.nansum(density / np.linalg.det(deformation)) * step**2 * 2.0
+    assert 0.5 < result["strain_energy"].values[LAST] / true < 2
+    assert result["field_coverage"].values[LAST] > 0.9
+
+
+def test_medians_are_of_old_and_new_skin_together() -> None:
+    """Half of a disc counts from elsewhere, its own fields given: the median lies between, its errors add up."""
+    points = torch.rand(1, 900, 2, generator=torch.Generator().manual_seed(1)) * 12 - 6
+    new = points[0, :, 0] > 0
+    displacement = 0.05 * points
+    displacement[:, new] = torch.nan
+    fields = torch.full((1, int(new.sum()), 5), 0.3)
+    apart = Apart(points[:, new] * 1.05, fields, torch.full_like(fields, 0.01))
+    ellipse = torch.zeros(1, 2), torch.full((1, 2), 4.0), torch.zeros(1)
+    found = area_medians(
+        points,
+        displacement,
+        *ellipse,
+        gauge_length=1.6,
+        covariance=1e-8 * torch.eye(2).expand(1, 900, 2, 2),
+        apart=apart,
+    )
+    assert found.known.item() > 0.93
+    divergence = found.median[0, 0].item()
+    assert min(abs(divergence - one) for one in (0.1, 0.2, 0.3)) < 1e-4  # either half, or the middle of both
+    without = area_medians(points, displacement, *ellipse, gauge_length=1.6)
+    assert without.known.item() < 0.6
+    assert without.median.isnan().all()
+    moved = Apart(apart.place + 6.0, fields, apart.std)  # nobody is near: nothing is known there
+    assert area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=moved).known.item() < 0.6

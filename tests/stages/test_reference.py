@@ -1,0 +1,129 @@
+"""[fields] reference: a press that slides while it grows, counted from onset, the first frame, a frame and a time."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import load_scene, process
+from fingerflow.errors import FingerflowError
+from fingerflow.report.page import write_report
+from fingerflow.scene import Scene
+from fingerflow.synthetic import Press, write_recording
+
+PRESS = Press(
+    n_frames=40,
+    frame_rate=40.0,
+    frames_before_trigger=2,
+    frame_shape=(320, 800),
+    semi_axes=(3.4, 2.8),
+    finger=(5.0, 4.0),
+    shift=(0.5, -0.25),  # mm: 17 px of sliding
+)
+LOOKED = (16, 24, 32, 39)  # from 10 mm2 on
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    folder: Path = tmp_path_factory.mktemp("sliding") / "press"
+    write_recording(folder, PRESS)
+    return load_scene(folder / "scene.toml")
+
+
+def counted_from(scene: Scene, reference: str | int) -> xr.Dataset:
+    return process(replace(scene, fields=replace(scene.fields, reference=reference)))
+
+
+@pytest.mark.parametrize(("reference", "frame"), [("first_frame", 0), (20, 20), ("0.7 s", 30)])
+def test_every_frame_gives_what_is_true_for_it(scene: Scene, reference: str | int, frame: int) -> None:
+    """Limits: twice what errors of the border make of the medians of this small contact (0.4 um/mm); the displacement
+    is the median over points, which are not spread as evenly as the truth's grid (7 um of 510)."""
+    result, truth = counted_from(scene, reference), PRESS.truth
+    assert result["divergence"].attrs["reference_frame"] == frame
+    assert f"frame {frame}, {PRESS.times[frame]:.4g} s" in result["median_strain"].attrs["reference"]
+    for k in LOOKED:
+        true = truth.medians(k, reference=frame)
+        assert 1000 * abs(result["median_divergence"].values[k] - true.divergence) < 0.8, k
+        assert 1000 * abs(result["median_curl"].values[k] - true.curl) < 0.8, k
+        expected = np.array((true.exx, true.eyy, true.exy))
+        assert 1000 * np.abs(result["median_strain"].values[k] - expected).max() < 0.8, k
+        assert abs(result["global_displacement_vector"].values[k, 0] - true.displacement_x) < 0.01, k
+    material = truth.material(truth.topography_positions(result["position_px"].values[0]), 0)
+    exact = truth.displacement(material, 36, reference=frame)
+    error = result["displacement"].values[36] - exact
+    known = np.isfinite(error).all(-1)
+    assert known.mean() > 0.5  # of points in a rectangle around the contact
+    assert np.sqrt((error[known] ** 2).mean()) < 0.001  # mm: 0.03 px
+    stated = result["displacement_std"].values[36][known]
+    assert 0.7 < np.sqrt((error[known] ** 2).mean() / (stated**2).mean()) < 1.4
+    assert not np.nan_to_num(result["displacement"].values[frame]).any()
+
+
+def test_by_onset_sliding_counts_as_another_strain(scene: Scene) -> None:
+    """Neighbours count from other moments: by the skin it is 100 um/mm here, by onsets 115 (truth)."""
+    truth = PRESS.truth
+    by_onset, by_skin = truth.medians(39).divergence, truth.medians(39, reference=0).divergence
+    assert by_onset - by_skin > 0.01
+    result = counted_from(scene, "onset")
+    # 40 frames a second: the contact grows by up to 0.2 mm in a frame while the skin slides, which onset is late by.
+    assert abs(result["median_divergence"].values[39] - by_onset) < 0.006
+    assert "reference_frame" not in result["divergence"].attrs
+    assert "own onset" in result["displacement"].attrs["reference"]
+
+
+def test_truth_by_a_frame_is_the_difference_of_two_positions() -> None:
+    truth = PRESS.truth
+    points = np.array([[6.5, 5.0], [7.2, 4.4], [6.0, 5.6]])
+    material, step = truth.material(points, 39), 1e-5
+    moved = truth.displacement(material, 39, reference=12)
+    np.testing.assert_allclose(moved, truth.positions(material, 39) - truth.positions(material, 12), atol=1e-12)
+    begun = truth.positions(material, 12)
+    gradient = truth.gradient(material, 39, reference=12)
+    for axis in range(2):
+        beside = begun.copy()
+        beside[:, axis] += step
+        other = truth.displacement(truth.material(beside, 12), 39, reference=12)
+        np.testing.assert_allclose(gradient[..., axis], (other - moved) / step, atol=1e-4)  # of second order in step
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        (40, "fields.reference is 40, and the frames that count are 0 to 39; give one of them"),
+        ("2 s", "fields.reference is '2 s', and the frames that count last from -0.05 to 0.925 s"),
+    ],
+)
+def test_what_is_not_in_the_recording_is_refused(scene: Scene, reference: str | int, said: str) -> None:
+    with pytest.raises(FingerflowError) as refused:
+        counted_from(scene, reference)
+    assert said in str(refused.value)
+    assert str(scene.path) in str(refused.value)
+
+
+def test_points_that_are_lost_then_are_unknown_and_counted(scene: Scene, tmp_path: Path) -> None:
+    """A patch of the topography view is without skin from the reference frame on."""
+    frames = np.load(scene.recording.frames)
+    frames[20:, 100:220, 120:200] = 40
+    np.save(tmp_path / "patched.npy", frames)
+    patched = replace(scene, recording=replace(scene.recording, frames=tmp_path / "patched.npy"))
+    result = counted_from(patched, 20)
+    lost = ~np.isfinite(result["position"].values[20]).all(-1)
+    assert lost.sum() > 10
+    assert np.isnan(result["displacement"].values[:, lost]).all()
+    assert any("are not known in fields.reference, frame 20" in said for said in result.attrs["warnings"].split('", "'))
+
+
+def test_a_frame_that_tells_nothing_is_no_reference(scene: Scene, tmp_path: Path) -> None:
+    frames = np.load(scene.recording.frames)
+    frames[20] = 0
+    np.save(tmp_path / "dark_frame.npy", frames)
+    dark = replace(scene, recording=replace(scene.recording, frames=tmp_path / "dark_frame.npy"))
+    with pytest.raises(FingerflowError, match=r"fields.reference is 20, which is frame 20: it is dark.*take frame 19"):
+        counted_from(dark, 20)
+
+
+def test_the_report_says_from_when_displacement_counts(scene: Scene, tmp_path: Path) -> None:
+    page = write_report(counted_from(scene, "first_frame"), None, tmp_path).read_text(encoding="utf-8")
+    assert "Displacement counts from frame 0, -0.05 s from the trigger" in page

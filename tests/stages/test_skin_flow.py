@@ -1,0 +1,162 @@
+"""Dense flow of the skin through pictures: with jumps, skin that goes out of sight, another light; NaN, not wrong."""
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.models.partial_slip.border import POWER, border_level, fit_border, seen_displacement
+from fingerflow.stages.flow_resolution import FlowResponse
+from fingerflow.stages.skin_flow import SkinFlow
+
+SIZE = 128
+INSIDE = np.zeros((SIZE, SIZE), bool)
+INSIDE[24:104, 24:104] = True
+PLACES = np.stack(np.meshgrid(np.arange(28.0, 102, 6), np.arange(28.0, 102, 6)), -1).reshape(-1, 2).astype(np.float32)
+APART = 3.5  # px, a quarter of the ridges' distance
+
+
+def skin(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ridges 14 px apart that bend, and broken by pores."""
+    along = np.hypot(x - 20, y + 160)
+    return np.asarray(120 + 40 * np.sin(2 * np.pi * along / 14) + 25 * np.sin(x / 3.1) * np.sin(y / 2.7 + x / 9))
+
+
+def picture(shift: tuple[float, float], seed: int = 0, stretch: float = 0.0) -> torch.Tensor:
+    """Skin that has gone so many px, and right of the middle has been stretched by as much; noise of 1 grey level."""
+    y, x = np.mgrid[:SIZE, :SIZE].astype(float)
+    x, y = x - shift[0], y - shift[1]
+    x = np.where(x > 64, 64 + (x - 64) / (1 + stretch), x)
+    noise = np.random.default_rng(seed).normal(0, 1, x.shape)
+    return torch.from_numpy(np.clip(np.rint(skin(x, y) + noise), 0, 255).astype(np.uint8))[None, None]
+
+
+def even(shift: tuple[float, float]) -> NDArray[np.float32]:
+    return np.broadcast_to(np.float32(shift), (SIZE, SIZE, 2)).copy()
+
+
+def points(shift: tuple[float, float]) -> NDArray[np.float32]:
+    return np.broadcast_to(np.float32(shift), PLACES.shape).copy()
+
+
+def followed(flow: SkinFlow, shift: tuple[float, float], seed: int = 1) -> NDArray[np.float32]:
+    return flow.follow(picture(shift, seed), PLACES, points(shift), lambda: even(shift)).displacement
+
+
+def test_nothing_is_known_outside_the_skin_and_rest_is_rest() -> None:
+    flow = SkinFlow(picture((0, 0)), INSIDE, APART)
+    motion = flow.follow(picture((0, 0)), PLACES, points((0, 0)), lambda: even((0, 0)))
+    assert np.isnan(motion.displacement[~INSIDE]).all()
+    assert np.abs(motion.displacement[INSIDE]).max() == 0
+    assert np.isfinite(motion.variance[INSIDE]).all()
+
+
+def test_a_jump_of_5_px_in_a_frame_with_and_without_points() -> None:
+    """More than a third of the ridges' distance. With points it is found, to 0.1 px; without, nothing wrong is told."""
+    flow = SkinFlow(picture((0, 0)), INSIDE, APART)
+    followed(flow, (0.3, 0.1))
+    found = followed(flow, (5.3, 0.1), 2)[INSIDE]
+    assert np.isfinite(found).all(-1).mean() > 0.98
+    assert np.nanmax(np.linalg.norm(found - (5.3, 0.1), axis=-1)) < 0.3
+    assert np.sqrt(np.nanmean((found - (5.3, 0.1)) ** 2)) < 0.06
+    alone = SkinFlow(picture((0, 0)), INSIDE, APART)
+    nothing = np.full(PLACES.shape, np.nan, np.float32)
+    found = alone.follow(picture((5.3, 5.1), 2), PLACES, nothing, lambda: even((0, 0))).displacement[INSIDE]
+    wrong = np.linalg.norm(found - (5.3, 5.1), axis=-1) > 2
+    assert wrong.mean() < 0.02
+
+
+def test_points_that_contradict_make_it_unknown() -> None:
+    flow = SkinFlow(picture((0, 0)), INSIDE, APART)
+    moved = points((0.5, 0))
+    moved[PLACES[:, 0] > 64] += (14, 0)
+    found = flow.follow(picture((0.5, 0), 1), PLACES, moved, lambda: even((0.5, 0))).displacement
+    assert np.isnan(found[40:90, 72:100]).all()
+    assert np.isfinite(found[40:90, 30:56]).all()
+
+
+def test_skin_that_is_covered_is_unknown_and_comes_back() -> None:
+    """What lies on it pulls at what is beside it, by less than a sixth of the ridges' distance."""
+    flow = SkinFlow(picture((0, 0)), INSIDE, APART)
+    for frame in range(1, 7):
+        shift = (0.4 * frame, 0.0)
+        seen = picture(shift, frame)
+        if frame in (3, 4):
+            seen[..., 40:70, 40:70] = 130  # less than a sixth
+        found = flow.follow(seen, PLACES, points(shift), lambda at=shift: even(at)).displacement
+        known = np.isfinite(found).all(-1)
+        assert np.nanmax(np.linalg.norm(found - shift, axis=-1)) < 2.3, frame
+        if frame in (3, 4):
+            assert known[46:64, 46:64].mean() < 0.1
+        else:
+            assert known[INSIDE].mean() > 0.97, frame
+
+
+def test_another_picture_takes_the_first_ones_place() -> None:
+    """Fine dots come up, as sweat does, until most of the skin is another; frame by frame it goes on by 1 px.
+
+    Errors add up, and stay within half a pixel.
+    """
+    y, x = np.mgrid[:SIZE, :SIZE].astype(float)
+
+    def sweating(shift: float, share: float) -> torch.Tensor:
+        new = 120 + 45 * np.sin((x - shift) / 1.1 + np.sin(y / 7)) * np.sin(y / 1.3)
+        noise = np.random.default_rng(int(10 * shift)).normal(0, 1, x.shape)
+        return torch.from_numpy(np.rint((1 - share) * skin(x - shift, y) + share * new + noise).clip(0, 255)).float()[
+            None, None
+        ]
+
+    flow = SkinFlow(sweating(0, 0), INSIDE, APART)
+    for frame in range(1, 10):
+        shift = (1.0 * frame, 0.0)
+        motion = flow.follow(sweating(frame, frame / 12), PLACES, points(shift), lambda at=shift: even(at))
+        found = motion.displacement[INSIDE]
+        assert np.isfinite(found).all(-1).mean() > 0.7, frame
+        assert np.nanmedian(np.linalg.norm(found - shift, axis=-1)) < 0.5, frame
+    assert flow.renewed >= 1
+    assert np.nanmedian(motion.variance) > np.nanmedian(flow.template.covariance.numpy()[:, 0]) / 2
+
+
+@pytest.mark.parametrize("growth", [0.2, 0.6])
+def test_a_border_that_is_seen_blurred_is_found(growth: float) -> None:
+    """From what windows show of it: the border to 1 um, its growth to 0.1 %, and the level is what they show there."""
+    half = 0.27
+    distance = np.linspace(-0.1, 0.9, 40)
+
+    def seen(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return seen_displacement(at, half)
+
+    shown = growth * seen(0.15 - distance)
+    fit = fit_border(distance, shown, np.ones(40), seen, half / 300)
+    assert fit is not None
+    assert fit.offset == pytest.approx(0.15, abs=0.001)
+    assert fit.growth == pytest.approx(growth, rel=0.01)
+    level = border_level(np.array([0.0, 0.1, 5.0]), fit.growth, seen)
+    # The mean over a window of max(x, 0)^p along its side alone: half^p / (p + 1) / 2; turned ones reach further.
+    assert level[0] == pytest.approx(0, abs=1e-12)
+    assert level[2] == pytest.approx(growth * half**POWER / (POWER + 1) / 2, rel=0.12)
+    assert level[0] < level[1] < level[2]
+
+
+def test_what_the_flow_shows_of_a_border_is_what_it_shows_of_another() -> None:
+    """Measured on the picture, by a border inside the mask; compared with a straight border of the same growth."""
+    first = picture((0, 0))
+    flow = SkinFlow(first, INSIDE, APART)
+    response = FlowResponse(flow.template, first, INSIDE, 1.0)
+    y, x = np.mgrid[:SIZE, :SIZE].astype(float)
+    growth, origin = 0.003, x.copy()
+    for _ in range(20):
+        origin = x - growth * np.maximum(origin - 64, 0) ** POWER
+    noise = np.random.default_rng(3).normal(0, 1, x.shape)
+    moved = torch.from_numpy(np.rint(skin(origin, y) + noise).clip(0, 255)).float()[None, None]
+    truth = growth * np.maximum(x - 64, 0) ** POWER
+    start = np.stack((truth, 0 * truth), -1).astype(np.float32)
+    found = flow.follow(moved, PLACES, points((0, 0)) * np.nan, lambda: start).displacement
+    shown = np.nanmean(found[40:88, :, 0], axis=0)
+    distance = np.arange(SIZE) - 64.0
+    near = np.abs(distance) <= 12
+    expected = growth * response(distance)
+    # Ridges run another way here, and there is noise.
+    assert np.abs(shown - expected)[near].max() < 0.03
+    assert response(np.array([-60.0]))[0] == 0
+    assert response(np.array([80.0]))[0] == pytest.approx(80**POWER, rel=0.05)

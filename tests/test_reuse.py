@@ -1,0 +1,333 @@
+"""Again from an earlier result: the data of a fresh run bit for bit, and nothing computed that need not be."""
+
+import json
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from typer.testing import CliRunner
+
+import fingerflow
+from fingerflow import load_scene, process
+from fingerflow.cli import app
+from fingerflow.errors import FingerflowError
+from fingerflow.plan import OUTPUTS, VARIABLES, plan
+from fingerflow.player.contract.scene_kinds import KINDS
+from fingerflow.player.contract.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.result import scene_of
+from fingerflow.scene import Scene
+from fingerflow.stages import all_stages
+from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.stage import Stage, Trial
+from fingerflow.synthetic import PartialSlip, Press, write_recording
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
+
+SMALL = {
+    "n_frames": 12, "frame_rate": 12.0, "frames_before_trigger": 1, "frame_shape": (120, 280), "finger": (1.8, 1.5),
+    "semi_axes": (1.3, 1.1),
+}  # fmt: skip
+SLIP_TRIAL = {
+    "n_frames": 30, "frame_rate": 30.0, "frames_before_trigger": 2, "frame_shape": (192, 480), "finger": (3.2, 2.7),
+    "semi_axes": (2.3, 1.9), "creep": 0.45, "travel": 0.8,
+}  # fmt: skip
+PICTURES = {"frame_check", "contact", "tracking"}
+#: A change of the scene, and the stages that it touches, of a press with all its outputs.
+CHANGES: dict[str, tuple[str, str, set[str]]] = {
+    "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"displacement", "fields", "strain"}),
+    "strain measure": ('strain = "green_lagrange"', 'strain = "infinitesimal"', {"displacement", "fields", "strain"}),
+    "stiffness": ("young_modulus_mpa = 1.0", "young_modulus_mpa = 0.5", {"displacement", "strain"}),
+    "compressibility": ("poisson_ratio = 0.4", "poisson_ratio = 0.3", {"displacement", "strain"}),
+    "depth": ("depth_mm = 2.0", "depth_mm = 1.0", {"displacement", "strain"}),
+    "rate window": ("rate_window_s = 0.05", "rate_window_s = 0.5", {"displacement", "fields", "strain"}),
+    "threshold": ('threshold = "reference_frame"', "threshold = 0.3",
+                  {"contact", "tracking", "displacement", "fields", "strain"}),
+    "points": ("points = 700", "points = 80", {"contact", "tracking", "displacement", "fields", "strain"}),
+    "slip, which nothing asks for": ("# [slip]", "# changed [slip]", set()),
+    "nothing": ("depth_mm = 2.0", "depth_mm = 2.0", set()),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("reuse") / "press"
+    write_recording(path, Press(**SMALL))
+    text = (path / "scene.toml").read_text(encoding="utf-8")
+    (path / "scene.toml").write_text('kind = "press"\n' + text, encoding="utf-8")
+    process(path / "scene.toml", to=path / "result.h5").close()
+    return path
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Names of the stages that have begun."""
+    found: set[str] = set()
+    for stage in {kind for instead in ((), KINDS["soft_sensor"].instead) for kind in all_stages(instead)}:
+        monkeypatch.setattr(stage, "begin", _noting(stage.begin, found))
+    return found
+
+
+def _noting(begin: Callable[[Stage], None], found: set[str]) -> Callable[[Stage], None]:
+    def begun(stage: Stage) -> None:
+        found.add(stage.name)
+        begin(stage)
+
+    return begun
+
+
+def scene_with(folder: Path, old: str, new: str, name: str = "changed.toml") -> Scene:
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    assert text.count(old) == 1, old
+    (folder / name).write_text(text.replace(old, new), encoding="utf-8")
+    return load_scene(folder / name)
+
+
+def assert_same(found: xr.Dataset, expected: xr.Dataset) -> None:
+    """Bit for bit, with units, definitions and warnings."""
+    assert set(found.data_vars) == set(expected.data_vars)
+    for name in map(str, expected.variables):
+        one, other = found[name], expected[name]
+        assert one.dims == other.dims, name
+        assert one.dtype == other.dtype, name
+        assert one.values.tobytes() == other.values.tobytes(), name
+        assert {key: np.asarray(value).tolist() for key, value in one.attrs.items()} == {
+            key: np.asarray(value).tolist() for key, value in other.attrs.items()
+        }, name
+    assert json.loads(found.attrs["warnings"]) == json.loads(expected.attrs["warnings"])
+    keys = [
+        {name: one["digest"] for name, one in json.loads(each.attrs["stages"]).items()} for each in (found, expected)
+    ]
+    assert keys[0] == keys[1]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_each_setting_gives_what_a_fresh_run_gives(folder: Path, change: str, ran: set[str]) -> None:
+    old, new, touched = CHANGES[change]
+    scene = scene_with(folder, old, new)
+    fresh = process(scene)
+    everything = set(ran)
+    ran.clear()
+    again = process(scene, earlier=folder / "result.h5")
+    assert ran == touched
+    taken = json.loads(again.attrs["taken_over"])
+    assert set(taken["stages"]) == everything - touched
+    assert set(taken["computed"]) == touched
+    assert_same(again, fresh)
+
+
+def test_into_the_file_that_it_is_from(folder: Path, tmp_path: Path, ran: set[str]) -> None:
+    path = tmp_path / "result.h5"
+    path.write_bytes((folder / "result.h5").read_bytes())
+    scene = scene_with(folder, "gauge_length_mm = 1.6", "gauge_length_mm = 1.2")
+    again = process(scene, to=path, earlier=path)
+    assert not ran & PICTURES
+    assert_same(again, process(scene))
+    again.close()
+    ran.clear()
+    assert_same(process(scene, earlier=path), process(scene))  # of a result that was itself taken over
+
+
+def test_outputs_that_were_not_there_are_computed(folder: Path, ran: set[str]) -> None:
+    scene = load_scene(folder / "scene.toml")
+    again = process(scene, ["shear"], earlier=folder / "result.h5")
+    assert ran == {"displacement", "fields"}
+    assert json.loads(again.attrs["taken_over"])["computed"]["fields"] == "shear is not there"
+    assert_same(again, process(scene, ["shear"]))
+    ran.clear()
+    again = process(scene, ["gross_contact_region"], earlier=folder / "result.h5")
+    assert ran == {"contact"}
+    assert_same(again, process(scene, ["gross_contact_region"]))
+    ran.clear()
+    area = process(scene, ["real_contact_area"], earlier=folder / "result.h5")
+    assert not ran
+    assert "position" not in area
+
+
+def test_a_file_with_other_content_is_a_change(folder: Path, ran: set[str]) -> None:
+    """The name of the file stays."""
+    scene = load_scene(folder / "scene.toml")
+    forces = folder / "forces.csv"
+    before = forces.read_text(encoding="utf-8")
+    heading, *rows = before.splitlines()
+    try:
+        forces.write_text("\n".join([heading, *rows[:-1]]) + "\n", encoding="utf-8")
+        process(scene, ["normal_force", "strain"], earlier=folder / "result.h5")
+        assert "loading" in ran
+        assert "contact" in ran  # whose reference frame is that of the largest force
+    finally:
+        forces.write_text(before, encoding="utf-8")
+
+
+def test_another_recording_is_refused(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    write_recording(other, Press(**(SMALL | {"n_frames": 10})))
+    with pytest.raises(FingerflowError, match=r"(?s)result\.h5 is of another recording than .*frames\.npy.*--from"):
+        process(other / "scene.toml", earlier=folder / "result.h5")
+
+
+def test_results_of_other_code_are_computed_again(folder: Path, ran: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = load_scene(folder / "scene.toml")
+    monkeypatch.setattr(fingerflow.reuse, "code_version", lambda: "another")
+    again = process(scene, ["real_contact_area"], earlier=folder / "result.h5")
+    assert ran == {"loading", "frame_check", "contact"}
+    assert "another version" in json.loads(again.attrs["taken_over"])["computed"]["frame_check"]
+
+
+def test_results_that_do_not_say_on_what_they_depend(folder: Path, tmp_path: Path, ran: set[str]) -> None:
+    with xr.open_dataset(folder / "result.h5", engine="h5netcdf") as stored:
+        old = stored.load()
+    del old.attrs["stages"]
+    old.to_netcdf(tmp_path / "old.h5", engine="h5netcdf")
+    again = process(load_scene(folder / "scene.toml"), ["real_contact_area"], earlier=tmp_path / "old.h5")
+    assert ran == {"loading", "frame_check", "contact"}
+    assert "older version" in json.loads(again.attrs["taken_over"])["computed"]["contact"]
+
+
+def test_the_scene_of_a_result(folder: Path, tmp_path: Path) -> None:
+    assert scene_of(folder / "result.h5") == (folder / "scene.toml").resolve()
+    with xr.open_dataset(folder / "result.h5", engine="h5netcdf") as stored:
+        gone = stored.load()
+    gone.attrs["settings"] = json.dumps({"path": str(tmp_path / "gone.toml")})
+    gone.to_netcdf(tmp_path / "gone.h5", engine="h5netcdf")
+    with pytest.raises(FingerflowError, match=r"gone\.toml is not there any more; name the scene file"):
+        scene_of(tmp_path / "gone.h5")
+
+
+def test_the_command_says_what_it_took_over(folder: Path, tmp_path: Path, ran: set[str]) -> None:
+    """Without a scene it is that of the result; the result may be replaced."""
+    shutil.copytree(folder, tmp_path / "press")
+    result, scene = tmp_path / "press" / "result.h5", tmp_path / "press" / "scene.toml"
+    arguments = ["process", str(scene), "--from", str(result)]
+    found = CliRunner().invoke(app, arguments)
+    assert found.exit_code == 0, found.exception
+    assert "displacement" in found.stdout
+    assert not ran & PICTURES
+    scene.write_text(scene.read_text(encoding="utf-8").replace("depth_mm = 2.0", "depth_mm = 3.0"), encoding="utf-8")
+    found = CliRunner().invoke(app, ["process", "--from", str(result)])  # which now names the copied scene
+    assert "computed: strain, since fields.depth_mm was 2.0 and is 3.0" in found.stdout
+    assert "taken from" in found.stdout
+    with xr.open_dataset(result, engine="h5netcdf") as stored:
+        assert stored["strain_energy"].attrs["depth_mm"] == 3.0
+    nothing = CliRunner().invoke(app, ["process"])
+    assert "name a scene file" in str(nothing.exception)
+
+
+# What stages say that they depend on, against what they look at.
+
+_at = threading.local()
+
+
+class Watched:
+    """A part of a scene that notes, for the stage at work, which of its keys are read."""
+
+    def __init__(self, part: Any, place: str, seen: dict[str, set[str]]) -> None:
+        self._watched = (part, place, seen)
+
+    def __getattr__(self, name: str) -> Any:
+        part, place, seen = self._watched
+        value = getattr(part, name)
+        if name.startswith("_") or callable(value):
+            return value
+        key = f"{place}.{name}".lstrip(".")
+        if key == "views" or type(value).__name__.endswith("Settings"):
+            return Watched(value, key, seen)
+        self._note(key)
+        return value
+
+    def get(self, name: str) -> Any:
+        return self[name] if name in self._watched[0] else None
+
+    def __getitem__(self, name: str) -> Any:
+        self._note(f"views.{name}")
+        return self._watched[0][name]
+
+    def _note(self, key: str) -> None:
+        if getattr(_at, "stage", None):
+            self._watched[2].setdefault(_at.stage, set()).add(key)
+
+
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
+    """By stage, the keys that it reads while it is made, begins, steps and finishes."""
+    seen: dict[str, set[str]] = {}
+    for stage in {kind for instead in ((), KINDS["soft_sensor"].instead) for kind in all_stages(instead)}:
+        for part in ("__init__", "begin", "step", "finish"):
+            monkeypatch.setattr(stage, part, _watching(stage, getattr(stage, part)))
+    open_inputs = fingerflow.pipeline.open_inputs
+
+    class WatchedInputs(Inputs):
+        def __getattribute__(self, name: str) -> Any:
+            key = {"times": "recording.times", "gauge_length_mm": "fields.gauge_length_mm"}.get(name)
+            if key and getattr(_at, "stage", None):
+                seen.setdefault(_at.stage, set()).add(key)
+            return super().__getattribute__(name)
+
+    def opened(scene: Scene, device: str) -> Inputs:
+        inputs = open_inputs(scene, device)
+        inputs.scene = Watched(scene, "", seen)  # type: ignore[assignment]
+        inputs.__class__ = WatchedInputs
+        return inputs
+
+    monkeypatch.setattr(fingerflow.pipeline, "open_inputs", opened)
+    # The number of frames belongs to the identity of the recording.
+    monkeypatch.setattr(Trial, "__len__", lambda trial: len(trial.inputs.recording))
+    return seen
+
+
+def _watching(kind: type[Stage], act: Callable[..., Any]) -> Callable[..., Any]:
+    def watched(stage: Stage, *given: Any) -> Any:
+        outer, _at.stage = getattr(_at, "stage", None), type(stage).name
+        try:
+            return act(stage, *given)
+        finally:
+            _at.stage = outer
+
+    return watched
+
+
+def _declared(stage: type[Stage], at: dict[type[Stage], type[Stage]]) -> Iterator[str]:
+    yield from stage.settings
+    for other in (*stage.after, *stage.beside):
+        yield from _declared(at[other], at)
+
+
+def _press(folder: Path) -> tuple[Path, list[str] | None]:
+    """With all its outputs, and what only other settings read."""
+    write_recording(folder, Press(**SMALL))
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    text = text.replace('points_from = "recorded"', 'points_from = "enhanced"')
+    (folder / "scene.toml").write_text(text.replace('"reference_frame"', '"per_frame"'), encoding="utf-8")
+    scene = load_scene(folder / "scene.toml")
+    names = [name for name in OUTPUTS if all(map(scene.has, VARIABLES[name].needs))]
+    return folder / "scene.toml", [name for name in names if name not in by_name(SLIP, SENSOR_SLIP)]
+
+
+def _slip(folder: Path) -> tuple[Path, list[str] | None]:
+    write_recording(folder, PartialSlip(**SLIP_TRIAL))
+    return folder / "scene.toml", None
+
+
+def _gel(folder: Path) -> tuple[Path, list[str] | None]:
+    return write_gel_recording(folder, MarkerGel(n_frames=16), 0.06), None
+
+
+@pytest.mark.parametrize("make", [_press, _slip, _gel])
+def test_stages_look_at_no_setting_that_they_do_not_name(
+    make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
+) -> None:
+    """Beside those of the stages before them, of which they ask: a setting that none names would not be missed."""
+    path, outputs = make(tmp_path / "trial")
+    scene = load_scene(path)
+    stages = {one.name: one for one in plan(outputs, scene).stages}
+    process(scene, outputs)
+    at = {stage.place(): stage for stage in stages.values()}
+    assert set(looks) <= set(stages)
+    for name, seen in looks.items():
+        declared = {"path", *_declared(stages[name], at)}
+        unnamed = {key for key in seen if not any(key == one or key.startswith(f"{one}.") for one in declared)}
+        assert not unnamed, f"{name} reads {unnamed}"
+    assert {"fields.strain", "fields.gauge_length_mm", "recording.times"} <= looks["fields"]

@@ -1,0 +1,35 @@
+"""A press in a small frame, with its result."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fingerflow import process
+from fingerflow.synthetic import Press, write_recording
+
+PRESS = Press(
+    n_frames=12,
+    frame_rate=12.0,
+    frames_before_trigger=1,
+    frame_shape=(96, 240),
+    finger=(1.8, 1.5),
+    semi_axes=(1.3, 1.1),
+)
+
+
+@pytest.fixture(scope="session")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with 12 frames of 96 x 240 px, a scene, everything it names, and `result.h5`; not to be written to."""
+    folder = tmp_path_factory.mktemp("view") / "press"
+    write_recording(folder, PRESS)
+    process(folder / "scene.toml", to=folder / "result.h5").close()
+    return folder
+
+
+@pytest.fixture
+def press(processed: Path, tmp_path: Path) -> Path:
+    """The same for one test, without the result."""
+    folder = tmp_path / "press"
+    shutil.copytree(processed, folder, ignore=shutil.ignore_patterns("result.h5"))
+    return folder

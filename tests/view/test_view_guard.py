@@ -1,0 +1,103 @@
+"""Who is answered: the page itself, opened by the address that was printed, and nobody else."""
+
+import http.client
+import re
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fingerflow.errors import FingerflowError
+from fingerflow.view.server import Served
+
+Answer = tuple[int, dict[str, str], bytes]
+
+
+@pytest.fixture(scope="module")
+def served(processed: Path) -> Iterator[Served]:
+    with Served(processed / "scene.toml") as found:
+        yield found
+
+
+def ask(served: Served, path: str, method: str = "GET", body: str | None = None, **headers: str) -> Answer:
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
+    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    found = answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+    connection.close()
+    return found
+
+
+@pytest.fixture(scope="module")
+def cookie(served: Served) -> str:
+    """What the page's own requests carry, from the address that opens it."""
+    status, headers, _ = ask(served, served.address.partition(str(served.port))[2])
+    assert (status, headers["location"]) == (303, "/")
+    assert "HttpOnly" in headers["set-cookie"]
+    assert re.search("samesite=strict", headers["set-cookie"], re.IGNORECASE)
+    return headers["set-cookie"].partition(";")[0]
+
+
+def test_the_page_and_its_files_are_answered_and_may_load_nothing_from_elsewhere(served: Served, cookie: str) -> None:
+    status, headers, page = ask(served, "/", Cookie=cookie)
+    assert (status, page[:15].lower()) == (200, b"<!doctype html>")
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    names = re.findall(rb'(?:src|href)="([^"]+)"', page)
+    names += [name.encode() for name in ("net.js", "pens.js", "chart.js", "results.js", "setup.js")]
+    for name in names:
+        status, _, content = ask(served, f"/{name.decode()}", Cookie=cookie)
+        assert status == 200
+        assert not re.search(rb"""(?:src|href|from|import|fetch)[^\n]{0,12}["'`]https?:""", content)
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"Host": "127.0.0.1:1"}, 421),
+        ({"Host": "example.org"}, 421),  # a name that was made to point here
+        ({"Origin": "http://example.org"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://127.0.0.1:1"}, 403),  # cookies know no ports: this site's page would send ours
+        ({"Sec_Fetch_Site": "cross-site"}, 403),
+        ({"Sec_Fetch_Site": "same-site"}, 403),
+        ({"Sec_Fetch_Site": "same-origin"}, 200),
+    ],
+)
+def test_others_are_refused(served: Served, cookie: str, headers: dict[str, str], status: int) -> None:
+    assert ask(served, "/api/setup", Cookie=cookie, **headers)[0] == status
+
+
+def test_without_the_token_nothing_is_answered(served: Served, cookie: str) -> None:
+    assert ask(served, "/")[0] == 403
+    assert ask(served, "/?token=guess")[0] == 403
+    assert ask(served, "/api/setup", Cookie=cookie + "x")[0] == 403
+    assert ask(served, "/page.css")[0] == 403
+
+
+def test_acting_needs_the_header_of_the_page(served: Served, cookie: str, processed: Path) -> None:
+    before = (processed / "scene.toml").read_bytes()
+    body = '{"set": [["contact.median_px", 5]]}'
+    assert ask(served, "/api/edit", "POST", body, Cookie=cookie)[0] == 403
+    assert ask(served, "/api/write", "POST", "{}", Cookie=cookie)[0] == 403
+    assert ask(served, "/api/write", "POST", "no JSON", Cookie=cookie, X_Fingerflow="1")[0] == 422
+    assert (processed / "scene.toml").read_bytes() == before
+
+
+def test_files_beside_the_page_are_not_served(served: Served, cookie: str) -> None:
+    for path in ("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/..%2fguard.py"):
+        assert ask(served, path, Cookie=cookie)[0] == 404
+
+
+def test_two_names_in_one_request_are_refused(served: Served, cookie: str) -> None:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=20) as line:
+        text = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nHost: example.org\r\nCookie: {cookie}\r\n\r\n"
+        line.sendall(text.encode())
+        assert line.recv(200).split()[1] in (b"400", b"421")
+
+
+def test_a_port_that_is_taken_is_named(served: Served, processed: Path) -> None:
+    with pytest.raises(FingerflowError, match=f"port {served.port} .*give another --port"):
+        Served(processed / "scene.toml", served.port)

@@ -1,0 +1,273 @@
+"""The page in a real Chromium: from nothing but a recording to its result; and who else may drive it."""
+
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlparse
+
+import numpy as np
+import pytest
+
+from fingerflow import load_scene
+from fingerflow.result import load_result
+from fingerflow.view.server import Served
+
+WIDTH = 240  # px of a frame
+SLOW = 120_000  # ms: torch is loaded, and a machine may be busy
+
+
+@contextmanager
+def opened(browser: Any, path: Path, width: int = 1300, refused: str = "none") -> Iterator[tuple[Any, Served]]:
+    """The page; it may not ask anybody else for anything, and nothing may go wrong in it."""
+    with Served(path) as served:
+        context = browser.new_context(viewport={"width": width, "height": 900}, accept_downloads=True)
+        page = context.new_page()
+        page.set_default_timeout(SLOW)
+        asked: list[str] = []
+        wrong: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        page.goto(served.address)
+        page.wait_for_selector("#picture[data-drawn]")
+        yield page, served
+        context.close()
+        assert len(asked) > 10
+        assert {urlparse(url).netloc for url in asked if not url.startswith("blob:")} == {f"127.0.0.1:{served.port}"}
+        assert not [one for one in wrong if refused not in one]
+
+
+def text_of(page: Any, selector: str) -> str:
+    return str(page.inner_text(selector))
+
+
+def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int = WIDTH) -> None:
+    """Between two places in px of the frame."""
+    box = page.locator("#picture").bounding_box()
+    scale = box["width"] / frame_width
+    (x0, y0), (x1, y1) = ((box["x"] + x * scale, box["y"] + y * scale) for x, y in (start, end))
+    page.mouse.move(x0, y0)
+    page.mouse.down()
+    page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
+    page.mouse.move(x1, y1)
+    page.mouse.up()
+
+
+def fill(page: Any, key: str, value: str) -> None:
+    field = page.locator(f'[data-key="{key}"]')
+    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
+    box = field.locator("input").first
+    box.fill(value)
+    box.press("Enter")
+
+
+def orange(page: Any) -> int:
+    """Pixels of the picture in the colour of contact."""
+    return int(
+        page.evaluate(
+            """() => {
+    const canvas = document.getElementById("picture"), out = canvas.getContext("2d");
+    const { data } = out.getImageData(0, 0, canvas.width, canvas.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) if (data[i] - data[i + 2] > 80 && data[i] > data[i + 1]) count++;
+    return count;
+}"""
+        )
+    )
+
+
+def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
+    written = load_scene(press / "scene.toml")
+    (press / "scene.toml").rename(press / "kept.txt")
+    with opened(browser, press / "frames.npy") as (page, _):
+        # Frames, before anything else is known.
+        page.wait_for_selector("#problems")
+        assert "background.frames" in text_of(page, "#problems")
+        assert page.is_disabled("#process")
+        page.locator("#frame").evaluate("element => { element.value = 9; element.dispatchEvent(new Event('input')); }")
+        page.wait_for_selector("#picture[data-frame='9']")
+        assert "frame 9 of 0–11" in text_of(page, "#where")
+
+        # What the page cannot know.
+        fill(page, "recording.frame_rate", "12")
+        fill(page, "recording.trigger_frame", "1")
+        fill(page, "background.frames", "empty.npy")
+        fill(page, "background.dark", "dark.npy")
+        fill(page, "calibration.mm_per_px", str(written.calibration.mm_per_px))
+        fill(page, "calibration.topography_to_contact", json.dumps(written.calibration.topography_to_contact))
+        fill(page, "forces.file", "forces.csv")
+        fill(page, "forces.normal", "normal_force")
+        page.wait_for_selector("#picture[data-mask=true]")
+        page.wait_for_selector("#courses:not([hidden])")
+
+        # Contact is live.
+        before = orange(page)
+        assert before > 500
+        page.locator('[aria-label="contact.threshold number"]').evaluate(
+            "element => { element.value = 0.6; element.dispatchEvent(new Event('input')); }"
+        )
+        page.wait_for_function("before => document.querySelector('#panel dd').textContent.trim() == '0.6'", arg=before)
+        page.wait_for_function("() => document.getElementById('picture').dataset.mask == 'true'")
+        assert orange(page) < before / 2  # hardly anything loses so much light
+        page.select_option('[aria-label="contact.threshold"]', "reference_frame")
+        page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() != '0.6'")
+
+        # A view is dragged by an edge.
+        drag(page, (239, 50), (231, 50))
+        page.wait_for_function("() => document.getElementById('text').textContent.includes('[120, 23')")
+
+        # It is written, and is what was seen.
+        page.click("#write")
+        page.wait_for_selector(".good")
+        scene = load_scene(press / "scene.toml")
+        assert scene.views.contact.rows == (0, 96)
+        assert scene.views.contact.columns == (120, pytest.approx(232, abs=1))
+        assert scene.contact.threshold == "reference_frame"
+        assert scene.recording.trigger_frame == 1
+
+        # It is processed, and the result is there.
+        page.click("#process")
+        page.wait_for_selector("#tab-results.on")
+        page.wait_for_selector("#map")
+        result = load_result(press / "result.h5")
+        page.wait_for_selector("#picture[data-frame='9'][data-mask=true]")
+        said = page.evaluate(
+            "() => [...document.querySelectorAll('#panel dt')].find(one => one.textContent == 'real contact area')"
+            ".nextSibling.textContent"
+        )
+        assert float(said) == pytest.approx(float(result["real_contact_area"][9]), rel=1e-3)
+
+
+def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> None:
+    with opened(browser, press / "scene.toml", refused="409 (Conflict)") as (page, _):
+        page.wait_for_selector("#picture[data-mask=true]")
+        (press / "scene.toml").write_text("# mine\n", encoding="utf-8")
+        fill(page, "tracking.points", "50")
+        page.wait_for_function("() => document.getElementById('text').textContent.includes('points = 50')")
+        page.click("#write")
+        page.wait_for_selector("#replace")
+        assert (press / "scene.toml").read_text(encoding="utf-8") == "# mine\n"
+        page.click("#replace")
+        page.wait_for_selector(".good:has-text('has these settings')")
+        assert load_scene(press / "scene.toml").tracking.points == 50
+
+
+@pytest.mark.parametrize("width", [1300, 400])
+def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, width: int) -> None:
+    result = load_result(processed / "result.h5")
+    with opened(browser, processed / "result.h5", width) as (page, _):
+        page.wait_for_selector("#picture[data-mask=true]")
+        assert page.evaluate("() => document.documentElement.scrollWidth <= window.innerWidth")
+        page.locator("#frame").evaluate("element => { element.value = 8; element.dispatchEvent(new Event('input')); }")
+        page.wait_for_selector("#picture[data-frame='8']")
+
+        # A point: its number, its history, what became of it.
+        known = np.flatnonzero(np.isfinite(result["divergence"].values[8]))
+        point = int(known[len(known) // 2])
+        x, y = result["position_px"].values[8, point] + 0.5
+        drag(page, (x, y), (x, y))
+        page.wait_for_function(f"() => document.querySelector('#point dd')?.textContent == '{point}'")
+        assert "tracked in" in text_of(page, "#point")
+
+        # Everything that can be shown is drawn without a word of complaint.
+        for key in page.eval_on_selector_all("#map option", "all => all.map(one => one.value)"):
+            page.select_option("#map", key)
+            drawn = int(page.get_attribute("#picture", "data-drawn"))
+            page.wait_for_function(f"() => document.getElementById('picture').dataset.drawn >= {drawn}")
+        page.select_option("#map", "curl")
+        page.wait_for_selector("#legend .scale")
+        assert page.is_hidden("#error"), text_of(page, "#error")
+
+        # A region: the points in it, and their median among the curves.
+        page.click("#region")
+        box = page.locator("#picture").bounding_box()
+        scale = box["width"] / WIDTH
+        corners = [(0, 0), (119, 0), (119, 95), (0, 95), (0, 2)]  # the topography view
+        for k, (x, y) in enumerate(corners):
+            page.mouse.move(box["x"] + x * scale + 0.5, box["y"] + y * scale + 0.5)
+            if k == 0:
+                page.mouse.down()
+        page.mouse.up()
+        page.wait_for_function(
+            "() => /points, drawn around in frame 8/.test(document.getElementById('point').textContent)"
+        )
+        inside = int(np.isfinite(result["position"].values[8]).all(-1).sum())
+        assert abs(int(text_of(page, "#point").split()[0]) - inside) <= 0.05 * inside
+
+        # A curve takes the picture along.
+        chart = page.locator("#chart").bounding_box()
+        page.locator("#chart").click(position={"x": chart["width"] - 16, "y": 60})
+        page.wait_for_selector("#picture[data-frame='11']")
+
+        # What is seen can be saved.
+        begins = {"save-png": b"\x89PNG", "save-svg": b"<svg", "save-csv": b"point,x (mm)", "chart-png": b"\x89PNG"}
+        for button, first in {**begins, "chart-svg": b"<svg", "chart-csv": b"frame,time (s),normal_force (N)"}.items():
+            with page.expect_download() as loading:
+                page.click(f"#{button}")
+            loading.value.save_as(tmp_path / button)
+            assert (tmp_path / button).read_bytes().startswith(first)
+        header = (tmp_path / "chart-csv").read_text(encoding="utf-8").partition("\n")[0]
+        assert "curl of median of" in header
+
+
+def test_another_sites_page_cannot_drive_it(browser: Any, press: Path) -> None:
+    """From another port of this computer: cookies know no ports, so it is the hardest case."""
+    before = (press / "scene.toml").read_bytes()
+
+    class Other(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(b"<!doctype html><title>other</title>")
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
+    other = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other)
+    thread = threading.Thread(target=other.serve_forever)
+    thread.start()
+    try:
+        with opened(browser, press / "scene.toml") as (page, served):
+            page.wait_for_selector("#picture[data-mask=true]")
+            foreign = page.context.new_page()
+            foreign.goto(f"http://127.0.0.1:{other.server_port}/")
+            statuses: dict[str, int] = {}
+            foreign.on(
+                "response", lambda answer: statuses.update({f"{answer.request.method} {answer.url}": answer.status})
+            )
+            home = f"http://127.0.0.1:{served.port}"
+            said = foreign.evaluate(
+                """async home => {
+    const tried = [];
+    const attempt = async (path, options) => {
+        try { const answer = await fetch(home + path, options); tried.push(answer.type + answer.status); }
+        catch (error) { tried.push("refused"); }
+    };
+    await attempt("/api/setup", { credentials: "include" });
+    await attempt("/api/setup", { credentials: "include", mode: "no-cors" });
+    const body = JSON.stringify({ set: [["contact.median_px", 5]] });
+    await attempt("/api/edit", { method: "POST", credentials: "include", mode: "no-cors", body });
+    await attempt("/api/edit", { method: "POST", credentials: "include", headers: { "X-Fingerflow": "1" }, body });
+    await attempt("/api/write", { method: "POST", credentials: "include", mode: "no-cors", body: '{"replace": true}' });
+    return tried;
+}""",
+                home,
+            )
+            assert said == ["refused", "opaque0", "opaque0", "refused", "opaque0"]  # opaque: sent, and not to be read
+            assert statuses
+            assert set(statuses.values()) == {403}
+            assert page.evaluate("async () => (await (await fetch('api/setup')).json()).values.contact.median_px") == 3
+            foreign.set_content(f'<iframe src="{home}/"></iframe>')
+            foreign.wait_for_timeout(500)
+            assert not any("fingerflow" in (frame.title() or "") for frame in foreign.frames)
+            foreign.close()
+    finally:
+        other.shutdown()
+        thread.join()
+        other.server_close()
+    assert (press / "scene.toml").read_bytes() == before
