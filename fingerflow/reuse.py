@@ -25,7 +25,7 @@ from fingerflow.store import Store
 
 #: Attributes of a result: what `record` says, and what was taken over from which file.
 STAGES, TAKEN_OVER = "stages", "taken_over"
-_TIMES, _FORCES = "recording.times", "forces.file"
+_TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
 _PICTURES = ("background.frames", "background.dark")
 _CODE = ("graphs", "kernels", "models", "ops", "player/contract", "recordings", "stages", "store.py", "views.py")
 _SHOWN = 60  # characters of a setting in a sentence
@@ -174,7 +174,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
     elif key in _PICTURES and value is not None:
         with open_recording(Path(value)) as still:
             yield key, identity_of(still) if len(still) else ""
-    elif key == _FORCES and value is not None:
+    elif (key == _FORCES or key.endswith(_MASK)) and value is not None:
         yield key, _content(Path(str(value).partition("::")[0]))
     else:
         yield key, value

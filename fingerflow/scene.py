@@ -11,7 +11,7 @@ from fingerflow.player.contract.scene_check import Checked, check_scene
 from fingerflow.player.contract.scene_file import SceneError, parse_scene, read_scene
 from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.toml_string import toml_string
-from fingerflow.views import View
+from fingerflow.views import Ellipse, Region, View
 
 Row = tuple[float, float, float]
 
@@ -192,7 +192,15 @@ class Scene:
     def files(self) -> tuple[Path, ...]:
         """Everything that it is made of, itself first: what no result may replace."""
         forces = None if self.forces is None else self.forces.file
-        named = (self.recording.frames, self.background.frames, self.background.dark, self.calibration.file, forces)
+        masks = (None if view.region is None else view.region.mask for view in self.views.values())
+        named = (
+            self.recording.frames,
+            self.background.frames,
+            self.background.dark,
+            self.calibration.file,
+            forces,
+            *masks,
+        )
         return (self.path, *(file for file in named if file is not None))
 
     @property
@@ -287,7 +295,7 @@ def _without_none(value: Any) -> Any:
 def _scene(path: Path, checked: Checked) -> Scene:
     found = checked.values
     region, forces = found["stream"]["region"], found["forces"]
-    views = {name: View(**view) for name, view in found["views"].items() if view is not None}
+    views = {name: _view(view) for name, view in found["views"].items() if view is not None}
     return Scene(
         path=path,
         kind=checked.kind,
@@ -302,6 +310,14 @@ def _scene(path: Path, checked: Checked) -> Scene:
         slip=SlipSettings(**found["slip"]),
         stream=StreamSettings(**{**found["stream"], "region": None if region is None else View(**region)}),
     )
+
+
+def _view(found: Mapping[str, Any]) -> View:
+    region = found.get("region")
+    if region is None:
+        return View(found["rows"], found["columns"])
+    ellipse = None if region["ellipse"] is None else Ellipse(**region["ellipse"])
+    return View(found["rows"], found["columns"], Region(region["polygon"], ellipse, region["mask"]))
 
 
 def _plain(value: Any) -> Any:
@@ -355,10 +371,13 @@ frames = {toml_string(frames)}          # .cine, .mraw/.cih, TIFF, AVI/MP4, HDF5
 [views.contact]               # where the view lies in a frame: [first, last + 1) px
 rows = {list(contact.rows)}
 columns = {list(contact.columns)}
+# region = {{ellipse = {{center = [320, 256], semi_axes = [200, 150]}}}}   # px of the view: elsewhere nothing touches;
+                              # or {{polygon = [[x, y], ...]}}, or {{mask = "mask.png"}}, where it is not black
 
 [views.topography]            # leave out where there is no such view: areas only
 rows = {list(topography.rows)}
 columns = {list(topography.columns)}
+# region = {{polygon = [[120, 100], [520, 100], [320, 420]]}}   # points are chosen there, else where skin touches
 
 [background]
 frames = {toml_string(background)}       # without a finger; several frames are averaged

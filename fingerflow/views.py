@@ -1,6 +1,7 @@
 """Where a view lies in a frame: one camera frame may hold several views of the finger side by side."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
@@ -8,14 +9,33 @@ from fingerflow.player.contract.calibration_file import pixel_range
 
 
 @dataclass(frozen=True)
+class Ellipse:
+    """Px of the view; `angle` of the first axis, rad from x towards y."""
+
+    center: tuple[float, float]
+    semi_axes: tuple[float, float]
+    angle: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a view, px of the view with whole numbers at pixel centres: one of these, the others are None."""
+
+    polygon: tuple[tuple[float, float], ...] | None
+    ellipse: Ellipse | None
+    mask: Path | None
+
+
+@dataclass(frozen=True)
 class View:
-    """A rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1).
+    """A rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1). `region` is a part of it.
 
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """
 
     rows: tuple[int, int]
     columns: tuple[int, int]
+    region: Region | None = None
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):

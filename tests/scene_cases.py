@@ -262,6 +262,22 @@ WRONG = (
     _forces("tare = [0.0, 0.1]\noffset = 1.0", "forces.tare is [0.0, 0.1]: it and offset exclude each other"),
     # Calibrations.
     _calibrated("nothing", ""),
+    *(
+        WrongScene("columns = [640, 1280]\n", f"columns = [640, 1280]\nregion = {{{region}}}\n", "region", said)
+        for region, said in (
+            ("polygon = [[0, 0], [9, 9]]", "polygon is [[0, 0], [9, 9]]: three or more corners [x, y] in px of the"),
+            ("polygon = [[0, 0], [9, 9], [5, 5]]", "they span no area; three or more corners"),
+            ("polygon = [[0, 0], [9, 9], [5]]", "of a corner it should be a list of two numbers, [x, y]"),
+            ("ellipse = {center = [9, 9]}", "ellipse.semi_axes is missing; add it"),
+            ("ellipse = {center = [9, 9], semi_axes = [0, 1]}", "semi_axes is [0, 1]: it should be greater than 0"),
+            ("", "one of 'polygon', 'ellipse' or 'mask' is needed, and there are none"),
+            (
+                "polygon = [[0, 0], [9, 9], [5, 0]], ellipse = {center = [9, 9], semi_axes = [2, 1]}",
+                "one of 'polygon', 'ellipse' or 'mask' is needed, and there are polygon and ellipse",
+            ),
+            ("circle = 3", "is not a key; known here: ellipse, mask, polygon"),
+        )
+    ),
     WrongScene(_CALIBRATION, "file = 3", "file = 3", "calibration.file is 3: that is no path of a file"),
     _calibrated("other_rig", "it was made with the contact view rows [0, 512], columns [650, 1280], and the scene has"),
     _calibrated(

@@ -220,7 +220,7 @@ def test_an_interrupted_command_leaves_nothing(
         ("fingerflow.report.page.write_overlay", 0, set()),
         ("fingerflow.report.overlay.ViewPainter.paint", 2, set()),
         ("pathlib.Path.replace", 0, set()),
-        ("fingerflow.report.figures.areas", 0, {"overlay.mp4"}),
+        ("fingerflow.plot.contact_area", 0, {"overlay.mp4"}),
         ("pathlib.Path.replace", 1, {"overlay.mp4"}),
     ],
 )

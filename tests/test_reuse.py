@@ -40,6 +40,7 @@ PICTURES = {"frame_check", "contact", "tracking"}
 CHANGES: dict[str, tuple[str, str, set[str]]] = {
     "gauge length": ("gauge_length_mm = 1.6", "gauge_length_mm = 1.1", {"displacement", "fields", "strain"}),
     "strain measure": ('strain = "green_lagrange"', 'strain = "infinitesimal"', {"displacement", "fields", "strain"}),
+    "reference": ('reference = "onset"', 'reference = "first_frame"', {"displacement", "fields", "strain"}),
     "stiffness": ("young_modulus_mpa = 1.0", "young_modulus_mpa = 0.5", {"displacement", "strain"}),
     "compressibility": ("poisson_ratio = 0.4", "poisson_ratio = 0.3", {"displacement", "strain"}),
     "depth": ("depth_mm = 2.0", "depth_mm = 1.0", {"displacement", "strain"}),

@@ -45,7 +45,7 @@ class Calibration:
             f"warnings = [{', '.join(map(toml_string, self.warnings))}]",
         ]
         for name, view in self.views.items():
-            lines += _section(f"[views.{toml_string(name)}]", asdict(view))
+            lines += _section(f"[views.{toml_string(name)}]", {"rows": view.rows, "columns": view.columns})
         lines += _section("[hole]", {"radius_mm": self.hole_radius_mm, **asdict(self.hole)})
         for name, transform in (("affine", self.affine), ("similarity", self.similarity)):
             if transform is not None:

@@ -37,6 +37,7 @@ class Scene:
 
     Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
     in place of one. ``region`` is the part of the topography view in which points are chosen, None for all of it.
+    ``drawn`` is one of another shape, as `contract.region` takes it.
     ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
     """
 
@@ -53,6 +54,7 @@ class Scene:
     last_frame: int | None = None
     output: Path | None = None
     region: View | None = None
+    drawn: Mapping[str, Any] | None = None
     rekey_share: float | None = None
     rekey_frames: int | None = None
     asked: Mapping[str, Any] = field(default_factory=dict)
@@ -80,10 +82,11 @@ def load_scene(path: Path) -> Scene:
                 f"{path}: its kind is {checked.kind!r}, which has no {name} view; a stream plays scenes of a contact "
                 "and a topography view: use `fingerflow process`"
             )
+    _check_regions(path, views)
     background = found["background"] or {"frames": None, "dark": None}
     return Scene(
-        contact=View(**views["contact"]),
-        topography=View(**views["topography"]),
+        contact=_rectangle(views["contact"]),
+        topography=_rectangle(views["topography"]),
         mm_per_px=found["calibration"]["mm_per_px"],
         topography_to_contact=np.array(found["calibration"]["topography_to_contact"]),
         threshold=found["contact"]["threshold"],
@@ -95,6 +98,7 @@ def load_scene(path: Path) -> Scene:
         last_frame=recording["last_frame"],
         output=stream["output"],
         region=None if stream["region"] is None else View(**stream["region"]),
+        drawn=views["topography"].get("region"),
         rekey_share=stream["rekey_share"],
         rekey_frames=stream["rekey_frames"],
         asked={
@@ -104,6 +108,25 @@ def load_scene(path: Path) -> Scene:
             if f"{table}.{key}" in checked.given
         },
     )
+
+
+def _rectangle(view: Mapping[str, Any]) -> View:
+    return View(view["rows"], view["columns"])
+
+
+def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
+    """Raises PlayerError for a region that a stream cannot have."""
+    if views["contact"].get("region") is not None:
+        raise PlayerError(
+            f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
+            "whole view: leave it out, and make rows and columns of the view smaller"
+        )
+    drawn = views["topography"].get("region")
+    if drawn is not None and drawn["mask"] is not None:
+        raise PlayerError(
+            f"{path}: views.topography.region is a picture, which a stream does not read; draw it as a polygon or an "
+            "ellipse"
+        )
 
 
 def check_scene(scene: Scene, bundle: Bundle) -> None:

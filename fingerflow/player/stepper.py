@@ -12,6 +12,7 @@ import onnxruntime as ort
 from .arrays import Array, Tensor
 from .background import touching
 from .bundle import GRAPHS, MEASURING
+from .contract.region import region_runs
 from .errors import PlayerError
 from .handover import Slot
 from .motion import Motion, count_known
@@ -304,6 +305,10 @@ class Stepper:
 
 def _region_mask(scene: Scene, shape: tuple[int, ...]) -> Array:
     mask = np.zeros(shape, np.bool_)
+    if scene.drawn is not None:
+        for row, first, end in region_runs(scene.drawn, shape[-2], shape[-1]):
+            mask[0, 0, row, first:end] = True
+        return mask
     region = scene.region or View((0, shape[-2]), (0, shape[-1]))
     region.crop(mask[0, 0])[...] = True
     return mask

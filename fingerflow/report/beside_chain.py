@@ -1,6 +1,5 @@
 """A measured press beside the skin chain under the same force: contact area and divergence against normal force."""
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,7 @@ from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_fit import SkinFit, fit_skin
 from fingerflow.models.skin_onset import since_onset
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
-from fingerflow.report.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 
 Values = NDArray[np.float64]
 INNER = 0.6  # of the radius of the contact, in which divergence depends little on where the edge is found
@@ -125,8 +124,8 @@ def inner_divergence(result: xr.Dataset) -> Values:
     return found
 
 
-def draw(beside: BesideChain) -> bytes:
-    """Area, median divergence and that of the inner contact against force, measured and of the chain, as a PNG."""
+def draw(beside: BesideChain) -> Figure:
+    """Area, median divergence and that of the inner contact against force, measured and of the chain."""
     figure = Figure(figsize=(10, 3.9), layout="constrained")
     panels = (
         ("gross contact area (mm²)", beside.area, beside.chain_area),
@@ -140,9 +139,7 @@ def draw(beside: BesideChain) -> bytes:
         axes.set(xlabel="normal force (N)")
         axes.set_ylabel(name, fontsize="small")
         finished(axes)
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=110)
-    return data.getvalue()
+    return figure
 
 
 def _fitted(force: Values, area: Values, large: NDArray[np.bool_], friction: float, given: SkinParameters) -> SkinFit:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import ArrayLike, NDArray
 
-from fingerflow.report.axes_style import INK, RED, finished
+from fingerflow.plot.axes_style import INK, RED, finished
 
 Values = NDArray[np.float64]
 PARTS = ("field", "constant", "divergence", "curl", "shear along axes", "shear along diagonals", "rest")

@@ -5,7 +5,7 @@ import torch
 from matplotlib.axes import Axes
 
 from fingerflow.models.hemisphere import arc_length, contact_radius, radial_strain
-from fingerflow.report.axes_style import GREY, INK, RED, finished
+from fingerflow.plot.axes_style import GREY, INK, RED, finished
 
 RADIUS_MM = 10.0  # of "10 % at 3 mm"
 DEEPEST_MM = 4.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from fingerflow.atomic_write import write_atomically
-from fingerflow.report.axes_style import GREY, INK, RED
+from fingerflow.plot.axes_style import GREY, INK, RED
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 from fingerflow.report.video import encode_video
 

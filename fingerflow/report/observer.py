@@ -14,7 +14,7 @@ from fingerflow.models.observer import (
     PrintedObserver,
     PsychometricFit,
 )
-from fingerflow.report.axes_style import GREEN, GREY, INK, RED, finished
+from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, finished
 
 
 def draw_counts(axes: Axes, observer: PrintedObserver, metric: str) -> Axes:

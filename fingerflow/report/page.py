@@ -1,28 +1,103 @@
 """One HTML page with everything in it."""
 
 import base64
-import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import xarray as xr
 from jinja2 import Environment
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from fingerflow import plot
 from fingerflow.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
-from fingerflow.recordings import open_recording
-from fingerflow.report import figures
+from fingerflow.plot.abscissa import varies
+from fingerflow.plot.picture import said, views_of
+from fingerflow.plot.wording import followed, is_sensor
 from fingerflow.report.beside_chain import BesideChain, draw
+from fingerflow.report.cautions import cautions, lost_points
+from fingerflow.report.inline_svg import curves_of, inline_svg
+from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
+from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
-from fingerflow.report.views import ViewPainter
+from fingerflow.report.telling_frames import Telling, telling_frames
 from fingerflow.scene import Scene
 
-_DEFORMATION = "Deformation, medians over the gross contact"
+_MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain")
+Draw = Callable[..., Axes]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure in the page: its name there, its SVG, and its curves as numbers, None where it has none."""
+
+    name: str
+    svg: str
+    curves: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Figures that are seen together, and how they are laid out: a class of page.css."""
+
+    label: str
+    figures: list[Drawn]
+    kind: str = "grid"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A title and its panels, of which one is seen at a time; ``first`` is seen first."""
+
+    title: str
+    panels: list[Panel]
+    notes: Sequence[str] = ()
+    first: int = 0
+
+
+@dataclass
+class _Figures:
+    """Draws the figures of a page: each gets a name of its own."""
+
+    result: xr.Dataset
+    names: set[str] = field(default_factory=set)
+
+    def drawn(self, axes: Axes, name: str, label: str) -> Drawn:
+        assert name not in self.names
+        self.names.add(name)
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        # First: the layout is settled by it.
+        svg = inline_svg(figure, name, label)
+        return Drawn(name, svg, curves_of(axes, self.result.sizes["frame"]))
+
+    def whole(self, figure: Figure, name: str, label: str) -> Drawn:
+        return Drawn(name, inline_svg(figure, name, label))
+
+    def curves(self, title: str, given: Sequence[tuple[Draw, str]], notes: Sequence[str] = ()) -> Section | None:
+        """Against what varies: the normal force where it only rises or falls, and time; a loop of the force second."""
+        there = [(one, variable) for one, variable in given if _known(self.result, variable)]
+        if not there:
+            return None
+        first = plot.abscissa(self.result).name
+        axes = [first]
+        if varies(self.result, "normal_force"):
+            axes.append("time" if first == "normal_force" else "normal_force")
+        panels = []
+        for against in axes:
+            drawn = [one(self.result, against=against) for one, _ in there]
+            figures = [
+                self.drawn(on, f"{variable}-{against}", f"{on.get_title()} against {on.get_xlabel()}")
+                for on, (_, variable) in zip(drawn, there, strict=True)
+            ]
+            panels.append(Panel(f"against {plot.abscissa(self.result, against).label}", figures))
+        return Section(title, panels, notes)
 
 
 def write_report(
@@ -48,58 +123,172 @@ def write_report(
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
         keep_others(folder / output, is_marked, overwrite)
-    frame = _most_contact(result)
-    sections: list[tuple[str, bytes]] = []
-    notes: dict[str, Sequence[str]] = {}
     if scene is not None:
         if video:
             write_overlay(result, scene, folder / "overlay.mp4")
-        with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
-            picture = ViewPainter(result, scene, recording).paint(frame)
-        encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
-        shown = "contact, points and the stuck part" if "stuck_region" in result else "contact and points"
-        sections.append((f"Frame {frame}: {shown}", encoded))
-    if "ellipse_semi_axes" in result:
-        sections.append(("Contact", figures.areas(result)))
-    if "gross_slip" in result:
-        sections.append(("Slip of what touches the gel", figures.sensor_slip(result)))
-    if "median_divergence" in result:
-        sections.append((_DEFORMATION, figures.medians(result)))
-        if since := result["median_divergence"].attrs.get("reference"):
-            notes[_DEFORMATION] = [f"Displacement counts from {since}."]
-    if "strain" in result and "divergence" in result and result.sizes["triangle"]:
-        sections.append((f"Maps on the skin, frame {frame}", figures.maps(result, frame)))
-    if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
-        trial = SlipTrial.of(result, "Partial slip")
-        drawn = io.BytesIO()
-        trial_figure(trial).savefig(drawn, format="png", dpi=80)
-        sections.append((verdict_line(trial), drawn.getvalue()))
-    if "tracked_share" in result and "position_std_px" in result:
-        sections.append(("Quality", figures.quality(result)))
-    if chain is not None:
-        sections.append(("Beside the skin chain", draw(chain)))
-        notes["Beside the skin chain"] = chain.notes()
+    frames = telling_frames(result)
+    sections = _sections(result, scene, frames, chain)
+    sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])
-    count = result.sizes["frame"]
-    template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
-    html = template.render(
-        mark=MARK,
-        attrs=result.attrs,
-        settings={
-            name: value for name, value in json.loads(result.attrs["settings"]).items() if isinstance(value, dict)
-        },
-        warnings=json.loads(result.attrs["warnings"]),
-        comparison=comparison,
-        sections=[(title, base64.b64encode(data).decode("ascii"), notes.get(title, ())) for title, data in sections],
-        stages=[(name, value, 1000 * value / count) for name, value in seconds.items()],
-        sizes=dict(result.sizes),
+    parts = files(__package__)
+    curves = {
+        figure.name: figure.curves
+        for section in sections
+        for panel in section.panels
+        for figure in panel.figures
+        if figure.curves
+    }
+    numbers = result["frame"].values
+    html = (
+        Environment(autoescape=True)
+        .from_string(parts.joinpath("page.html").read_text("utf-8"))
+        .render(
+            mark=MARK,
+            attrs=result.attrs,
+            heading="Soft sensor with printed markers" if sensor else result.attrs["title"],
+            points=followed(result),
+            css=parts.joinpath("page.css").read_text("utf-8"),
+            js=parts.joinpath("page.js").read_text("utf-8"),
+            cautions=cautions(result),
+            columns=[{"why": one.why, "number": int(numbers[one.frame])} for one in frames],
+            numbers=key_numbers(result, frames),
+            comparison=comparison,
+            sections=sections,
+            lost=lost_points(result),
+            calibration=_calibration(result),
+            calibration_picture=_calibration_picture(scene),
+            settings=settings_tables(result.attrs["settings"]),
+            stages=[(name, value, 1000 * value / result.sizes["frame"]) for name, value in seconds.items()],
+            sizes=dict(result.sizes),
+            # In a script element nothing is escaped; only "<" could end it.
+            curves=json.dumps({**curves, "frames": numbers.tolist()}, separators=(",", ":")).replace("<", "\\u003c"),
+        )
     )
     path = folder / "report.html"
     write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
     return path
 
 
-def _most_contact(result: xr.Dataset) -> int:
-    if "gross_contact_area" not in result:
-        return result.sizes["frame"] - 1
-    return int(np.argmax(result["gross_contact_area"].fillna(0).values))
+def _sections(
+    result: xr.Dataset, scene: Scene | None, frames: Sequence[Telling], chain: BesideChain | None
+) -> list[Section]:
+    make = _Figures(result)
+    sections: list[Section | None] = []
+    most = next((k for k, one in enumerate(frames) if one.why.startswith("largest")), len(frames) - 1)
+    if scene is not None:
+        pictured = frames or [Telling(0, "first frame")]
+        panels = [
+            Panel(
+                one.why,
+                [
+                    make.drawn(
+                        plot.picture(result, scene, one.frame, view=view), f"picture-{view}-{one.frame}", f"{view} view"
+                    )
+                    for view in views_of(scene)
+                ],
+                "grid pictures",
+            )
+            for one in pictured
+        ]
+        sections.append(Section("What was seen", panels, first=max(most, 0)))
+    time_only: list[tuple[Draw, str]] = [(plot.forces, "normal_force"), (plot.load_ratio, "load_ratio")]
+    loads = [
+        make.drawn(on, f"{name}-load", f"{on.get_title()} against time")
+        for one, name in time_only
+        if name in result and (name == "normal_force" or varies(result, name))
+        for on in (one(result),)
+    ]
+    if loads:
+        sections.append(Section("Loading", [Panel("", loads)]))
+    sections.append(
+        make.curves("Contact", [(plot.contact_area, "gross_contact_area"), (plot.contact_axes, "ellipse_semi_axes")])
+    )
+    if "gross_slip" in result:
+        figures = [
+            make.drawn(on, name, on.get_title())
+            for one, name in ((plot.displacement, "contact_displacement"), (plot.slip_ratio, "slip_ratio"))
+            for on in (one(result),)
+        ]
+        sections.append(Section("Slip of what touches the gel", [Panel("", figures)]))
+    deformation: list[tuple[Draw, str]] = [
+        (plot.median_divergence, "median_divergence"),
+        (plot.median_strain, "median_strain"),
+        (plot.strain_energy, "strain_energy"),
+    ]
+    if "gross_slip" not in result:
+        deformation.append((plot.displacement, "global_displacement"))
+    since = result["median_divergence"].attrs.get("reference") if "median_divergence" in result else None
+    counted = (f"Displacement counts from {since}.",) if since else ()
+    sections.append(make.curves("Deformation, medians over the gross contact", deformation, counted))
+    sections.append(_maps(make, result, frames, max(most, 0)))
+    if "stuck_ratio" in result and "verdict" in result["stuck_ratio"].attrs:
+        trial = SlipTrial.of(result, "Partial slip")
+        slip = make.whole(trial_figure(trial), "partial-slip", verdict_line(trial))
+        sections.append(Section(verdict_line(trial), [Panel("", [slip], "strip")]))
+    quality = [
+        (plot.tracked_share, "tracked_share"),
+        (plot.forward_backward, "forward_backward_median"),
+        (plot.position_std, "position_std_px"),
+    ]
+    # A soft sensor's markers are found in each frame anew: there is no way back to be tracked.
+    shown = [(one, name) for one, name in quality if name in result and bool((result[name] > 0).any())]
+    if shown:
+        figures = [make.drawn(on, name, on.get_title()) for one, name in shown for on in (one(result),)]
+        sections.append(Section("Quality", [Panel("", figures)]))
+    if chain is not None:
+        beside = make.whole(draw(chain), "beside-chain", "Measured beside the skin chain")
+        sections.append(Section("Beside the skin chain", [Panel("", [beside], "strip")], chain.notes()))
+    return [one for one in sections if one is not None]
+
+
+def _maps(make: _Figures, result: xr.Dataset, frames: Sequence[Telling], first: int) -> Section | None:
+    """Maps of the telling frames, each quantity with the same colours in all."""
+    places = [one.frame for one in frames]
+    there = [name for name in _MAPS if name in plot.drawable(result) and _shows(result, name, places)]
+    if not there or not places:
+        return None
+    limits = {name: plot.colour_limit(result, name, places) for name in there}
+    panels = [
+        Panel(
+            one.why,
+            [
+                make.drawn(
+                    plot.field_map(result, name, one.frame, limit=limits[name]),
+                    f"map-{name}-{one.frame}",
+                    f"{plot.QUANTITIES[name].title}, {said(result.isel(frame=one.frame))}",
+                )
+                for name in there
+            ],
+            "grid maps",
+        )
+        for one in frames
+    ]
+    surface = "gel" if is_sensor(result) else "skin"
+    note = "Dashed: the gross contact. A quantity has one scale in all frames; lines lie along the principal strain."
+    return Section(f"Maps on the {surface}", panels, (note,), first)
+
+
+def _known(result: xr.Dataset, variable: str) -> bool:
+    return variable in result and bool(np.isfinite(result[variable].values).any())
+
+
+def _shows(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> bool:
+    """Whether a map has a value in any of these frames."""
+    values = plot.QUANTITIES[quantity].values
+    return any(np.isfinite(values(result.isel(frame=frame))).any() for frame in frames)
+
+
+def _calibration(result: xr.Dataset) -> list[tuple[str, str]]:
+    return [
+        ("scale", f"{float(result.attrs['mm_per_px']):.5f} mm/px"),
+        *transform_rows(result.attrs["topography_to_contact"]),
+        ("strain measure", str(result.attrs["strain_measure"]).replace("_", " ")),
+    ]
+
+
+def _calibration_picture(scene: Scene | None) -> str | None:
+    """The picture that `fingerflow calibrate` wrote beside its file."""
+    if scene is None or scene.calibration.file is None:
+        return None
+    path = scene.calibration.file.with_suffix(".png")
+    return base64.b64encode(path.read_bytes()).decode("ascii") if path.is_file() else None

@@ -16,7 +16,7 @@ from fingerflow.models.partial_slip import (
     stuck_area,
 )
 from fingerflow.models.partial_slip.verdict import CORRIDOR
-from fingerflow.report.axes_style import GREY, INK, RED, YELLOW, finished
+from fingerflow.plot.axes_style import GREY, INK, RED, YELLOW, finished
 
 LOAD, AREA = "T/N", "stuck area / contact area, d²"
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
-from fingerflow.report.axes_style import finished
+from fingerflow.plot.axes_style import finished
 from fingerflow.synthetic import Press, Scene
 
 Values = NDArray[np.float64]

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from fingerflow.models.skin_chain import CONTACT_N, Press, follow
 from fingerflow.ops.strain import green_lagrange, strain_energy_density
-from fingerflow.report.axes_style import finished
+from fingerflow.plot.axes_style import finished
 
 Values = NDArray[np.float64]
 FRICTIONS = (0.02, 0.05, 0.2, 1.0)

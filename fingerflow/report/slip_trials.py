@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fingerflow.atomic_write import is_marked, keep_others
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
-from fingerflow.report.outlines import contact_outline, stuck_outline
+from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
 from fingerflow.report.picture_files import save_figure
 

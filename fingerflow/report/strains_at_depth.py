@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fingerflow.models.half_space import stress
 from fingerflow.models.viscoelastic import RECEPTOR_DEPTHS_M, viscoelastic_strain
-from fingerflow.report.axes_style import GREY, finished
+from fingerflow.plot.axes_style import GREY, finished
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses, friction_colours
 
 Values = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.observer import Trials, one_way_anova, pearson, spearman
-from fingerflow.report.axes_style import GREY, INK, RED, finished
+from fingerflow.plot.axes_style import GREY, INK, RED, finished
 
 Values = NDArray[np.float64]
 ANSWERED = 'p(comparison is "more slippery")'

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from fingerflow.errors import FingerflowError
 from fingerflow.models.friction_epochs import FrictionEpochs, friction_epochs
+from fingerflow.plot.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 from fingerflow.recordings import open_forces
-from fingerflow.report.axes_style import GREEN, GREY, INK, RED, YELLOW, finished
 
 #: What a trace holds, in the unit it is brought to.
 SIGNALS = {"normal": "N", "tangential": "N", "position": "m", "amplitude": "m"}

@@ -8,10 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.errors import FingerflowError
+from fingerflow.plot.outlines import stuck_outline
+from fingerflow.plot.picture import check_recording
 from fingerflow.recordings import Recording
-from fingerflow.recordings.identity import identity_of
-from fingerflow.report.outlines import stuck_outline
 from fingerflow.scene import Scene
 from fingerflow.views import View
 
@@ -25,7 +24,7 @@ class ViewPainter:
 
     def __init__(self, result: xr.Dataset, scene: Scene, recording: Recording) -> None:
         """Raises FingerflowError where the result is that of another recording."""
-        _check(result, scene, recording)
+        check_recording(result, scene, recording)
         self._result = result
         self._scene = scene
         self._recording = recording
@@ -109,15 +108,3 @@ class ViewPainter:
     def _pixels(self, millimetres: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         result: NDArray[np.float64] = millimetres / self._size @ matrix[:, :2].T + matrix[:, 2]
         return result
-
-
-def _check(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
-    known = result.attrs.get("recording")  # results of older versions do not say
-    settings = scene.recording
-    end = len(recording) if settings.last_frame is None else settings.last_frame + 1
-    found = identity_of(recording[settings.first_frame : end])
-    if known not in (None, found):
-        raise FingerflowError(
-            f"{settings.frames}: the result is not of these frames ({found}), it was computed from "
-            f"{result.attrs.get('frames')} ({known}). Name the scene of the result, or process this scene again"
-        )

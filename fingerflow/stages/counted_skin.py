@@ -28,14 +28,14 @@ class CountedSkin:
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
     """
 
-    def __init__(self, stage: DisplacementStage, results: Store, usable: NDArray[np.intp], frames: int) -> None:
+    def __init__(self, stage: DisplacementStage, results: Store, frames: int) -> None:
         self._stage, self._position = stage, results["position"]
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, places = stage.reference.copy(), stage.reference_px.copy()
         reference[stage.entered] = places[stage.entered] = np.nan
-        plain, found = triangulate(reference), entry_triangles(stage.entered, self._position, usable, stage.onset)
+        plain, found = triangulate(reference), self._of_entered()
         begins = onset[plain].max(1, initial=0)
-        if stage.since.frame is None:
+        if stage.by_onsets:
             apart = self._collapsed(plain, begins, reference)
             found = EntryTriangles(
                 np.concatenate([plain[apart], found.corners]), np.concatenate([begins[apart], found.begins])
@@ -58,6 +58,13 @@ class CountedSkin:
         self.places_px = np.concatenate([places, then("position_px")])
         self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
         self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
+
+    def _of_entered(self) -> EntryTriangles:
+        stage = self._stage
+        if not len(stage.entered):
+            return EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
+        places = self._position[slice(stage.last, stage.last + 1)][0]
+        return entry_triangles(stage.entered, places, stage.onset)
 
     def _collapsed(
         self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points

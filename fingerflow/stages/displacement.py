@@ -51,6 +51,9 @@ class DisplacementStage(Stage):
     Attributes:
         since: that.
         entered: (E,) numbers of the points that came into contact by moving into it (`entered_skin`), by onsets.
+        by_onsets: whether points count from their own onsets; `places` and `last` are there where they do.
+        places: (N, 2) mm, where points were chosen.
+        last: the last usable frame.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
             then: a later one would be taken for it.
@@ -69,13 +72,16 @@ class DisplacementStage(Stage):
     needs = ("views.topography",)
     after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
     settings = (
-        *("fields.gauge_length_mm", "fields.reference", "tracking.template"),
+        *("fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
         *("recording.times", "recording.first_frame"),
         *("calibration.mm_per_px", "calibration.topography_to_contact"),
     )
 
     since: Reference
     entered: NDArray[np.intp]
+    by_onsets: bool
+    places: Points
+    last: int
     begins: NDArray[np.int32]
     onset: NDArray[np.int32]
     reference: Points
@@ -101,11 +107,16 @@ class DisplacementStage(Stage):
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._find_onsets()
-        moves_in = np.zeros(points, dtype=bool)
-        if self._fixed is None:
+        moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
+        if self.by_onsets:
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
-            moves_in = moved_in(self.results["position"], self.chosen, self.onset, self.reference, gauge)
+            # Where points were chosen all of them are known.
+            usable = np.flatnonzero(self._usable)
+            chosen = int(usable[-1 if self.trial.stage(TrackingStage).backward else 0])
+            self.last = int(usable[-1])
+            self.places = self.results["position"][slice(chosen, chosen + 1)][0]
+            moves_in = moved_in(self.results["position"], self.places, self.onset, self.reference, gauge)
         else:
             self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
             self._warn_of_unknown()
@@ -137,11 +148,6 @@ class DisplacementStage(Stage):
     def mm_per_px(self) -> float:
         """Of the topographic view."""
         return self._scale
-
-    @property
-    def chosen(self) -> NDArray[np.intp]:
-        """(N,) frame in which each point was chosen."""
-        return self.trial.stage(TrackingStage).chosen
 
     def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
         """(n, N) mm^2, of a component of the position in these frames against the frame of the templates."""

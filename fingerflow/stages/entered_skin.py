@@ -24,53 +24,43 @@ Points = NDArray[np.float64]
 Numbers = NDArray[np.integer]
 
 
-def moved_in(
-    position: Values, chosen: Numbers, onset: Numbers, reference: Points, gauge_mm: float
-) -> NDArray[np.bool_]:
+def moved_in(position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float) -> NDArray[np.bool_]:
     """Which points (N,) came into contact by moving into it.
 
     Those whose neighbours' places of onset span less than `LEAST_AREA` of the area of the skin, by local fits among
-    points that have an onset. Those of which the skin around that touches already has moved by an eighth of the gauge
-    length since its own onset, in the median: where a contact grows at twice the speed of the skin or faster, it has
-    moved by less; it tells of single points, and of a narrow band along a border, which span no area. And those that
-    were chosen later than the others, within the contact.
+    points that have an onset after the first one. And those of which the skin around that touches already has moved by
+    an eighth of the gauge length since its own onset, in the median: where a contact grows at twice the speed of the
+    skin or faster, it has moved by less; it tells of single points, and of a narrow band along a border, which span no
+    area.
 
     Args:
         position: (frames, N, 2) mm.
-        chosen: (N,) frame in which a point was chosen.
+        places: (N, 2) mm, in a frame that is the same for all.
         onset: (N,) frame, -1 for none.
         reference: (N, 2) mm, places of onset.
         gauge_mm: over which a fit is made.
     """
-    first = chosen.min(initial=0)
-    found = (onset >= 0) & (chosen > first) & (onset <= chosen)
-    for frame in np.unique(chosen):
-        places = position[slice(frame, frame + 1)][0]
-        counts = (onset > max(frame, 0)) & np.isfinite(places + reference).all(1)
-        if counts.sum() < 3:
-            continue
-        shift = np.where(counts[:, None], reference - places, np.nan)
-        fit = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(shift)[None], gauge_length=gauge_mm)
-        area = torch.linalg.det(torch.eye(2) + fit.gradient[0]).numpy()
-        moves_in = (area < LEAST_AREA) | (
-            _neighbours_moved(position, places, onset, reference, gauge_mm) > gauge_mm / 8
-        )
-        found |= counts & (chosen == frame) & moves_in
-    return np.asarray(found)
+    known = np.isfinite(places + reference).all(1) & (onset >= 0)
+    counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
+    if counts.sum() < 3:
+        return np.zeros(len(onset), dtype=bool)
+    shift = np.where(counts[:, None], reference - places, np.nan)
+    fit = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(shift)[None], gauge_length=gauge_mm)
+    area = torch.linalg.det(torch.eye(2) + fit.gradient[0]).numpy()
+    moved = _neighbours_moved(position, places, onset, reference, gauge_mm, counts)
+    result: NDArray[np.bool_] = counts & ((area < LEAST_AREA) | (moved > gauge_mm / 8))
+    return result
 
 
 def _neighbours_moved(
-    position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float
+    position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """(N,) mm, median of how far points within half a gauge length that touched before had moved since, at the onset of
-    each; NaN where there is none, and for points that touch first.
+    each that is `wanted`; NaN where there is none.
     """
     moved = np.full(len(onset), np.nan)
     known = np.isfinite(places + reference).all(1) & (onset >= 0)
-    here = np.flatnonzero(known & (onset > onset[known].min(initial=0)))
-    if not len(here):
-        return moved
-    touched = np.flatnonzero(known)
+    here, touched = np.flatnonzero(wanted), np.flatnonzero(known)
     near = cKDTree(places[touched]).query_ball_point(places[here], gauge_mm / 2)
     around = {point: touched[some] for point, some in zip(here, near, strict=True)}
     for first in range(0, position.shape[0], _FRAMES):
@@ -85,15 +75,6 @@ def _neighbours_moved(
     return moved
 
 
-class _Group(NamedTuple):
-    """Points that were chosen in one frame, and all that say something of their surroundings."""
-
-    members: Numbers  # (M,)
-    near: Numbers  # (K,)
-    places: Tensor  # (1, K, 2) mm in that frame
-    queries: Tensor  # (1, M, 2)
-
-
 class SinceEntry(NamedTuple):
     """Of n frames and E points that moved in; NaN before the entry and where too little is known."""
 
@@ -104,41 +85,30 @@ class SinceEntry(NamedTuple):
 class EntryGradients:
     """Gradients of the displacement since each point's own entry; frames come in the order of time."""
 
-    def __init__(self, entered: Numbers, position: Values, chosen: Numbers, onset: Numbers, gauge_mm: float) -> None:
+    def __init__(self, entered: Numbers, places: Points, onset: Numbers, gauge_mm: float) -> None:
         """``entered`` (E,) are numbers of points; the others as for `moved_in`."""
-        self.entered, self._onset, self._gauge = entered, onset, gauge_mm
-        self._groups = []
-        for frame in np.unique(chosen[entered]):
-            members = entered[chosen[entered] == frame]
-            places = position[slice(frame, frame + 1)][0]
-            known = np.flatnonzero(np.isfinite(places).all(1))
-            apart, _ = cKDTree(places[members]).query(places[known])
-            near = known[apart <= gauge_mm / 2]
-            self._groups.append(_Group(members, near, _batch(places[near]), _batch(places[members])))
-        self._begun = torch.full((len(onset), 2, 2), torch.nan, dtype=torch.float64)
-        self._begun_covariance = torch.full((len(onset), 2, 2, 2, 2), torch.nan, dtype=torch.float64)
+        self.entered, self._onset, self._gauge = entered, onset[entered], gauge_mm
+        known = np.flatnonzero(np.isfinite(places).all(1))
+        apart, _ = cKDTree(places[entered]).query(places[known])
+        self._near = known[apart <= gauge_mm / 2]  # all that say something of their surroundings
+        self._places, self._queries = (torch.from_numpy(places[some])[None] for some in (self._near, entered))
+        self._begun = torch.full((len(entered), 2, 2), torch.nan, dtype=torch.float64)
+        self._begun_covariance = torch.full((len(entered), 2, 2, 2, 2), torch.nan, dtype=torch.float64)
 
     def at(self, frames: Numbers, position: Points, variance: NDArray[np.floating]) -> SinceEntry:
         """In these frames (n,), from positions (n, N, 2) mm and the variance (n, N) mm^2 of a component against the
         frame in which points were chosen. Half of it is that frame's, the same at all times.
         """
-        size = (len(frames), len(self._onset))
-        gradient = torch.full((*size, 2, 2), torch.nan, dtype=torch.float64)
-        covariance = torch.full((*size, 2, 2, 2, 2), torch.nan, dtype=torch.float64)
+        moved = torch.from_numpy(position[:, self._near]) - self._places
+        noise = torch.from_numpy(variance[:, self._near].astype(np.float64) / 2)
+        fit = local_gradients(self._places, moved, self._queries, gauge_length=self._gauge, variance=noise)
+        assert fit.covariance is not None
         identity = torch.eye(2, dtype=torch.float64)
-        for members, near, places, queries in self._groups:
-            moved = torch.from_numpy(position[:, near]) - places
-            noise = torch.from_numpy(variance[:, near].astype(np.float64) / 2)
-            fit = local_gradients(places, moved, queries, gauge_length=self._gauge, variance=noise)
-            assert fit.covariance is not None
-            now = identity + fit.gradient
-            for k, frame in enumerate(frames):
-                enter = np.flatnonzero(self._onset[members] == frame)
-                self._begun[members[enter]] = now[k, enter]
-                self._begun_covariance[members[enter]] = fit.covariance[k, enter]
-            gradient[:, members] = now @ _inverse(self._begun[members]) - identity
-            covariance[:, members] = fit.covariance + self._begun_covariance[members]
-        return SinceEntry(gradient[:, self.entered], covariance[:, self.entered])
+        now = identity + fit.gradient
+        for k, frame in enumerate(frames):
+            enter = np.flatnonzero(self._onset == frame)
+            self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
+        return SinceEntry(now @ _inverse(self._begun) - identity, fit.covariance + self._begun_covariance)
 
 
 class EntryTriangles(NamedTuple):
@@ -150,15 +120,9 @@ class EntryTriangles(NamedTuple):
     begins: NDArray[np.int64]
 
 
-def entry_triangles(entered: Numbers, position: Values, usable: Numbers, onset: Numbers) -> EntryTriangles:
-    """Delaunay triangles in the last of the ``usable`` frames, of points that are known there and have touched."""
-    none = EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
-    if not len(entered):
-        return none
-    last = int(usable[-1])
-    places = position[slice(last, last + 1)][0]
-    known = np.flatnonzero(np.isfinite(places).all(1) & (onset >= 0))
-    triangles = triangulate(np.where(np.isin(np.arange(len(places)), known)[:, None], places, np.nan))
+def entry_triangles(entered: Numbers, places: Points, onset: Numbers) -> EntryTriangles:
+    """Delaunay triangles of points that have touched, by their ``places`` (N, 2) in a late frame."""
+    triangles = triangulate(np.where((onset >= 0)[:, None], places, np.nan))
     triangles = triangles[np.isin(triangles, entered).any(1)]
     return EntryTriangles(triangles, onset[triangles].max(1, initial=0).astype(np.int64))
 
@@ -180,7 +144,3 @@ def _inverse(matrix: Tensor) -> Tensor:
     (a, b), (c, d) = (row.unbind(-1) for row in matrix.unbind(-2))
     adjugate = torch.stack((torch.stack((d, -b), dim=-1), torch.stack((-c, a), dim=-1)), dim=-2)
     return adjugate / (a * d - b * c)[..., None, None]
-
-
-def _batch(points: Points) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(points))[None]

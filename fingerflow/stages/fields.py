@@ -61,9 +61,7 @@ class FieldsStage(Stage):
         moved = self.trial.stage(DisplacementStage)
         self._entry = None
         if len(moved.entered):
-            self._entry = EntryGradients(
-                moved.entered, self.results["position"], moved.chosen, moved.onset, self.inputs.gauge_length_mm
-            )
+            self._entry = EntryGradients(moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)

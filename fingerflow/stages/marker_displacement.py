@@ -42,7 +42,7 @@ class MarkerDisplacementStage(DisplacementStage):
         known = np.isfinite(variance)
         self.noise = np.where(known, variance, 0).sum(0) / np.maximum(known.sum(0), 1) * self._scale**2
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
-        self.entered = np.zeros(0, dtype=np.intp)
+        self.entered, self.by_onsets = np.zeros(0, dtype=np.intp), False
         self.results.put("entry", (self.onset >= 0).astype(np.uint8))
         self.results.put(
             "reference_position", self.reference, {"long_name": _REST["reference_position"]} | self._attributes

@@ -11,7 +11,6 @@ from fingerflow.player.contract.variables import STRAIN
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.counted_skin import CountedSkin
 from fingerflow.stages.displacement import DisplacementStage
-from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -40,8 +39,7 @@ class StrainStage(Stage):
 
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
-        usable = np.flatnonzero(self.trial.stage(FrameCheckStage).usable)
-        skin = self._skin = CountedSkin(moved, self.results, usable, len(self.trial))
+        skin = self._skin = CountedSkin(moved, self.results, len(self.trial))
         triangles = skin.triangles
         self._since = moved.since.attributes(self.inputs.scene.recording.first_frame)
         measure = {"measure": self._settings.strain} | self._since

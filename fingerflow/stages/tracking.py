@@ -48,15 +48,11 @@ _FASTEST_PX = 0.2  # that the edges of windows may change by until then
 class TrackingStage(Stage):
     """Follows points from frame to frame, in the order of time or against it.
 
-    Attributes:
-        chosen: (N,) frame in which each point was chosen, once it has begun.
-
     With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
     so far: errors do not add up. From frame to frame they do.
     """
 
     name = "tracking"
-    chosen: NDArray[np.intp]
     gives = TRACKING
     needs = ("views.topography",)
     beside = (ContactStage,)
@@ -118,7 +114,6 @@ class TrackingStage(Stage):
                 f"where most of it was expected: there are no points and no deformation"
             )
             self._create(0)
-            self.chosen = np.zeros(0, dtype=np.intp)
 
     def step(self, batch: Batch) -> None:
         """Tracks through these frames, in the order given; those that are not usable are passed over."""
@@ -147,7 +142,6 @@ class TrackingStage(Stage):
         steps, done = [], 0
         if self._key is None:
             steps.append(self._choose(images[:1]))
-            self.chosen = np.full(steps[0].status.shape[1], indices[0])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             done = 1

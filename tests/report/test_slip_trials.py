@@ -6,10 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from fingerflow.report.outlines import stuck_outline
 
 from fingerflow import cli, load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial, simulate_trial
+from fingerflow.recordings import open_recording
+from fingerflow.report import write_report
 from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
+from fingerflow.report.views import STUCK, ViewPainter
 from fingerflow.result import load_result, save_result
 
 
@@ -41,6 +45,37 @@ def test_two_trials_and_one_that_is_not_there(
     written = sorted((tmp_path / "figures").iterdir())
     assert [path.name for path in written] == ["abrupt.png", "fading.png", "trials.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
+
+
+def test_the_stuck_part_in_page_and_video(slip_trials: Path, tmp_path: Path) -> None:
+    """The page has the verdict with its figure; page and video have the outline of the stuck part, in its colour where
+    the stuck part ends, and no more of it when nothing sticks.
+    """
+    scene = load_scene(slip_trials / "abrupt" / "scene.toml")
+    result = process(scene, ["stuck_ratio", "ellipse_angle", "tracked_share"])
+    page = write_report(result, scene, tmp_path).read_text(encoding="utf-8")
+    assert "Partial slip: vanishes abruptly" in page
+    assert "contact, points and the stuck part" in page
+    with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording:
+        painter = ViewPainter(result, scene, recording)
+        for frame, size in ((40, 1), (119, 0)):
+            picture = painter.paint(frame)
+            outlined = (np.abs(picture.astype(int) - STUCK).max(-1) < 40).nonzero()
+            assert (len(outlined[0]) > 100) == bool(size)
+            if size:
+                region, matrix = (
+                    result["stuck_region"],
+                    np.linalg.inv([*scene.calibration.topography_to_contact, [0, 0, 1]]),
+                )
+                outline = stuck_outline(region[frame].values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
+                assert outline is not None
+                drawn = outline / result.attrs["mm_per_px"] @ matrix[:2, :2].T + matrix[:2, 2]
+                left = outlined[1] < picture.shape[1] // 2
+                for axis, found in ((0, outlined[1][left]), (1, outlined[0][left])):
+                    ends = [found.min(), found.max()]
+                    np.testing.assert_allclose(ends, [drawn[:, axis].min(), drawn[:, axis].max()], atol=3)
+    with open_recording(tmp_path / "overlay.mp4") as video:
+        assert len(video) == 120
 
 
 def test_nothing_that_can_be_read(

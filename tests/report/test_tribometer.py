@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fingerflow.errors import FingerflowError
-from fingerflow.report.axes_style import GREY
+from fingerflow.plot.axes_style import GREY
 from fingerflow.report.tribometer import TribometerTrace, draw_friction, draw_trace, read_tribometer
 
 RATE = 500

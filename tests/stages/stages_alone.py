@@ -25,7 +25,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
     check = object.__new__(FrameCheckStage)
     check.usable = np.ones(frames, dtype=bool)
     tracking = object.__new__(TrackingStage)
-    tracking.chosen = np.zeros(given["position"].shape[1] if "position" in given else 0, dtype=np.intp)
+    tracking._settings = inputs.scene.tracking if hasattr(inputs.scene, "tracking") else None  # type: ignore[assignment]
     trial.stages = {
         ContactStage: stage,
         LoadingStage: LoadingStage(trial),

@@ -25,7 +25,7 @@ def inputs() -> Inputs:
         fields=fields,
         forces=None,
         recording=SimpleNamespace(first_frame=0),
-        tracking=SimpleNamespace(template="keyframe", window_px=25),
+        tracking=SimpleNamespace(template="keyframe", direction="forward", window_px=25),
         calibration=SimpleNamespace(mm_per_px=SCALE, topography_to_contact=np.eye(2, 3)),
     )
     return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])

@@ -95,7 +95,7 @@ def test_skin_that_is_covered_is_unknown_and_comes_back() -> None:
 def test_another_picture_takes_the_first_ones_place() -> None:
     """Fine dots come up, as sweat does, until most of the skin is another; frame by frame it goes on by 1 px.
 
-    Errors add up, and stay within half a pixel.
+    Later pictures take the place of the first one, so that three quarters of another texture do not matter.
     """
     y, x = np.mgrid[:SIZE, :SIZE].astype(float)
 
@@ -112,7 +112,7 @@ def test_another_picture_takes_the_first_ones_place() -> None:
         motion = flow.follow(sweating(frame, frame / 12), PLACES, points(shift), lambda at=shift: even(at))
         found = motion.displacement[INSIDE]
         assert np.isfinite(found).all(-1).mean() > 0.7, frame
-        assert np.nanmedian(np.linalg.norm(found - shift, axis=-1)) < 0.5, frame
+        assert np.nanmedian(np.linalg.norm(found - shift, axis=-1)) < 0.1, frame
     assert flow.renewed >= 1
     assert np.nanmedian(motion.variance) > np.nanmedian(flow.template.covariance.numpy()[:, 0]) / 2
 
@@ -152,11 +152,11 @@ def test_what_the_flow_shows_of_a_border_is_what_it_shows_of_another() -> None:
     truth = growth * np.maximum(x - 64, 0) ** POWER
     start = np.stack((truth, 0 * truth), -1).astype(np.float32)
     found = flow.follow(moved, PLACES, points((0, 0)) * np.nan, lambda: start).displacement
-    shown = np.nanmean(found[40:88, :, 0], axis=0)
-    distance = np.arange(SIZE) - 64.0
-    near = np.abs(distance) <= 12
+    near = slice(52, 77)
+    shown = np.nanmean(found[40:88, near, 0], axis=0)
+    distance = np.arange(SIZE)[near] - 64.0
     expected = growth * response(distance)
     # Ridges run another way here, and there is noise.
-    assert np.abs(shown - expected)[near].max() < 0.03
+    assert np.abs(shown - expected).max() < 0.03
     assert response(np.array([-60.0]))[0] == 0
     assert response(np.array([80.0]))[0] == pytest.approx(80**POWER, rel=0.05)

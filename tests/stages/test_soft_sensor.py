@@ -1,6 +1,7 @@
 """A soft sensor, from a compressed colour video to identities, displacement, slip: all against the exact truth."""
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -138,6 +139,10 @@ def test_the_command_line_writes_its_scene_and_streams_refuse_it(scene_path: Pat
 def test_the_report_shows_markers_and_slip(result: xr.Dataset, scene_path: Path, tmp_path: Path) -> None:
     page = write_report(result, load_scene(scene_path), tmp_path).read_text(encoding="utf-8")
     assert "Slip of what touches the gel" in page
+    told = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", page).lower()
+    assert "skin" not in told.replace(str(tmp_path).lower(), "")
+    assert "fingertip" not in told
+    assert "markers tracked" in told
     capture = cv2.VideoCapture(str(tmp_path / "overlay.mp4"))
     assert int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)) == GEL.frame_shape[1]  # the one view once
 

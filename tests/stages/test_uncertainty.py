@@ -54,7 +54,7 @@ def inputs(template: str = "keyframe") -> Inputs:
         ),
         forces=None,
         recording=SimpleNamespace(first_frame=0),
-        tracking=SimpleNamespace(template=template, window_px=WINDOW_PX),
+        tracking=SimpleNamespace(template=template, direction="forward", window_px=WINDOW_PX),
         calibration=SimpleNamespace(mm_per_px=MM_PER_PX, topography_to_contact=np.eye(2, 3)),
     )
     return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])

@@ -51,6 +51,7 @@ EQUATIONS: dict[str, str] = {
     "rigid_residual_median": f"median of {_RIGID}",
     "divergence_std": _STD,
     "curl_std": _STD,
+    "field_coverage": "share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
     "median_divergence": "median of the divergence at 800 places evenly over the gross contact's ellipse",
     "median_divergence_std": _STD,
     "median_divergence_rate": _RATE,

@@ -14,10 +14,12 @@ from .scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
+    Instead,
     Key,
     NotBefore,
     NotBoth,
     OneEach,
+    OneOf,
     Reader,
     Rule,
     Table,
@@ -190,6 +192,11 @@ class _Check:
                 self._in_place_of(rule)
             case Inside():
                 self._inside(rule)
+            case OneOf():
+                self._one_of(rule)
+            case Instead():
+                if rule.key in self.given and self._at(rule.other) is not None:
+                    self._blame(rule.key, f"{rule.other} says the same, and is there too; keep one of them")
             case FitsTheViews():
                 self._fits_the_views(rule)
 
@@ -255,6 +262,19 @@ class _Check:
         if region[0][1] > height or region[1][1] > width:
             name = rule.view.rpartition(".")[2]
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
+
+    def _one_of(self, rule: OneOf) -> None:
+        """None where the table is left out; else of its keys the one that is given stays."""
+        place, _, name = rule.key.rpartition(".")
+        table, around = self._at(rule.key), self._at(place)
+        if not table or place not in self.given:  # a role has the region of the view that has it
+            return
+        given = [key for key in table if f"{rule.key}.{key}" in self.given]
+        wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
+        if rule.key in self.given and len(given) != 1 and not wrong:
+            self._blame(rule.key, f"one of {either(table)} is needed, and there are {' and '.join(given) or 'none'}")
+        if rule.key not in self.given:
+            around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
         """Only where there is another view to be mapped: the scale holds whatever part of the frame the view is."""

@@ -96,11 +96,37 @@ class PixelRange:
 
 
 @dataclass(frozen=True)
+class Corners:
+    """[[x, y], ...], three or more px of a view."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """[x, y], two numbers."""
+
+    each: Number = Number()
+
+
+@dataclass(frozen=True)
 class Transform:
     """[[a, b, x], [c, d, y]] that can be undone."""
 
 
-Type = Number | Switch | Text | Choice | Column | Each | TimeRange | Moment | File | PixelRange | Transform
+Type = (
+    Number
+    | Switch
+    | Text
+    | Choice
+    | Column
+    | Each
+    | TimeRange
+    | Moment
+    | File
+    | PixelRange
+    | Transform
+    | Corners
+    | Pair
+)
 
 
 @dataclass(frozen=True)
@@ -122,6 +148,20 @@ class Table:
 
 POSITIVE, FROM_0 = Number(above=0), Whole(least=0)
 RECTANGLE = {"rows": Key(PixelRange(), needed_by=BOTH), "columns": Key(PixelRange(), needed_by=BOTH)}
+#: A part of a view, px of the view with whole numbers at pixel centres: one of these.
+REGION = Table(
+    {
+        "polygon": Key(Corners()),
+        "ellipse": Table(
+            {
+                "center": Key(Pair(), needed_by=BOTH),
+                "semi_axes": Key(Pair(POSITIVE), needed_by=BOTH),
+                "angle": Key(Number(), default=0.0),
+            }
+        ),
+        "mask": Key(File(there_for=PROCESS)),
+    }
+)
 
 SCENE: dict[str, Key | Table] = {
     "recording": Table(
@@ -218,9 +258,10 @@ SCENE: dict[str, Key | Table] = {
 
 
 def views_of(kind: Kind) -> Table:
-    """[views] of a scene of this kind: a rectangle each."""
-    tables: dict[str, Key | Table] = {name: Table(RECTANGLE, needed_by=BOTH) for name in kind.views}
-    tables |= {name: Table(RECTANGLE, needed_by=STREAM) for name in kind.optional_views}
+    """[views] of a scene of this kind: a rectangle each, and a region in it."""
+    keys: dict[str, Key | Table] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    tables: dict[str, Key | Table] = {name: Table(keys, needed_by=BOTH) for name in kind.views}
+    tables |= {name: Table(keys, needed_by=STREAM) for name in kind.optional_views}
     return Table(tables, needed_by=BOTH)
 
 
@@ -286,6 +327,21 @@ class Inside:
 
 
 @dataclass(frozen=True)
+class OneOf:
+    """A table of which one key is given, where it is given at all."""
+
+    key: str
+
+
+@dataclass(frozen=True)
+class Instead:
+    """A key that says the same as another one: only one of them is given."""
+
+    key: str
+    other: str
+
+
+@dataclass(frozen=True)
 class FitsTheViews:
     """A calibration that says where the pixels of a view are in the other one, and was made with these views."""
 
@@ -296,7 +352,7 @@ class FitsTheViews:
     into: str
 
 
-Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | FitsTheViews
+Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | FitsTheViews | OneOf | Instead
 _TRIGGER = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
 RULES: tuple[Rule, ...] = (
     NotBefore("recording.last_frame", "recording.first_frame"),
@@ -306,6 +362,8 @@ RULES: tuple[Rule, ...] = (
     *(OneEach(f"forces.{key}", ("forces.normal", "forces.tangential")) for key in ("gain", "sign", "offset")),
     InPlaceOf("calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"),
     Inside("stream.region", "views.topography"),
+    *(OneOf(f"views.{view}.region") for view in ("contact", "topography", "camera")),
+    *(Instead("stream.region", f"views.{view}.region") for view in ("topography", "camera")),
     FitsTheViews(
         "calibration.file",
         "calibration.mm_per_px",

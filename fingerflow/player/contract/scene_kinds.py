@@ -17,6 +17,7 @@ class Kind:
         without: stages that are computed only where one of their outputs is asked for.
         instead: stages that give what others do, another way.
         optional: tables that other kinds need, and this one does not.
+        regions: whether [views.NAME] may have a region.
         streamed: whether the graphs of a stream can play it.
     """
 
@@ -27,6 +28,7 @@ class Kind:
     without: tuple[str, ...] = ()
     instead: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
+    regions: bool = True
     streamed: bool = True
 
     def computes(self, stage: str) -> bool:
@@ -46,6 +48,7 @@ KINDS = {
         without=("slip", "frame_check"),  # at 25 Hz an object that arrives is a jump, and a gel at rest repeats itself
         instead=("marker_contact", "marker_tracking", "marker_displacement"),
         optional=("background",),
+        regions=False,
         streamed=False,
     ),
 }

@@ -9,9 +9,11 @@ from .calibration_file import can_be_undone
 from .scene_keys import (
     Choice,
     Column,
+    Corners,
     Each,
     Moment,
     Number,
+    Pair,
     PixelRange,
     Switch,
     Text,
@@ -51,6 +53,10 @@ def value_of(kind: Type, value: Any) -> Any:
             return _moment(kind, value)
         case PixelRange():
             return _pixel_range(value)
+        case Corners():
+            return _corners(value)
+        case Pair():
+            return _pair(kind.each, value)
         case Transform():
             return _transform(value)
         case Switch():
@@ -177,6 +183,27 @@ def _pixel_range(value: Any) -> tuple[int, int]:
     if not 0 <= first < end:
         raise WrongValue("two whole numbers [first, end) with 0 <= first < end are needed, for example [0, 512]")
     return first, end
+
+
+def _pair(each: Number, value: Any) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise WrongValue("it should be a list of two numbers, [x, y]")
+    x, y = (_number(each, item) for item in value)
+    return x, y
+
+
+def _corners(value: Any) -> tuple[tuple[float, float], ...]:
+    needed = "three or more corners [x, y] in px of the view are needed, such as [[100, 80], [500, 80], [300, 400]]"
+    if not isinstance(value, list) or len(value) < 3:
+        raise WrongValue(needed)
+    try:
+        corners = tuple(_pair(Number(), corner) for corner in value)
+    except WrongValue as wrong:
+        raise WrongValue(f"of a corner {wrong}; {needed}") from None
+    twice = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True))
+    if not twice:
+        raise WrongValue(f"they span no area; {needed}")
+    return corners
 
 
 def _transform(value: Any) -> tuple[tuple[float, ...], ...]:

@@ -1,0 +1,87 @@
+"""What results are drawn against: time, or a force that rises or falls all the time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from fingerflow.errors import FingerflowError
+
+NAMES = {
+    "time": "time",
+    "normal_force": "normal force",
+    "tangential_force": "tangential force",
+    "load_ratio": "tangential over normal force, T/N",
+}
+_LEAST_CHANGE = 0.1  # of its largest value, below which a force is constant
+_ABOVE_NOISE = 10.0  # standard deviations of a sample that a force varies by at least
+_LARGEST_RETURN = 0.03  # of its range, by which a force that rises may fall in between
+_SMOOTHED = 5  # samples, against single outliers
+_MAD_TO_STD = 1.4826
+
+
+@dataclass(frozen=True)
+class Abscissa:
+    """Values (F,) of the horizontal axis, the variable that they are, and what is written at the axis."""
+
+    name: str
+    values: NDArray[np.float64]
+    label: str
+
+
+def abscissa(result: xr.Dataset, against: str | None = None) -> Abscissa:
+    """The horizontal axis of curves.
+
+    Args:
+        result: a data set with `time`.
+        against: "time", or a variable of the frames such as "normal_force"; None for the normal force where that only
+            rises or only falls, else time.
+
+    Raises:
+        FingerflowError: the result has no such variable, or it has no one value a frame.
+    """
+    name = against or ("normal_force" if varies(result, "normal_force") and is_monotonic(result) else "time")
+    if name not in result or result[name].dims != ("frame",):
+        raise FingerflowError(
+            f"against {name!r}: the result has no such variable of the frames; choose one of "
+            + ", ".join(sorted(str(one) for one in result.variables if result[one].dims == ("frame",)))
+        )
+    unit = str(result[name].attrs.get("units", "s" if name == "time" else "1"))
+    label = NAMES.get(name, name.replace("_", " ")) + ("" if unit == "1" else f" ({unit})")
+    return Abscissa(name, result[name].values.astype(np.float64), label)
+
+
+def varies(result: xr.Dataset, force: str) -> bool:
+    """Whether a force is known and changes by more than its noise and a tenth of its largest value."""
+    if force not in result:
+        return False
+    known = _smoothed(result, force)
+    if len(known) < 3:
+        return False
+    span = float(known.max() - known.min())
+    return span > max(_LEAST_CHANGE * float(np.abs(known).max()), _ABOVE_NOISE * _noise(result, force))
+
+
+def is_monotonic(result: xr.Dataset, force: str = "normal_force") -> bool:
+    """Whether a force that varies only rises, or only falls, but for 3 % of its range and its noise."""
+    known = _smoothed(result, force)
+    least = max(_LARGEST_RETURN * float(known.max() - known.min()), 3 * _noise(result, force))
+    falls = float((np.maximum.accumulate(known) - known).max())
+    rises = float((known - np.minimum.accumulate(known)).max())
+    return min(falls, rises) <= least
+
+
+def _smoothed(result: xr.Dataset, force: str) -> NDArray[np.float64]:
+    values = result[force].values.astype(np.float64)
+    known: NDArray[np.float64] = values[np.isfinite(values)]
+    return median_filter(known, _SMOOTHED, mode="nearest") if len(known) else known
+
+
+def _noise(result: xr.Dataset, force: str) -> float:
+    """Standard deviation of a sample, from second differences: what a steady rise leaves out."""
+    values = result[force].values.astype(np.float64)
+    second = np.diff(values, 2)
+    second = second[np.isfinite(second)]
+    return float(_MAD_TO_STD * np.median(np.abs(second)) / np.sqrt(6)) if len(second) else 0.0

@@ -1,0 +1,239 @@
+"""Maps of a frame: what the skin, or the gel, does at each place of the glass."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.plot.axes_style import GREY, INK, finished, given_or_new
+from fingerflow.plot.outlines import contact_outline
+
+Values = NDArray[np.float64]
+_SHOWN = 0.98  # of the values that a colour scale holds,
+_OF_MEDIAN = 3.0  # but no more than this times their median: torn triangles may be more than 2 %
+_ARROWS = 220  # that are drawn at most
+_DIRECTIONS = 260
+_MARGIN_MM = 0.3
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a map shows: the variables that it needs, its unit, and its values of a frame, of points or of triangles."""
+
+    title: str
+    unit: str
+    needs: tuple[str, ...]
+    values: Callable[[xr.Dataset], Values]
+    of_triangles: bool
+    signed: bool
+
+
+def _component(k: int) -> Callable[[xr.Dataset], Values]:
+    return lambda frame: 1000 * frame["strain"].values[:, k].astype(np.float64)
+
+
+def principal(frame: xr.Dataset) -> tuple[Values, Values]:
+    """Principal strains (M, 2), the major one first, and the direction (M,) of the major one from x towards y, rad.
+
+    The eigenvalues and -vectors of the symmetric [[exx, exy], [exy, eyy]] of one frame: Mohr's circle.
+    """
+    exx, eyy, exy = frame["strain"].values.astype(np.float64).T
+    middle, radius = (exx + eyy) / 2, np.hypot((exx - eyy) / 2, exy)
+    return np.stack((middle + radius, middle - radius), 1), np.arctan2(2 * exy, exx - eyy) / 2
+
+
+#: What `field_map` draws, by name.
+QUANTITIES: dict[str, Quantity] = {
+    "divergence": Quantity(
+        "Divergence", "µm/mm", ("divergence",), lambda frame: 1000 * frame["divergence"].values, False, True
+    ),
+    "curl": Quantity("Curl", "µm/mm", ("curl",), lambda frame: 1000 * frame["curl"].values, False, True),
+    "displacement": Quantity(
+        "Displacement",
+        "µm",
+        ("displacement",),
+        lambda frame: 1000 * np.linalg.norm(frame["displacement"].values, axis=-1),
+        False,
+        False,
+    ),
+    "strain_energy_density": Quantity(
+        "Strain energy density",
+        "µJ/mm³",
+        ("strain_energy_density",),
+        lambda frame: 1000 * frame["strain_energy_density"].values,
+        True,
+        False,
+    ),
+    "major_strain": Quantity(
+        "Major principal strain", "µm/mm", ("strain",), lambda frame: 1000 * principal(frame)[0][:, 0], True, True
+    ),
+    "minor_strain": Quantity(
+        "Minor principal strain", "µm/mm", ("strain",), lambda frame: 1000 * principal(frame)[0][:, 1], True, True
+    ),
+    "exx": Quantity("Strain exx", "µm/mm", ("strain",), _component(0), True, True),
+    "eyy": Quantity("Strain eyy", "µm/mm", ("strain",), _component(1), True, True),
+    "exy": Quantity("Strain exy", "µm/mm", ("strain",), _component(2), True, True),
+}
+
+
+def field_map(
+    result: xr.Dataset, quantity: str, frame: int, axes: Axes | None = None, limit: float | None = None
+) -> Axes:
+    """A map of one frame on the glass (mm, y down), coloured by a quantity, with the outline of the contact.
+
+    Divergence, curl and displacement are those of the points, each triangle in the mean of its corners; the others are
+    those of the triangles. The map of displacement has arrows, in the length that the title says, and the principal
+    strains lines in their direction.
+
+    Args:
+        result: what `fingerflow.process` gave, or a result that was opened.
+        quantity: a name in `QUANTITIES`.
+        frame: its place in the result, from 0.
+        axes: to draw into; None for those of a new figure.
+        limit: of the colours, in the unit of the map; None for the 0.98 quantile of this frame. Give the same for maps
+            that are to be compared: `colour_limit`.
+
+    Returns:
+        The axes. Where nothing is known they say so.
+
+    Raises:
+        FingerflowError: no such quantity or frame, or the result lacks what it needs.
+    """
+    chosen = _needed(result, quantity)
+    if not 0 <= frame < result.sizes["frame"]:
+        raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
+    axes = given_or_new(axes, 4.6, 3.5)
+    one = result.isel(frame=frame)
+    axes.set(title=chosen.title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    axes.set_axisbelow(True)  # the grid beside the colours, not over them
+    outline = contact_outline(one)
+    if outline is not None:
+        axes.plot(*np.append(outline, outline[:1], 0).T, "--", color=INK, linewidth=1, label="_contact")
+    position, values = one["position"].values, np.asarray(chosen.values(one), dtype=np.float64)
+    corners = result["triangles"].values if "triangles" in result else np.zeros((0, 3), np.int32)
+    limit = colour_limit(result, quantity, (frame,)) if limit is None else limit
+    low, colours_of = (-limit, "RdBu_r") if chosen.signed else (0.0, "viridis")
+    scale: dict[str, Any] = {"cmap": colours_of, "vmin": low, "vmax": limit}
+    whole = np.isfinite(position[corners]).all((1, 2))
+    by_triangle = values if chosen.of_triangles else values[corners].mean(1)
+    shown = whole & np.isfinite(by_triangle)
+    dots = np.isfinite(values) & np.isfinite(position).all(1) if not chosen.of_triangles else np.zeros(0, dtype=bool)
+    if shown.any():
+        # A triangle is drawn where all of its corners are; the others keep a place that is never shown.
+        filled = np.nan_to_num(position)
+        mesh = Triangulation(filled[:, 0], filled[:, 1], corners[shown])
+        colours = axes.tripcolor(mesh, facecolors=by_triangle[shown], **scale)
+        used = filled[np.unique(corners[shown])]
+    elif dots.any():
+        used = position[dots]
+        colours = axes.scatter(used[:, 0], used[:, 1], c=values[dots], s=14, **scale)
+    else:
+        axes.text(0.5, 0.5, "not known in this frame", transform=axes.transAxes, ha="center", va="center", color=GREY)
+        _frame(axes, outline)
+        return finished(axes)
+    colours.set_rasterized(True)  # thousands of triangles are small as pixels alone
+    if quantity == "displacement":
+        _arrows(axes, one, chosen.title)
+    elif quantity in ("major_strain", "minor_strain") and np.any(values[shown]):
+        _directions(axes, one, shown, corners, minor=quantity == "minor_strain")
+    _frame(axes, used if outline is None else np.concatenate((used, outline)))
+    most = float(np.nanmax(np.abs(values)))
+    beyond = "neither" if most <= limit else "both" if chosen.signed else "max"
+    whole_figure = axes.get_figure(root=True)
+    assert whole_figure is not None
+    whole_figure.colorbar(colours, ax=axes, label=chosen.unit, extend=beyond, shrink=0.8)
+    return finished(axes)
+
+
+def colour_limit(result: xr.Dataset, quantity: str, frames: Sequence[int]) -> float:
+    """The limit of colours, in the unit of the map: the largest over these frames of the 0.98 quantile of the values,
+    or of three times their median where that is less; 1 where all are 0.
+    """
+    chosen = _needed(result, quantity)
+    largest = 0.0
+    for frame in frames:
+        values = np.abs(chosen.values(result.isel(frame=frame)))
+        values = values[np.isfinite(values)]
+        if len(values):
+            middle, high = np.quantile(values, (0.5, _SHOWN))
+            largest = max(largest, float(min(high, _OF_MEDIAN * middle) or high))
+    return largest or 1.0
+
+
+def drawable(result: xr.Dataset) -> list[str]:
+    """Names of `QUANTITIES` that a result has what it takes for."""
+    return [name for name, one in QUANTITIES.items() if _has(result, one)]
+
+
+def _has(result: xr.Dataset, quantity: Quantity) -> bool:
+    names = ("position", *quantity.needs, *(("triangles",) if quantity.of_triangles else ()))
+    return all(name in result and result[name].size for name in names)
+
+
+def _needed(result: xr.Dataset, name: str) -> Quantity:
+    if name not in QUANTITIES:
+        raise FingerflowError(f"{name!r} is no map; choose one of {', '.join(QUANTITIES)}")
+    if not _has(result, QUANTITIES[name]):
+        needs = ", ".join(("position", *QUANTITIES[name].needs))
+        raise FingerflowError(f"a map of {name} needs {needs}, which the result has not; process the scene for them")
+    return QUANTITIES[name]
+
+
+def _arrows(axes: Axes, frame: xr.Dataset, title: str) -> None:
+    position, moved = frame["position"].values, frame["displacement"].values
+    known = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(moved).all(1))
+    known = known[_spread(position[known], _ARROWS)]
+    length = np.linalg.norm(moved[known], axis=1)
+    long = float(np.quantile(length, 0.95)) if len(known) else 0.0
+    if long <= 0:
+        return
+    width = float(np.ptp(position[known], axis=0).max()) or 1.0
+    scale = float(f"{width / 8 / long:.1g}")  # one digit, so that the long arrows are an eighth of the width
+    axes.quiver(
+        *position[known].T, *(scale * moved[known]).T, angles="xy", scale_units="xy", scale=1,
+        color="white", edgecolor=INK, linewidth=0.3, width=0.006,
+    )  # fmt: skip
+    axes.set_title(f"{title}, arrows {scale:g} ×")
+
+
+def _directions(
+    axes: Axes, frame: xr.Dataset, shown: NDArray[np.bool_], corners: NDArray[np.integer], minor: bool
+) -> None:
+    """Lines of one length, in the middles of some triangles, in the direction of a principal strain."""
+    middle = frame["position"].values[corners].mean(1)
+    angle = principal(frame)[1] + (np.pi / 2 if minor else 0)
+    some = np.flatnonzero(shown)
+    some = some[_spread(middle[some], _DIRECTIONS)]
+    spacing = float(np.sqrt(np.prod(np.maximum(np.ptp(middle[some], axis=0), 0.1)) / max(len(some), 1)))
+    half = spacing / 2 * np.stack((np.cos(angle[some]), np.sin(angle[some])), 1)
+    lines = np.stack((middle[some] - half, middle[some] + half), 1)
+    axes.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.7), autolim=False)
+
+
+def _spread(places: Values, most: int) -> NDArray[np.intp]:
+    """Indices of at most so many places, the one nearest to the middle of each cell of a grid of squares."""
+    if len(places) <= most:
+        return np.arange(len(places))
+    low, span = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
+    side = float(np.sqrt(np.prod(span) / most))
+    cell = np.floor((places - low) / side).astype(int)
+    apart = np.linalg.norm((places - low) / side - cell - 0.5, axis=1)
+    order = np.argsort(apart, kind="stable")
+    _, first = np.unique(cell[order], axis=0, return_index=True)
+    return np.sort(order[first])
+
+
+def _frame(axes: Axes, places: Values | None) -> None:
+    """Limits around places, y down the frame."""
+    if places is not None:
+        low, high = places.min(0) - _MARGIN_MM, places.max(0) + _MARGIN_MM
+        axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+    elif not axes.yaxis_inverted():
+        axes.invert_yaxis()

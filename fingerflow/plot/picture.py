@@ -1,0 +1,187 @@
+"""The picture of a frame with what was found in it: mask of the contact, ellipse, points, a scale bar."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.graphs import ContactGraph, LightGraph
+from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
+from fingerflow.plot.outlines import contact_outline, stuck_outline
+from fingerflow.plot.wording import followed
+from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings.identity import identity_of
+from fingerflow.scene import Scene
+from fingerflow.stages.inputs import Inputs, open_inputs
+
+Values = NDArray[np.float64]
+MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"
+_BAR_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+_BAR_SHARE = 0.25  # of the width that a scale bar takes at most
+_MASK_SHARE = 0.45  # of the colour in a pixel that touches
+_CONTRAST = (0.5, 99.8)  # percentiles of the grey levels that are black and white
+
+
+def views_of(scene: Scene) -> tuple[str, ...]:
+    """Names of the views of a scene, each picture once."""
+    if "camera" in scene.views:
+        return ("camera",)
+    return ("topography", "contact") if scene.views.topography is not None else ("contact",)
+
+
+def picture(result: xr.Dataset, scene: Scene, frame: int, axes: Axes | None = None, view: str | None = None) -> Axes:
+    """A view of a frame, with the micro-junctions, the ellipse of the gross contact, the points and a scale bar.
+
+    Args:
+        result: what `fingerflow.process` gave for this scene.
+        scene: the scene, whose recording is read.
+        frame: its place in the result, from 0.
+        axes: to draw into; None for those of a new figure.
+        view: "contact", "topography" or "camera"; None for the one in which contact is seen.
+
+    Returns:
+        The axes, in px of the view. Their title has frame, time and force.
+
+    Raises:
+        FingerflowError: no such frame or view, or the recording cannot be read.
+    """
+    names = views_of(scene)
+    name = view or names[-1]
+    if name not in names:
+        raise FingerflowError(f"view {name!r}: the scene has {', '.join(names)}")
+    if not 0 <= frame < result.sizes["frame"]:
+        raise FingerflowError(f"frame {frame}: the result has {result.sizes['frame']}, from 0 on")
+    inputs = open_inputs(scene, "cpu")
+    with inputs.recording:
+        with open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as whole:
+            check_recording(result, scene, whole)
+        counts = inputs.recording[[frame]].read()
+        mask = None if name == "topography" else _mask(result, inputs, frame, counts)
+    place = scene.views[name]
+    grey = place.crop(counts)[0].astype(np.float64)
+    height, width = grey.shape
+    axes = given_or_new(axes, 4.6, 4.6 * height / width + 0.9)
+    low, high = np.nanpercentile(grey, _CONTRAST)
+    shown = np.repeat(np.clip((grey - low) / max(high - low, 1e-9), 0, 1)[..., None], 3, axis=2)
+    if mask is not None and mask.any():
+        shown[mask] = (1 - _MASK_SHARE) * shown[mask] + _MASK_SHARE * np.array(to_rgb(MASK))
+        axes.plot([], [], "s", color=MASK, markersize=2.5, label="touches")
+    axes.imshow(np.round(255 * shown).astype(np.uint8), interpolation="none")
+    matrix = np.array([[1.0, 0, 0], [0, 1.0, 0]])
+    if name == "topography":
+        onto = np.vstack((np.array(json.loads(result.attrs["topography_to_contact"])), (0, 0, 1)))
+        matrix = np.linalg.inv(onto)[:2]
+    size = float(result.attrs["mm_per_px"])
+
+    def pixels(millimetres: Values) -> Values:
+        found: Values = millimetres / size @ matrix[:, :2].T + matrix[:, 2]
+        return found
+
+    one = result.isel(frame=frame)
+    _outlines(axes, one, pixels)
+    _points(axes, result, frame, pixels, followed(result))
+    _scale_bar(axes, size / float(np.sqrt(abs(np.linalg.det(matrix[:, :2])))), width, height)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
+    axes.set_title(f"{name.capitalize()} view, {said(one)}", fontsize="medium")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(
+            frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3, handletextpad=0.3,
+            columnspacing=1.0, markerscale=3,
+        )  # fmt: skip
+    return axes
+
+
+def said(frame: xr.Dataset) -> str:
+    """Frame, time and force in words."""
+    words = [f"frame {int(frame['frame'])}", f"{float(frame['time']):.3f} s"]
+    if "normal_force" in frame and np.isfinite(frame["normal_force"]):
+        words.append(f"{float(frame['normal_force']):.2f} N")
+    return ", ".join(words)
+
+
+def real_contact(result: xr.Dataset, scene: Scene, frame: int) -> NDArray[np.bool_] | None:
+    """(H, W) which pixels of the contact view touch, found again by the threshold that the result states.
+
+    None where there is no threshold, and of a soft sensor, which shows no micro-junctions.
+    """
+    inputs = open_inputs(scene, "cpu")
+    with inputs.recording:
+        return _mask(result, inputs, frame, inputs.recording[[frame]].read())
+
+
+def _mask(result: xr.Dataset, inputs: Inputs, frame: int, counts: NDArray[np.generic]) -> NDArray[np.bool_] | None:
+    scene = inputs.scene
+    if "contact_threshold" not in result or scene.soft_sensor or scene.background.frames is None:
+        return None
+    threshold = float(result["contact_threshold"].values[frame])
+    if not np.isfinite(threshold):
+        return None
+    view = scene.views.contact
+    graph = ContactGraph(scene.contact.median_px, scene.contact.gross_radius_px)
+    with torch.inference_mode():
+        light, black, _ = LightGraph()(inputs.reference(view), inputs.dark(view), torch.full((1,), torch.nan))
+        limit = 1 - torch.full((1,), threshold, dtype=light.dtype)
+        found: NDArray[np.bool_] = graph(inputs.view(counts, view), light, black, limit).real_contact_mask[0, 0].numpy()
+    return found
+
+
+def check_recording(result: xr.Dataset, scene: Scene, recording: Recording) -> None:
+    """Raises FingerflowError where a result is that of another recording than the scene's."""
+    known = result.attrs.get("recording")  # results of older versions do not say
+    settings = scene.recording
+    end = len(recording) if settings.last_frame is None else settings.last_frame + 1
+    found = identity_of(recording[settings.first_frame : end])
+    if known not in (None, found):
+        raise FingerflowError(
+            f"{settings.frames}: the result is not of these frames ({found}), it was computed from "
+            f"{result.attrs.get('frames')} ({known}). Name the scene of the result, or process this scene again"
+        )
+
+
+def _outlines(axes: Axes, frame: xr.Dataset, pixels: Callable[[Values], Values]) -> None:
+    ellipse, stuck = contact_outline(frame), None
+    if "stuck_region" in frame:
+        region = frame["stuck_region"]
+        stuck = stuck_outline(region.values, region.attrs["cell_mm"], region.attrs["first_cell_mm"])
+    for outline, colour, name in ((ellipse, YELLOW, "gross contact"), (stuck, STUCK, "stuck part")):
+        if outline is not None:
+            axes.plot(*pixels(np.append(outline, outline[:1], 0)).T, color=colour, linewidth=1.4, label=name)
+
+
+def _points(axes: Axes, result: xr.Dataset, frame: int, pixels: Callable[[Values], Values], name: str) -> None:
+    """Points where they are, and where those began that are lost."""
+    if "position" not in result:
+        return
+    now = result["position"].values[frame]
+    known = np.isfinite(now).all(-1)
+    first = result["position"].values[0]
+    lost = ~known & np.isfinite(first).all(-1)
+    touched = result["in_contact"].values[frame] > 0 if "in_contact" in result else known
+    for shown, colour, said_of in (
+        (known & touched, GREEN, f"{name} in contact" if "in_contact" in result else name),
+        (known & ~touched, AWAY, f"{name} not in contact"),
+    ):
+        if shown.any():
+            axes.plot(*pixels(now[shown]).T, ".", color=colour, markersize=2.2, markeredgewidth=0, label=said_of)
+    if lost.any():
+        axes.plot(*pixels(first[lost]).T, "x", color=RED, markersize=3, markeredgewidth=0.6, label=f"{name} lost")
+
+
+def _scale_bar(axes: Axes, mm_per_px: float, width: int, height: int) -> None:
+    """The longest round length that takes no more than a quarter of the width, written below its line."""
+    fitting = [length for length in _BAR_MM if length / mm_per_px <= _BAR_SHARE * width]
+    length = fitting[-1] if fitting else _BAR_MM[0]
+    right, y = 0.96 * width, 0.95 * height
+    left = right - length / mm_per_px
+    edge = [withStroke(linewidth=2.5, foreground="black")]
+    axes.plot([left, right], [y, y], color="white", linewidth=3, solid_capstyle="butt", label="_scale bar",
+              path_effects=[withStroke(linewidth=4.5, foreground="black")])  # fmt: skip
+    axes.annotate(f"{length:g} mm", ((left + right) / 2, y), (0, 4), textcoords="offset points", color="white",
+                  ha="center", va="bottom", fontsize="small", path_effects=edge)  # fmt: skip

@@ -1,0 +1,99 @@
+"""What somebody must know before a number of a result is used, in plain words."""
+
+import json
+
+import numpy as np
+import xarray as xr
+
+from fingerflow.plot.wording import followed, is_sensor
+
+_MOST_LOST = 0.2  # of the points, above which what is known is of a selection
+_LARGE_STRAIN = 0.5  # of a triangle, above which skin is torn or its points come from different onsets
+_LARGE_SHARE = 0.02  # of the triangles that may be beyond
+
+
+def cautions(result: xr.Dataset) -> list[str]:
+    """The warnings of the run, and what the results show: frames left out, points lost, strain beyond skin."""
+    warnings = json.loads(result.attrs.get("warnings", "[]"))
+    return [*warnings, *_of_frames(result), *_of_points(result), *_of_strain(result)]
+
+
+def _of_frames(result: xr.Dataset) -> list[str]:
+    count, said = result.sizes["frame"], []
+    if "frame_status" in result:
+        bad = int((result["frame_status"].values > 0).sum())
+        if bad == count:
+            said.append("No frame of this recording can be used: there are no results. Record it again.")
+        elif bad > count / 10:
+            said.append(f"{bad} of {count} frames are left out ({bad / count:.0%}): curves have gaps there.")
+    if "gross_contact_area" in result:
+        area = result["gross_contact_area"].values
+        if not np.isfinite(area).any():
+            said.append("No contact area is known in any frame.")
+        elif not np.nanmax(area) > 0:
+            said.append("Nothing touches in any frame: there is no contact to measure.")
+        elif "median_divergence" in result:
+            touching = np.nan_to_num(area) > 0
+            unknown = touching & ~np.isfinite(result["median_divergence"].values)
+            if unknown.all() or unknown.sum() > touching.sum() / 10:
+                last = int(result["frame"].values[np.flatnonzero(unknown)[-1]])
+                none = "strain_energy" in result and bool((result["strain_energy"].values[unknown] == 0).any())
+                energy = ", and a strain energy of 0 there means that none is known" if none else ""
+                said.append(
+                    f"In {int(unknown.sum())} of the {int(touching.sum())} frames with contact the deformation is not "
+                    f"known, the last is {last}: too few {followed(result)} are followed there{energy}."
+                )
+    return said
+
+
+def _of_points(result: xr.Dataset) -> list[str]:
+    if "tracked_share" not in result or "point" not in result.sizes:
+        return []
+    share = result["tracked_share"].values
+    known = np.flatnonzero(np.isfinite(share))
+    if not len(known):
+        return []
+    worst = int(known[np.argmin(share[known])])
+    if share[worst] > 1 - _MOST_LOST:
+        return []
+    return [
+        f"{1 - share[worst]:.0%} of the {result.sizes['point']} {followed(result)} are lost in frame "
+        f"{int(result['frame'].values[worst])}, the worst: medians and maps are those of the others."
+    ]
+
+
+def _of_strain(result: xr.Dataset) -> list[str]:
+    """Triangles whose points first touched at different times of a slide measure the slide, not the skin."""
+    if "strain" not in result or not result["strain"].size or is_sensor(result):  # a gel may well be
+        return []
+    largest = np.abs(result["strain"].values).max(-1)
+    known = np.isfinite(largest).sum(1)
+    with np.errstate(invalid="ignore"):
+        share = (largest > _LARGE_STRAIN).sum(1) / np.where(known, known, np.nan)
+    if not np.nanmax(share, initial=0.0) > _LARGE_SHARE:
+        return []
+    first = int(result["frame"].values[int(np.argmax(np.nan_to_num(share) > _LARGE_SHARE))])
+    why = "points among them are wrong"
+    if "reference_frame" not in result["strain"].attrs:
+        why = (
+            "displacement counts from the moment each point first touches, and these have points that touched at "
+            "different times of a slide; [fields] reference names one frame for all"
+        )
+    return [
+        f"In frame {first} and later, more than {_LARGE_SHARE:.0%} of the triangles are strained by over "
+        f"{_LARGE_STRAIN:.0%}, which no skin is: {why}. Their strain, and the strain energy, are not those of the skin."
+    ]
+
+
+def lost_points(result: xr.Dataset) -> list[tuple[str, int]]:
+    """Why points have no position in the last frame that is usable, and how many; the most frequent first."""
+    if "status" not in result or not result["status"].size:
+        return []
+    status = result["status"]
+    usable = result["frame_status"].values == 0 if "frame_status" in result else np.ones(len(status), dtype=bool)
+    if not usable.any():
+        return []
+    values, counts = np.unique(status.values[int(np.flatnonzero(usable)[-1])], return_counts=True)
+    names = str(status.attrs["flag_meanings"]).split()
+    found = [(names[int(value)].replace("_", " "), int(count)) for value, count in zip(values, counts, strict=True)]
+    return sorted(((name, count) for name, count in found if name != "tracked"), key=lambda one: -one[1])

@@ -1,0 +1,95 @@
+"""A matplotlib figure as SVG inside a page, and the curves in it as numbers for the page to read out."""
+
+import base64
+import io
+import re
+from html import escape
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
+_RASTER_DPI = 170  # of the maps within
+_WIDER = 1.5  # than in print, that a figure is shown at most
+_DIGITS = 5
+_LARGE, _QUALITY = 100_000, 88  # bytes of a picture, and of JPEG
+_PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
+_OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
+_UNIT = re.compile(r"\(([^()]*)\)$")
+
+
+def inline_svg(figure: Figure, name: str, label: str) -> str:
+    """The element <svg> of a figure, as wide as its place; its text is text.
+
+    Args:
+        figure: to draw.
+        name: of its own in the page: what is referred to within the figure is named by it.
+        label: what it shows, for those who do not see it.
+    """
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        # Once, and not again for each of the two times that matplotlib draws a figure whose layout may still change.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+    data = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        figure.savefig(data, format="svg", dpi=_RASTER_DPI, metadata=_NO_METADATA)
+    text = data.getvalue()
+    text = text[text.index("<svg") :]
+    head, _, rest = text.partition(">")
+    box = re.search(r'viewBox="[^"]*"', head)
+    assert box is not None
+    # The same element twice in a page would share an id: only those that are referred to keep theirs.
+    rest = _PNG.sub(_smaller, rest)
+    rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))
+    width = figure.get_figwidth()
+    return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
+
+
+def _smaller(found: re.Match[str]) -> str:
+    """A large picture without transparency, as a camera's, as JPEG: a fifth of its size."""
+    data = np.frombuffer(base64.b64decode(found[1]), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) > _LARGE else None
+    if image is None or (image.shape[2] == 4 and image[..., 3].min() < 255):
+        return found[0]
+    coded = cv2.imencode(".jpg", image[..., :3], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode('ascii')}"
+
+
+def curves_of(axes: Axes, count: int) -> dict[str, Any] | None:
+    """What the page reads out at the cursor: curves of `count` frames, and where in the figure they stand.
+
+    Of axes that `inline_svg` has drawn, so that their layout is known. None where they have no such curve. ``box`` is
+    left, top, width and height as shares of the figure.
+    """
+    named = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
+    lines = [line for line in named if len(np.asarray(line.get_xdata())) == count]
+    if not lines:
+        return None
+    place = axes.get_position()
+    unit = _UNIT.search(axes.get_ylabel())
+    return {
+        "box": [_short(one) for one in (place.x0, 1 - place.y1, place.width, place.height)],
+        "xlim": [_short(one) for one in axes.get_xlim()],
+        "ylim": [_short(one) for one in axes.get_ylim()],
+        "label": axes.get_xlabel(),
+        "unit": "" if unit is None else unit[1],
+        "x": [_short(one) for one in np.asarray(lines[0].get_xdata(), dtype=float)],
+        "curves": [
+            {
+                "name": str(line.get_label()),
+                "colour": str(line.get_color()),
+                "y": [_short(one) for one in np.asarray(line.get_ydata(), dtype=float)],
+            }
+            for line in lines
+        ],
+    }
+
+
+def _short(value: float) -> float | None:
+    """Five digits; None, which JSON has, for what is not known."""
+    return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None

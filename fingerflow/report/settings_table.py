@@ -1,0 +1,72 @@
+"""The settings of a result as tables that a person reads: no None, no brackets, units beside the numbers."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+_UNITS = {"mm": "mm", "px": "px", "mpa": "MPa", "s": "s"}
+_OF_KEYS = {"frame_rate": "Hz", "sample_rate": "Hz"}
+_CHOICES = {"threshold", "strain", "direction", "template", "points_from", "criterion"}  # whose values are words
+
+
+def settings_tables(stored: str) -> dict[str, list[tuple[str, str]]]:
+    """Rows (what, value) by table, of the attribute `settings` of a result; what was not given is left out."""
+    tables: dict[str, list[tuple[str, str]]] = {}
+    for name, values in json.loads(stored).items():
+        if name == "views" and "camera" in values:
+            values = {"camera": values["camera"]}  # its other names are for stages
+        rows = _rows(values, "") if isinstance(values, Mapping) else []
+        if rows:
+            tables[name.replace("_", " ")] = rows
+    return tables
+
+
+def transform_rows(stored: str) -> list[tuple[str, str]]:
+    """What the map between the views does, of the attribute `topography_to_contact`; none where it is none."""
+    matrix = np.array(json.loads(stored), dtype=np.float64)
+    if np.array_equal(matrix, [[1, 0, 0], [0, 1, 0]]):
+        return []
+    linear = matrix[:, :2]
+    left, sizes, right = np.linalg.svd(linear)
+    turn = left @ right  # the nearest rotation
+    return [
+        ("topography to contact view: magnified", f"{np.sqrt(abs(np.linalg.det(linear))):.4f} ×"),
+        ("turned, from x towards y", f"{np.degrees(np.arctan2(turn[1, 0], turn[0, 0])):.3f}°"),
+        ("moved", f"{matrix[0, 2]:+.2f} px in x, {matrix[1, 2]:+.2f} px in y"),
+        ("sheared by at most", f"{sizes[0] / sizes[1] - 1:.2%}"),
+    ]
+
+
+def _rows(values: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for name, value in values.items():
+        if value is None or name == "topography_to_contact":  # told in words beside the scale
+            continue
+        if isinstance(value, Mapping):
+            if set(value) == {"rows", "columns"}:
+                ranges = (f"{side} {first} to {end - 1}" for side, (first, end) in value.items())
+                rows.append((f"{above}{_said(name)}", ", ".join(ranges)))
+            else:
+                rows += _rows(value, f"{above}{_said(name)}: ")
+            continue
+        unit = _OF_KEYS.get(name) or (_UNITS.get(name.rpartition("_")[2], "") if name != "mm_per_px" else "")
+        text = _value(value).replace("_", " ") if name in _CHOICES else _value(value)
+        rows.append((f"{above}{_said(name, bool(unit))}", f"{text} {unit}".rstrip()))
+    return rows
+
+
+def _said(name: str, has_unit: bool = False) -> str:
+    if name == "mm_per_px":
+        return "scale (mm/px)"
+    words, _, last = name.rpartition("_")
+    return (words if has_unit and last in _UNITS else name).replace("_", " ")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_value(one) for one in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,123 @@
+"""Which frames of a trial are worth a map and a column of numbers: chosen by what happens in them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.plot.abscissa import varies
+
+LEVELS_N = (1.0, 2.0, 3.0)
+_MOST = 5
+_APART = 0.02  # of the frames, that two are apart at least
+_LOADED = 0.2  # of the largest normal force, above which a ratio of forces means something
+
+
+class Telling(NamedTuple):
+    """A frame, by its place in the result, and what happens in it."""
+
+    frame: int
+    why: str
+
+
+def telling_frames(result: xr.Dataset) -> list[Telling]:
+    """At most five frames in the order of time, the most telling ones where more are found.
+
+    Where the normal force varies: the first at which it is 1, 2 and 3 N, and that of the largest. Where the skin is
+    pulled: half of the largest load ratio, the largest, and the last frame. Of a soft sensor: half of the largest
+    displacement on the way up, the largest, and the first gross slip. Else half of the largest contact on the way up,
+    the largest, and the last frame in contact. Frames in which nothing is known are left out. Empty where that is all
+    of them.
+    """
+    known = _known(result)
+    if not known.any():
+        return []
+    found: list[Telling] = []
+    pulled = "normal_force" in result and varies(result, "load_ratio") and not varies(result, "normal_force")
+    if "gross_slip" in result:
+        found += _of_a_sensor(result, known)
+    elif pulled:
+        found += _of_a_pull(result, known)
+    elif varies(result, "normal_force"):
+        found += _of_a_press(result["normal_force"].values, known)
+    if len(found) < 2:
+        found += _of_contact(result, known)
+    return _apart(found, result.sizes["frame"])
+
+
+def _known(result: xr.Dataset) -> NDArray[np.bool_]:
+    """(F,) frames of which there is something to show: fields where there are any, else the contact."""
+    count = result.sizes["frame"]
+    for name in ("divergence", "displacement", "position"):
+        if name in result and np.isfinite(result[name].values).any():
+            return np.asarray(np.isfinite(result[name].values).reshape(count, -1).any(1))
+    area = result["gross_contact_area"].values if "gross_contact_area" in result else np.full(count, np.nan)
+    return np.asarray(np.nan_to_num(area) > 0)
+
+
+def _of_a_press(force: NDArray[np.floating], known: NDArray[np.bool_]) -> list[Telling]:
+    press = np.where(known & np.isfinite(force), force, -np.inf)
+    top = int(np.argmax(press))
+    if not press[top] > 0:
+        return []
+    levels = [level for level in LEVELS_N if level < press[top]] or [press[top] * share for share in (0.25, 0.5, 0.75)]
+    found = [Telling(top, "largest force")]
+    # The latest levels are the likelier ones to show something.
+    return found + [Telling(int(np.argmax(press >= level)), f"{level:.3g} N") for level in reversed(levels)]
+
+
+def _of_a_pull(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+    normal, ratio = result["normal_force"].values, np.abs(result["load_ratio"].values)
+    loaded = known & np.isfinite(ratio) & (np.nan_to_num(normal) > _LOADED * float(np.nanmax(normal)))
+    if not loaded.any():
+        return []
+    pulled = np.where(loaded, ratio, -np.inf)
+    top = int(np.argmax(pulled))
+    half = int(np.argmax(pulled >= pulled[top] / 2))
+    last = int(np.flatnonzero(loaded)[-1])
+    between = Telling((top + last) // 2, "sliding")
+    return [
+        Telling(top, "largest T/N"),
+        Telling(last, "last frame"),
+        Telling(half, "half of the largest T/N"),
+        *([between] if known[between.frame] else []),
+    ]
+
+
+def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+    length = np.linalg.norm(result["contact_displacement"].values, axis=1) if "contact_displacement" in result else None
+    found = []
+    if length is not None and np.isfinite(length).any():
+        length = np.where(known, np.nan_to_num(length), 0.0)
+        top = int(np.argmax(length))
+        found.append(Telling(top, "largest displacement"))
+        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of it"))
+    slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
+    if len(slips):
+        found.append(Telling(int(slips[0]), "first gross slip"))
+    return found
+
+
+def _of_contact(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
+    if "gross_contact_area" not in result:
+        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    area = np.where(known, np.nan_to_num(result["gross_contact_area"].values), 0.0)
+    top = int(np.argmax(area))
+    if not area[top] > 0:
+        return [Telling(int(np.flatnonzero(known)[-1]), "last frame")]
+    touching = np.flatnonzero(area > 0)
+    return [
+        Telling(top, "largest contact"),
+        Telling(int(touching[-1]), "last frame in contact"),
+        Telling(int(np.argmax(area >= area[top] / 2)), "half of the largest contact"),
+    ]
+
+
+def _apart(found: list[Telling], count: int) -> list[Telling]:
+    """The first of those that are (nearly) the same frame, in the order of time."""
+    kept: list[Telling] = []
+    for one in found:
+        if len(kept) < _MOST and all(abs(one.frame - other.frame) > _APART * count for other in kept):
+            kept.append(one)
+    return sorted(kept)

@@ -1,0 +1,83 @@
+"""The flag of slip in a played stream: not while nothing slips, soon after it begins, at any share of the noise."""
+
+import numpy as np
+import pytest
+
+from fingerflow import player
+from fingerflow.export import export_bundle
+from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+
+HEIGHT, WIDTH, POINTS, STILL = 192, 240, 150, 20
+RECIPE = f"""
+[views]
+height = {HEIGHT}
+width = {WIDTH}
+[tracking]
+points = {POINTS}
+window_px = 15
+min_distance_px = 6.0
+[export]
+graphs = ["background", "detect", "key", "renew", "frame", "fields"]
+"""
+SETTINGS = f"""
+[contact]
+threshold = 0.27
+[tracking]
+points = {POINTS}
+window_px = 15
+min_distance_px = 6.0
+"""
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.ndarray]:
+    """A trial that rests for 20 frames, is loaded, jumps before and after full slip; and the records of its stream."""
+    folder = tmp_path_factory.mktemp("slip_stream")
+    trial = PartialSlip(
+        n_frames=90,
+        frame_rate=60.0,
+        frames_before_trigger=STILL,
+        frame_shape=(HEIGHT, 2 * WIDTH),
+        finger=(3.2, 2.7),
+        semi_axes=(2.3, 1.9),
+        creep=0.45,
+        travel=0.8,
+        jumps=(0.7, 1.0),
+    )
+    write_recording(folder / "trial", trial)
+    file = folder / "trial" / "scene.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :], encoding="utf-8")
+    (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
+        export_bundle(folder / "recipe.toml", folder / "bundle")
+    options = ["--output", str(folder / "results"), "--page", "off", "--provider", "cpu", "--no-spin", "--threads", "1"]
+    assert player.main([str(folder / "bundle"), "--scene", str(file), *options]) == 0
+    known = rebuild_scene(folder / "trial")
+    assert isinstance(known, PartialSlip)
+    return known, np.asarray(player.read_results(folder / "results").records)
+
+
+def test_noise_raises_no_flag(played: tuple[PartialSlip, np.ndarray]) -> None:
+    """Before the trigger nothing moves."""
+    trial, records = played
+    assert len(records) == trial.n_frames
+    assert not records["slip_flag"][:STILL].any()
+    assert np.nanmax(records["slip_residual"][1:STILL]) < 0.004  # mm, an eighth of a pixel
+
+
+def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip, np.ndarray]) -> None:
+    """When 2 to 20 % of the contact have slipped, long before full slip; then it stays, through the jumps.
+
+    It waits for three frames in a row, so it stands two frames after the first whose residual is above twice the noise.
+    """
+    trial, records = played
+    raised = int(np.argmax(records["slip_flag"]))
+    assert raised > STILL
+    assert 0.8 < trial.stuck_share(raised) < 0.98
+    assert records["slip_flag"][raised:].all()
+    noise = float(np.nanmedian(records["slip_residual"][2:STILL]))
+    above = records["slip_residual"][: raised + 1] > 1.5 * noise
+    assert above[raised - 2 : raised + 1].all()
+    assert trial.stuck_share(raised - 2) > 0.85

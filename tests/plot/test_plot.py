@@ -1,0 +1,212 @@
+"""The figures of a result show the numbers of that result, and of no other."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from fingerflow import load_scene, plot, process
+from fingerflow.errors import FingerflowError
+from fingerflow.plot.maps import principal
+from fingerflow.plot.picture import real_contact
+from fingerflow.scene import Scene
+from fingerflow.synthetic import Press, write_recording
+
+SIZES = ((2.3, 1.9), (2.0, 1.6))  # semi-axes, mm: two fingers
+Trial = tuple[Scene, xr.Dataset]
+
+
+def pressed(folder: Path, semi_axes: tuple[float, float]) -> Trial:
+    write_recording(
+        folder,
+        Press(
+            n_frames=16,
+            frame_rate=16.0,
+            frames_before_trigger=1,
+            frame_shape=(192, 480),
+            finger=(3.2, 2.7),
+            semi_axes=semi_axes,
+        ),
+    )
+    path = folder / "scene.toml"
+    text = path.read_text(encoding="utf-8")
+    for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text[: text.index("[stream]")], encoding="utf-8")
+    scene = load_scene(path)
+    return scene, process(scene)
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
+    folder = tmp_path_factory.mktemp("presses")
+    return [pressed(folder / str(number), axes) for number, axes in enumerate(SIZES)]
+
+
+def of_time(force: np.ndarray[Any, Any]) -> xr.Dataset:
+    """A result of forces alone."""
+    time = np.arange(len(force)) / 100
+    return xr.Dataset(
+        {"normal_force": ("frame", force, {"units": "N"})},
+        coords={"time": ("frame", time, {"units": "s"}), "frame": np.arange(len(force))},
+    )
+
+
+CURVES: list[tuple[Callable[..., Axes], str, Callable[[xr.Dataset], Any]]] = [
+    (plot.contact_area, "gross", lambda one: one["gross_contact_area"]),
+    (plot.contact_area, "real", lambda one: one["real_contact_area"]),
+    (plot.contact_axes, "semi-minor", lambda one: one["ellipse_semi_axes"][:, 1]),
+    (plot.median_divergence, "divergence", lambda one: 1000 * one["median_divergence"]),
+    (plot.median_divergence, "curl", lambda one: 1000 * one["median_curl"]),
+    (plot.median_strain, "eyy", lambda one: 1000 * one["median_strain"][:, 1]),
+    (plot.displacement, "global displacement", lambda one: 1000 * one["global_displacement"]),
+    (plot.strain_energy, "strain energy", lambda one: one["strain_energy"]),
+]
+
+
+@pytest.mark.parametrize(("draw", "label", "expected"), CURVES, ids=[f"{one[0].__name__}-{one[1]}" for one in CURVES])
+def test_curves_of_two_recordings_differ_and_are_theirs(
+    draw: Callable[..., Axes], label: str, expected: Callable[[xr.Dataset], Any], trials: list[Trial]
+) -> None:
+    shown = []
+    for _, result in trials:
+        (line,) = [one for one in draw(result).lines if one.get_label() == label]
+        np.testing.assert_array_equal(line.get_ydata(), expected(result).values)
+        np.testing.assert_array_equal(line.get_xdata(), result["normal_force"].values)  # it only rises
+        shown.append(np.asarray(line.get_ydata(), dtype=float))
+    assert np.isfinite(shown[0]).sum() > 8
+    apart = np.nanmax(np.abs(shown[0] - shown[1]))
+    assert apart > 0.01 * np.nanmax(np.abs(shown[0]))
+
+
+@pytest.mark.parametrize("quantity", sorted(plot.QUANTITIES))
+def test_maps_of_two_recordings_differ_and_are_theirs(quantity: str, trials: list[Trial]) -> None:
+    shown = []
+    for _, result in trials:
+        axes = plot.field_map(result, quantity, 15)
+        (mesh,) = [one for one in axes.collections if isinstance(one, PolyCollection) and one.get_array() is not None]
+        values = np.asarray(mesh.get_array())
+        last = result.isel(frame=15)
+        expected = plot.QUANTITIES[quantity].values(last)
+        if not plot.QUANTITIES[quantity].of_triangles:
+            expected = expected[result["triangles"].values].mean(1)
+        known = np.isfinite(expected) & np.isfinite(last["position"].values[result["triangles"].values]).all((1, 2))
+        assert known.sum() > 30
+        np.testing.assert_allclose(values, expected[known], rtol=1e-5, atol=1e-4)  # means of float32
+        assert mesh.get_clim()[1] == pytest.approx(plot.colour_limit(result, quantity, [15]))
+        shown.append(np.sort(values))
+    assert len(shown[0]) != len(shown[1]) or np.abs(shown[0] - shown[1]).max() > 0
+
+
+def test_rendered_figures_of_two_recordings_differ(trials: list[Trial]) -> None:
+    """Pixels, so that it holds for what is seen: within the axes, where no two empty figures differ."""
+    pictures = []
+    for scene, result in trials:
+        figure = Figure(figsize=(9, 3))
+        left, middle, right = figure.subplots(1, 3)
+        plot.contact_area(result, left, against="time").set(ylim=(0, 20), title="")
+        plot.field_map(result, "divergence", 15, middle)
+        plot.picture(result, scene, 15, right).set_title("")
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(int))
+    width = pictures[0].shape[1] // 3
+    for part in range(3):
+        apart = np.abs(pictures[0] - pictures[1])[:, part * width : (part + 1) * width]
+        assert (apart.max(-1) > 50).mean() > 0.002, part
+
+
+def test_the_mask_is_what_was_counted(trials: list[Trial]) -> None:
+    """Pixel for pixel: the area of the mask is the real contact area of that frame."""
+    for scene, result in trials:
+        for frame in (8, 15):
+            mask = real_contact(result, scene, frame)
+            assert mask is not None
+            area = mask.sum() * scene.calibration.mm_per_px**2
+            assert area == pytest.approx(float(result["real_contact_area"][frame]), rel=1e-9)
+            assert area > 1
+
+
+def test_the_picture_has_a_scale_bar_of_its_length(trials: list[Trial]) -> None:
+    scene, result = trials[0]
+    axes = plot.picture(result, scene, 15)
+    (bar,) = [line for line in axes.lines if line.get_label() == "_scale bar"]
+    (text,) = [one.get_text() for one in axes.texts]
+    length = float(np.ptp(np.asarray(bar.get_xdata(), dtype=float))) * scene.calibration.mm_per_px
+    assert text == f"{length:g} mm"
+    assert "frame 15" in axes.get_title()
+    assert {"touches", "gross contact", "points in contact"} <= set(axes.get_legend_handles_labels()[1])
+    with pytest.raises(FingerflowError, match="the scene has topography, contact"):
+        plot.picture(result, scene, 15, view="camera")
+    with pytest.raises(FingerflowError, match="frame 16: the result has 16"):
+        plot.picture(result, scene, 16)
+
+
+def test_what_varies_is_the_axis() -> None:
+    time = np.linspace(0, 1, 200)
+    noise = np.random.default_rng(0).normal(0, 0.002, 200)
+    rises, returns = 5 * time**2 + noise, 5 * np.sin(np.pi * time) + noise
+    for force, expected in (
+        (rises, "normal_force"),
+        (rises[::-1], "normal_force"),
+        (returns, "time"),
+        (2 + noise, "time"),
+        (0.3 * noise, "time"),
+        (np.full(200, np.nan), "time"),
+    ):
+        assert plot.abscissa(of_time(force)).name == expected
+    assert plot.abscissa(of_time(returns), "normal_force").label == "normal force (N)"
+    with pytest.raises(FingerflowError, match=r"'torque'.*normal_force"):
+        plot.abscissa(of_time(rises), "torque")
+
+
+def test_no_spike_at_the_frame_that_points_are_chosen_in(trials: list[Trial]) -> None:
+    """It is compared with itself: a distance and a deviation of 0 that nobody has measured."""
+    _, result = trials[0]
+    assert float(result["forward_backward_median"][0]) == 0
+    for draw in (plot.forward_backward, plot.position_std):
+        values = np.asarray(draw(result).lines[0].get_ydata(), dtype=float)
+        assert np.isnan(values[0])
+        assert (values[1:] > 0).all()
+
+
+def test_principal_strains_are_eigenvalues() -> None:
+    """Against LAPACK in float64, to the rounding of both: 1e-12."""
+    strain = np.random.default_rng(1).normal(0, 0.1, (200, 3))
+    values, angle = principal(xr.Dataset({"strain": (("triangle", "strain_component"), strain)}))
+    matrix = np.stack((strain[:, [0, 2]], strain[:, [2, 1]]), 1)
+    expected, vectors = np.linalg.eigh(matrix)
+    np.testing.assert_allclose(values, expected[:, ::-1], atol=1e-12)
+    along = np.stack((np.cos(angle), np.sin(angle)), 1)
+    np.testing.assert_allclose(np.abs((along * vectors[:, :, 1]).sum(1)), 1, atol=1e-12)
+
+
+def test_colours_are_not_those_of_torn_triangles(trials: list[Trial]) -> None:
+    """One triangle in twenty that is strained by 20 takes no more than the colours of three medians."""
+    _, result = trials[0]
+    torn = result["strain"].copy()
+    torn[15, ::20] = 20.0
+    middle = np.nanmedian(np.abs(1000 * torn.values[15, :, 0]))
+    assert plot.colour_limit(result.assign(strain=torn), "exx", [15]) <= 3 * middle * (1 + 1e-9)
+
+
+def test_what_is_not_known_is_said(trials: list[Trial]) -> None:
+    _, result = trials[0]
+    empty = result.assign(strain_energy=result["strain_energy"] * np.nan, divergence=result["divergence"] * np.nan)
+    assert "not known in any frame" in [one.get_text() for one in plot.strain_energy(empty).texts]
+    assert "not known in this frame" in [one.get_text() for one in plot.field_map(empty, "divergence", 15).texts]
+    for draw, lacking in ((plot.contact_area, "gross_contact_area"), (plot.strain_energy, "strain_energy")):
+        with pytest.raises(FingerflowError, match=f"no {lacking}"):
+            draw(result.drop_vars(lacking))
+    with pytest.raises(FingerflowError, match="is no map; choose one of divergence"):
+        plot.field_map(result, "torsion", 3)
+    with pytest.raises(FingerflowError, match="a map of curl needs position, curl"):
+        plot.field_map(result.drop_vars("curl"), "curl", 3)

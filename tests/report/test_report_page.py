@@ -1,0 +1,242 @@
+"""The page of a result: what it says, that it is whole in one file, and that it can be read on a phone and in print."""
+
+import base64
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import load_scene, process
+from fingerflow.report import write_report
+from fingerflow.report.cautions import cautions
+from fingerflow.report.key_numbers import key_numbers, scatter, with_uncertainty
+from fingerflow.report.settings_table import settings_tables, transform_rows
+from fingerflow.report.telling_frames import Telling, telling_frames
+from fingerflow.scene import Scene
+from fingerflow.synthetic import Press, write_recording
+
+Trial = tuple[Scene, xr.Dataset]
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    folder = tmp_path_factory.mktemp("press") / "recording"
+    small = {"frame_shape": (192, 480), "finger": (3.2, 2.7), "semi_axes": (2.3, 1.9)}
+    write_recording(folder, Press(n_frames=16, frame_rate=16.0, frames_before_trigger=1, **small))  # type: ignore[arg-type]
+    path = folder / "scene.toml"
+    text = path.read_text(encoding="utf-8").replace("window_px = 25", "window_px = 15")
+    path.write_text(text[: text.index("[stream]")].replace("px = 6.0", "px = 4.0"), encoding="utf-8")
+    (folder / "calibration.png").write_bytes(b"\x89PNG of a target")
+    scene = load_scene(path)
+    return scene, process(scene)
+
+
+@pytest.fixture(scope="module")
+def page(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene, result = trial
+    return write_report(result, scene, tmp_path_factory.mktemp("page"))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as engine:
+        own = Path(engine.chromium.executable_path)
+        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+        if not own.exists() and system is None:
+            pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
+        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+def told(page: Path) -> str:
+    """What a page says, without pictures, scripts and numbers of curves."""
+    text = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", page.read_text(encoding="utf-8"))
+    return re.sub(r"<(script|style)\b.*?</\1>", "", text, flags=re.DOTALL)
+
+
+def of_frames(count: int, **values: Any) -> xr.Dataset:
+    time = np.arange(count) / 100
+    return xr.Dataset(
+        {name: (("frame", "xy")[: np.ndim(one)], one) for name, one in values.items()},
+        coords={"time": ("frame", time), "frame": np.arange(count)},
+        attrs={"warnings": "[]"},
+    )
+
+
+def test_the_page_is_one_file_without_none(page: Path) -> None:
+    text = told(page)
+    assert "http" not in page.read_text(encoding="utf-8").replace("http-equiv", "").split("base64", 1)[0]
+    assert "http" not in text
+    for wrong in ("None", "nan", "{&#39;", "{'", "[["):
+        assert wrong not in text, wrong
+    assert text.index("Key numbers") < text.index("What was seen") < text.index("Maps on the skin")
+    ids = re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8"))
+    assert len(ids) == len(set(ids))
+    named = re.findall(r'(?:href="|url\()#([^")]+)', page.read_text(encoding="utf-8"))
+    assert set(named) <= set(ids)
+    assert "<td>rows 0 to 191, columns 240 to 479</td>" in text
+    assert (page.parent / "overlay.mp4").exists()
+
+
+def test_key_numbers_are_those_of_their_frames(trial: Trial, page: Path) -> None:
+    _, result = trial
+    frames = telling_frames(result)
+    assert [one.why for one in frames] == ["1 N", "2 N", "3 N", "largest force"]
+    force = result["normal_force"].values
+    for one, level in zip(frames, (1, 2, 3), strict=False):
+        assert force[one.frame] >= level > force[one.frame - 1]
+    assert frames[-1].frame == np.nanargmax(force)
+    lines = {line.name: line.values for line in key_numbers(result, frames)}
+    for k, one in enumerate(frames):
+        value, spread = (1000 * float(result[f"median_divergence{of}"][one.frame]) for of in ("", "_std"))
+        assert lines["median divergence"][k] == with_uncertainty(value, spread)
+        assert lines["median divergence"][k] in told(page)
+    area = result["gross_contact_area"].values
+    expected = with_uncertainty(float(area[frames[-1].frame]), float(scatter(area)[frames[-1].frame]))
+    assert lines["gross contact area (± scatter)"][-1] == expected
+
+
+def test_uncertainty_leaves_its_digits() -> None:
+    assert with_uncertainty(33.4123, 0.5178) == "33.41 ± 0.52"
+    assert with_uncertainty(7935.2, 112.0) == "7940 ± 110"
+    assert with_uncertainty(0.02371, np.nan) == "0.0237"
+    assert with_uncertainty(-0.0001, 0.2) == "0.00 ± 0.20"
+    assert with_uncertainty(np.nan, 0.1) == "–"
+
+
+def test_scatter_is_that_of_the_noise_alone() -> None:
+    """A parabola has none; noise of 0.3 on it comes back to 3 %: three times the error of 3000 frames, some 1 %."""
+    time = np.linspace(0, 1, 3000)
+    curve = 70 * time**2
+    assert scatter(curve).max() < 1e-9
+    noisy = curve + np.random.default_rng(0).normal(0, 0.3, 3000)
+    assert np.sqrt((scatter(noisy) ** 2).mean()) == pytest.approx(0.3, rel=0.03)
+    assert np.isnan(scatter(curve[:10])).all()
+
+
+def test_frames_are_chosen_by_what_happens() -> None:
+    time = np.linspace(0, 1, 100)
+    area = np.full(100, 40.0)
+    normal = np.full(100, 2.0)
+    ratio = np.where(time < 0.4, time / 0.4, 0.6)
+    slide = of_frames(100, gross_contact_area=area, normal_force=normal, load_ratio=ratio)
+    found = {one.why: one.frame for one in telling_frames(slide)}
+    assert found["largest T/N"] == np.argmax(ratio)
+    assert found["half of the largest T/N"] == np.argmax(ratio >= ratio.max() / 2)
+    assert found["last frame"] == 99
+    grown = 40 * np.sin(np.pi * time)
+    found = {one.why: one.frame for one in telling_frames(of_frames(100, gross_contact_area=grown))}
+    assert found["half of the largest contact"] == np.argmax(grown >= grown.max() / 2)
+    assert found["largest contact"] == np.argmax(grown)
+    weak = of_frames(100, gross_contact_area=area, normal_force=0.5 * time)
+    assert [one.why for one in telling_frames(weak)] == ["0.125 N", "0.25 N", "0.375 N", "largest force"]
+    nothing = of_frames(100, gross_contact_area=np.full(100, np.nan), normal_force=normal)
+    assert telling_frames(nothing) == []
+
+
+def test_settings_are_sentences() -> None:
+    stored = {
+        "path": "scene.toml",
+        "recording": {"frames": "a.npy", "frame_rate": 300.0, "last_frame": None},
+        "views": {"contact": {"rows": [0, 512], "columns": [640, 1280]}},
+        "tracking": {"window_px": 25, "gain_offset": True, "points_from": "recorded"},
+        "fields": {"strain": "green_lagrange", "gauge_length_mm": 1.6, "young_modulus_mpa": 1.0},
+        "slip": {"stuck_mm": None},
+    }
+    assert settings_tables(json.dumps(stored)) == {
+        "recording": [("frames", "a.npy"), ("frame rate", "300 Hz")],
+        "views": [("contact", "rows 0 to 511, columns 640 to 1279")],
+        "tracking": [("window", "25 px"), ("gain offset", "yes"), ("points from", "recorded")],
+        "fields": [("strain", "green lagrange"), ("gauge length", "1.6 mm"), ("young modulus", "1 MPa")],
+    }
+    turned = 1.01 * np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
+    rows = dict(transform_rows(json.dumps(np.hstack((turned, [[3.4], [-6.2]])).tolist())))
+    assert rows["topography to contact view: magnified"] == "1.0100 ×"
+    assert rows["turned, from x towards y"] == "1.146°"
+    assert rows["moved"] == "+3.40 px in x, -6.20 px in y"
+    assert transform_rows("[[1, 0, 0], [0, 1, 0]]") == []
+
+
+def test_a_calibration_is_shown_by_its_picture(trial: Trial, page: Path, tmp_path: Path) -> None:
+    scene, result = trial
+    file = scene.path.parent / "calibration.toml"
+    calibrated = replace(scene, calibration=replace(scene.calibration, file=file))
+    shown = write_report(result, calibrated, tmp_path).read_text(encoding="utf-8")
+    coded = base64.b64encode((scene.path.parent / "calibration.png").read_bytes()).decode("ascii")
+    assert coded in shown
+    assert coded not in page.read_text(encoding="utf-8")  # whose scene has no calibration file
+
+
+def test_a_trial_in_which_every_frame_is_bad(trial: Trial, tmp_path: Path) -> None:
+    scene, result = trial
+    each = {name: one for name, one in result.data_vars.items() if "frame" in one.dims}
+    floats = {name: one * np.nan for name, one in each.items() if one.dtype.kind == "f"}
+    bad = result.assign(floats).assign(frame_status=result["frame_status"] * 0 + 3)
+    text = told(write_report(bad, scene, tmp_path))
+    assert "No frame of this recording can be used" in text
+    assert "Key numbers" not in text
+    assert "nan" not in text
+    assert "Calibration" in text
+
+
+def test_strain_that_no_skin_has_is_said(trial: Trial) -> None:
+    _, result = trial
+    assert not any("no skin is" in one for one in cautions(result))
+    torn = result["strain"].copy()
+    torn[9:, ::20] = 3.0
+    (said,) = [one for one in cautions(result.assign(strain=torn)) if "no skin is" in one]
+    assert said.startswith("In frame 9 and later")
+
+
+def test_the_page_in_a_browser(trial: Trial, page: Path, browser: Any) -> None:
+    """Nothing is asked of a network, no line is wider than a phone, and the cursor reads out the result."""
+    _, result = trial
+    asked: list[str] = []
+    wrong: list[str] = []
+    for width, media in ((1200, "screen"), (390, "screen"), (718, "print")):
+        view = browser.new_page(viewport={"width": width, "height": 800})
+        view.on("request", lambda one: asked.append(one.url))
+        view.on("pageerror", lambda one: wrong.append(str(one)))
+        view.emulate_media(media=media)
+        view.goto(page.as_uri())
+        assert view.evaluate("document.documentElement.scrollWidth") <= width
+        hidden = view.evaluate("[...document.querySelectorAll('.tabs > section')].filter(e => !e.offsetHeight).length")
+        assert (hidden == 0) == (media == "print")  # of tabs, all are printed
+        if media == "screen":
+            figure = view.locator("figure[data-figure='gross_contact_area-normal_force']")
+            figure.focus()
+            for _ in range(13):
+                view.keyboard.press("ArrowRight")
+            gross, real = (float(result[name][12]) for name in ("gross_contact_area", "real_contact_area"))
+            said = figure.locator("output").inner_text()
+            assert said.startswith("frame 12, normal force (N)")
+            numbers = [float(one) for one in re.findall(r"(?:gross|real) ([0-9.]+) mm²", said)]
+            np.testing.assert_allclose(numbers, [gross, real], rtol=1e-3)
+            # The other curves say theirs of the same frame.
+            other = view.locator("figure[data-figure='median_divergence-normal_force'] output").inner_text()
+            assert float(re.findall(r"divergence ([-0-9.]+) µm/mm", other)[0]) == pytest.approx(
+                1000 * float(result["median_divergence"][12]), rel=1e-3
+            )
+            box = figure.locator("svg").bounding_box()
+            view.mouse.move(box["x"] + 0.97 * box["width"], box["y"] + box["height"] / 2)
+            assert figure.locator("output").inner_text().startswith("frame 15")
+            view.locator("label", has_text="against time (s)").first.click()
+            assert view.locator("figure[data-figure='gross_contact_area-time']").is_visible()
+        view.close()
+    assert not wrong
+    assert {one.split(":")[0] for one in asked} <= {"file", "data"}
+
+
+def test_telling_frames_stand_in_order(trial: Trial) -> None:
+    frames = telling_frames(trial[1])
+    assert frames == sorted(frames)
+    assert all(isinstance(one, Telling) for one in frames)
