@@ -75,6 +75,7 @@ ARROWS: dict[str, set[str]] = {
         "errors",
         "models",
         "pipeline",
+        "plot",
         "recordings",
         "report",
         "result",

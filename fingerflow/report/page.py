@@ -123,9 +123,8 @@ def write_report(
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
         keep_others(folder / output, is_marked, overwrite)
-    if scene is not None:
-        if video:
-            write_overlay(result, scene, folder / "overlay.mp4")
+    if scene is not None and video:
+        write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
     sections = _sections(result, scene, frames, chain)
     sensor = is_sensor(result)

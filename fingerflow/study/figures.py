@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
-from fingerflow.report.axes_style import finished
+from fingerflow.plot.axes_style import finished
 from fingerflow.report.supplement import FIGURES, Panel, Sheet, Sources
 from fingerflow.report.trial_metrics import AMPLITUDE, METRICS, finished_beside
 from fingerflow.study.statistics import Sample

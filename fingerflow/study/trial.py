@@ -82,12 +82,14 @@ def run_trial(job: Job) -> Outcome:
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
         path = folder / result_name(keys)
-        if job.redo != "row" or not is_result(path):
+        if job.redo == "row" and is_result(path):
+            opened = open_result(path)
+        else:
             earlier = None
             if job.redo == "changed" and stored is not None and stored.result is not None:
                 earlier = folder / stored.result
-            process(scene, to=path, earlier=earlier).close()
-        with open_result(path) as result:
+            opened = process(scene, to=path, earlier=earlier)
+        with opened as result:
             row, curves = measure(result)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, row=row, curves=curves)
     except Exception as error:
