@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 from tqdm import tqdm
@@ -14,8 +14,9 @@ from tqdm import tqdm
 from fingerflow.errors import FingerflowError
 
 _IN_FLIGHT = 3  # tasks a worker: one that runs, others that wait beside it
-_RENEWED_AFTER = 200  # tasks, after which a worker is replaced by a fresh one: whatever leaks goes with it
+_RENEWED_AFTER = 200  # tasks a worker, after which all are replaced by fresh ones: whatever leaks goes with them
 _ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
+_CONNECT = "20s"  # to reach a scheduler
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
 Task = TypeVar("Task")
@@ -78,45 +79,43 @@ def _go_through(
     names: dict[str, str] = {}
 
     def submit(name: str, task: Task) -> Any:
-        future = client.submit(_task, act, task, key=f"{name}-{os.getpid()}-{len(names)}", pure=False)
+        future = client.submit(act, task, key=f"{name}-{os.getpid()}", pure=False)
         names[future.key] = name
         return future
 
-    in_flight = max(2, _IN_FLIGHT * max(1, sum(client.nthreads().values())))
+    many = max(1, sum(client.nthreads().values()))
     try:
         with _interrupt_once():
-            waiting = as_completed([submit(*one) for one in islice(tasks, in_flight)])
-            for future in waiting:
-                if future.status == "finished":
-                    yield future.result()
-                elif future.status == "error":
-                    yield of_error(names[future.key], future.exception())
-                else:
-                    raise Interrupted(f"the scheduler was lost. {_KEPT}")
-                del names[future.key]
-                for one in islice(tasks, 1):
-                    waiting.add(submit(*one))
+            # A round ends with nothing in flight: no result is on a worker that is replaced then.
+            while round_of := list(islice(tasks, max(2, _IN_FLIGHT * many))):
+                left = islice(tasks, max(0, _RENEWED_AFTER * many - len(round_of)))
+                waiting = as_completed([submit(*one) for one in round_of])
+                for future in waiting:
+                    if future.status == "finished":
+                        yield future.result()
+                    elif future.status == "error":
+                        yield of_error(names[future.key], future.exception())
+                    else:
+                        raise Interrupted(f"the scheduler was lost. {_KEPT}")
+                    del names[future.key]
+                    for one in islice(left, 1):
+                        waiting.add(submit(*one))
+                tasks = _renewed(client, tasks)
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
     except (OSError, TimeoutError) as error:  # a connection that broke
         raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
 
 
-_done_here = 0  # of this worker
-
-
-def _task(act: Callable[[Task], Result], task: Task) -> Result:
-    """What a worker does: a task, and after many of them it makes place for a fresh worker."""
-    global _done_here
-    result = act(task)
-    _done_here += 1
-    if _done_here == _RENEWED_AFTER:
-        from distributed import get_worker
-
-        worker = get_worker()
-        if worker.nanny:  # which starts another one
-            worker.loop.add_callback(worker.close_gracefully, restart=True)
-    return result
+def _renewed(client: Any, tasks: Iterator[tuple[str, Task]]) -> Iterator[tuple[str, Task]]:
+    """The tasks that are left, after workers were replaced, where there are any and a nanny starts new workers."""
+    first = next(tasks, None)
+    if first is None:
+        return iter(())
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    if workers and all(one["nanny"] for one in workers):
+        client.restart()
+    return chain([first], tasks)
 
 
 @contextmanager
@@ -138,7 +137,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
         cluster: Any = None
         try:
             if scheduler is not None and scheduler.startswith(_ADDRESS):
-                client = Client(scheduler, timeout="20s")
+                client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
                     cluster = LocalCluster(
