@@ -116,8 +116,9 @@ def _readable_stream(path: Path, reference: Path) -> bool:
 
 
 COMMANDS = {
-    "process": Command(("process", "press/scene.toml", "--to", "result.h5"), ("result.h5",), ("press",), _same_result,
-                       True),
+    "process": Command(
+        ("process", "press/scene.toml", "--output", "result.h5"), ("result.h5",), ("press",), _same_result, True,
+    ),
     "report": Command(
         ("report", "press/scene.toml", "--result", "given.h5"),
         ("press/report.html", "press/overlay.mp4"), ("press", "given.h5"), _same_pictures, True,
@@ -159,6 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
             for fault in said:
                 faults.append(f"{number} {name}, {ending}: {fault}")
                 print(faults[-1], flush=True)
+            if (number + 1) % 10 == 0:
+                print(f"{number + 1} runs, {len(faults)} faults", flush=True)
     print(f"{'':10}" + "".join(f"{ending:>16}" for ending in endings))
     for name in names:
         print(f"{name:10}" + "".join(f"{counts[name, ending]:16}" for ending in endings))
@@ -199,7 +202,7 @@ def _references(base: Path, names: list[str]) -> dict[str, tuple[float, int]]:
     (base / "given" / "recipe.toml").write_text(RECIPE)
     tiny_bundle.write_bundle(base / "given" / "tiny")
     told = base / "told"
-    for arguments in (("simulate", "press", "press"), ("process", "press/scene.toml", "--to", "given.h5")):
+    for arguments in (("simulate", "press", "press"), ("process", "press/scene.toml", "--output", "given.h5")):
         assert _fork(arguments, base / "given", told)[0] == 0, told.read_text()
     costs = {}
     for name in names:

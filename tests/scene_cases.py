@@ -193,7 +193,8 @@ WRONG = (
     _number("rate_window_s", "0.05", "fields.rate_window_s is 0: it should be greater than 0", "0"),
     _number("rekey_share", "0.8", "stream.rekey_share is 2.0: it should be less than or equal to 1", "2.0"),
     _number("rekey_frames", "300", "stream.rekey_frames is 0: it should be greater than or equal to 1", "0"),
-    _number("frame_rate", "300.0", "recording.frame_rate is 0.0: it should be greater than 0", "0.0"),
+    _number("frame_rate", "300.0", "recording.frame_rate is 0.0: it should be greater than 1e-06", "0.0"),
+    _number("frame_rate", "300.0", "recording.frame_rate is 3.001e-318: it should be greater than 1e-06", "300.1e-320"),
     _number("sample_rate", "1000.0", "forces.sample_rate is -1: it should be greater than 0", "-1"),
     _number("first_frame", "2", "recording.first_frame is -1: it should be greater than or equal to 0", "-1"),
     # One of some words.

@@ -131,7 +131,10 @@ def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkey
     from fingerflow.report.supplement import Sources, write_supplement
 
     trial = result().assign_coords(time=("frame", np.arange(3.0)))
-    trial.attrs |= {"stage_seconds": "{}", "settings": "{}", "warnings": "[]", "mm_per_px": 0.05}
+    trial.attrs |= {"stage_seconds": "{}", "settings": "{}", "warnings": "[]", "mm_per_px": 0.05, "title": "a press",
+                    "topography_to_contact": "[[1, 0, 0], [0, 1, 0]]", "strain_measure": "green_lagrange",
+                    "frames": "a.npy", "created": "2026-01-01"}  # fmt: skip
+    trial = trial.assign_coords(frame=np.arange(3))
     page = write_report(trial, None, tmp_path)
     assert write_report(trial, None, tmp_path) == page  # its own
     save_figure(Figure(), tmp_path / "ours.png")
@@ -167,7 +170,8 @@ def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
     from fingerflow.tables import export_table, is_table
 
     trial = result().assign_coords(time=("frame", np.arange(3.0), {"units": "s"}), frame=np.arange(3))
-    trial["area"].attrs["units"] = "mm2"
+    trial["area"].attrs |= {"units": "mm2", "long_name": "area"}
+    trial["time"].attrs["long_name"] = "time"
     table = tmp_path / f"table{suffix}"
     export_table(trial, table)
     assert is_table(table)
@@ -175,7 +179,7 @@ def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
     if suffix == ".mat":
         scipy.io.savemat(table, {"work": np.arange(9)})
     else:
-        table.write_text("frame,years of work\n")
+        table.write_text("years of work\n")
     before = table.read_bytes()
     with pytest.raises(FingerflowError, match=r"table\..* exists and was not written by this command"):
         export_table(trial, table)

@@ -11,7 +11,7 @@ import torch
 import xarray as xr
 
 from fingerflow import load_scene, process
-from fingerflow.cli import simulate
+from fingerflow.cli.synthetic import simulate
 from fingerflow.graphs import FieldsGraph
 from fingerflow.ops import green_lagrange, triangle_gradients
 from fingerflow.synthetic import Press, Truth

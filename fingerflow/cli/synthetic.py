@@ -8,6 +8,7 @@ import typer
 
 from fingerflow.cli.app import AsJson, app, print_json, process_scene
 from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.unfinished import unfinished
 
 _DEMO_FILES = {
     *("scene.toml", "frames.npy", "empty.npy", "dark.npy", "forces.csv", "truth.json"),
@@ -72,6 +73,8 @@ def simulate(
 
 def _remove_demo(folder: Path) -> None:
     """Removes what an earlier demo wrote; raises FingerflowError, and removes nothing, where anything else is there."""
+    for name in _DEMO_FILES:
+        unfinished(folder / name)  # removes what a killed demo left
     strange = sorted(path.name for path in folder.iterdir() if path.name not in _DEMO_FILES)
     if strange or not (folder / "truth.json").exists():
         found = f"holds {', '.join(strange[:3])}" if strange else "is no earlier demo"

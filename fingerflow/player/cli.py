@@ -29,6 +29,7 @@ from .sources import kinds
 from .stepper import Stepper
 from .stream import Player
 
+_LEAST = 1e-6  # frames a second, as in scenes, or s: below, a computer's clock does not reach as far as the next frame
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which one is known
 log = logging.getLogger("fingerflow.player")
 
@@ -192,8 +193,8 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
 
 def _positive(text: str) -> float:
     value = float(text)
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    if not _LEAST < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above {_LEAST:g}")
     return value
 
 

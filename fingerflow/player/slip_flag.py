@@ -32,7 +32,8 @@ class SlipFlag:
     Displacement counts from where each point was when it was touched. Skin that spreads under a growing normal force is
     not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
     of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
-    full slip. Skin that slides as a whole is rigid; what it was stretched by before stays, and with it the flag.
+    full slip; on a contact 4 mm long that is seen by windows of 15 px at 22 %. Skin that slides as a whole is rigid;
+    what it was stretched by before stays, and with it the flag.
 
     Attributes:
         slipping: what the last frame said.

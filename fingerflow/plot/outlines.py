@@ -12,7 +12,8 @@ _TURNS = np.linspace(0, 2 * np.pi, 120, endpoint=False)
 
 def contact_outline(frame: xr.Dataset) -> NDArray[np.float64] | None:
     """(K, 2) the ellipse of the gross contact; None where there is none."""
-    if "ellipse_center" not in frame or not np.isfinite(frame["ellipse_center"]).all():
+    known = all(name in frame for name in ("ellipse_center", "ellipse_semi_axes", "ellipse_angle"))
+    if not known or not np.isfinite(frame["ellipse_center"]).all():
         return None
     along, across = np.asarray(frame["ellipse_semi_axes"])[:, None] * np.stack((np.cos(_TURNS), np.sin(_TURNS)))
     cosine, sine = math.cos(frame["ellipse_angle"]), math.sin(frame["ellipse_angle"])

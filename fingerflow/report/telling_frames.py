@@ -92,7 +92,7 @@ def _of_a_sensor(result: xr.Dataset, known: NDArray[np.bool_]) -> list[Telling]:
         length = np.where(known, np.nan_to_num(length), 0.0)
         top = int(np.argmax(length))
         found.append(Telling(top, "largest displacement"))
-        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of it"))
+        found.append(Telling(int(np.argmax(length >= length[top] / 2)), "half of the largest displacement"))
     slips = np.flatnonzero((result["gross_slip"].values > 0) & known)
     if len(slips):
         found.append(Telling(int(slips[0]), "first gross slip"))

@@ -217,7 +217,9 @@ class SlipStage(Stage):
                 continue
             # As many frames on either side, so that a median is not late.
             beside = min(self._beside, frame, len(self.trial) - 1 - frame)
-            settled = nanmedian(motion[None, frame - beside - start : frame + beside + 1 - start])[0]
+            around = motion[frame - beside - start : frame + beside + 1 - start]
+            # Where one side is lost, as after a jump, the other alone would be late.
+            settled = nanmedian(np.where(np.isfinite(around[::-1]), around, np.nan)[None])[0]
             moved, displacement = self._at_points(settled, grid), self._over_cells(settled, grid)
             if not np.isfinite(displacement[grid.known]).all():
                 continue

@@ -13,7 +13,7 @@ from fingerflow.synthetic.scenes import Array
 from fingerflow.synthetic.slide import Slide
 
 _STEEPEST = 1.5  # slope of `_rising` at its steepest
-_MOST_STRETCH = 0.5  # that a jump adds
+_MOST_STRETCH = 0.5  # that jumps add
 _BISECTIONS = 60
 _ROUNDED = 0.1  # relative radius over which the skin beside the stuck part takes up its stretch
 
@@ -53,14 +53,15 @@ class PartialSlip(Slide):
     jump: float = 0.1625
 
     def __post_init__(self) -> None:
-        for time in self.jumps:
+        for number, time in enumerate(sorted(self.jumps), 1):
             stuck = float(self.motion.stuck_radius(torch.tensor(time / self.times[-1], dtype=torch.float64)))
             annulus = (1 - stuck) * min(self.semi_axes)
-            if time <= 0 or _STEEPEST * self.jump > _MOST_STRETCH * annulus:
+            before = time < self.full_slip * self.times[-1]
+            if time <= 0 or (before and _STEEPEST * number * self.jump > _MOST_STRETCH * annulus):
                 raise ValueError(
                     f"jumps has {time} s: {annulus:.2f} mm of the contact slip then, and would be stretched by "
-                    f"{_STEEPEST * self.jump / max(annulus, 1e-9):.0%}, at most {_MOST_STRETCH:.0%} are possible; make "
-                    f"it later"
+                    f"{_STEEPEST * number * self.jump / max(annulus, 1e-9):.0%}, at most {_MOST_STRETCH:.0%} are "
+                    f"possible; make it later"
                 )
 
     @cached_property

@@ -186,6 +186,7 @@ def play(bundle: Path) -> Path:
     shutil.rmtree(results, ignore_errors=True)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
         options = ["--output", str(results), "--page", "off", "--provider", "cpu", "--threads", "1", "--no-spin"]
+        options += ["--rate", "1e6"]  # a slow one in the scene is none
         if main([str(bundle), *options]):
             raise PlayerError(said.getvalue())
     return results

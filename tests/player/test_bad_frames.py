@@ -94,41 +94,92 @@ def _assert_unknown(records: Frames, places: list[int]) -> None:
 
 
 def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -> None:
-    """Areas to the last digit, as the threshold is given. Points within three of their standard deviations of 0.019 px,
-    and nearly all within what prediction and renewal leave (0.01 px, tests/test_one_graph.py): templates are looked at
-    a frame later where that frame is bad. A point that comes to be covered in a bad frame has its onset a frame later:
-    the median divergence is the clean run's within the error that the README states, 1.7 um/mm."""
+    """Areas to the last digit, as the threshold is given and pictures are the same. Points and fields depend on frames
+    before: templates are looked at, and onsets seen, in the next frame that counts.
+
+    Points: within three standard deviations of the difference of two estimates, sqrt(2) of the stated one, beside what
+    prediction and renewal leave (0.01 px, tests/test_one_graph.py); nearly all within the latter alone. The median
+    divergence: the worst error that the README states, 1.7 um/mm. A point's: :func:`_divergence_tolerance`.
+    """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
         np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
     np.testing.assert_array_equal(records["status"][good], clean["status"][good])
-    np.testing.assert_allclose(records["position_px"][good], clean["position_px"][good], rtol=0, atol=0.057)
-    assert np.mean(np.abs(records["position_px"][good] - clean["position_px"][good]) > 0.01) < 0.01
-    for name, tolerance in (("median_divergence", 1.7e-3), ("divergence", 2e-2)):
-        np.testing.assert_allclose(records[name][good], clean[name][good], rtol=0, atol=tolerance, err_msg=name)
+    off = np.abs(records["position_px"][good] - clean["position_px"][good])
+    known = np.isfinite(clean["position_px"][good])
+    np.testing.assert_array_equal(np.isfinite(off), known)
+    deviation = np.broadcast_to(clean["position_std_px"][good][..., None], off.shape)
+    assert (off[known] <= 0.01 + 3 * 2**0.5 * deviation[known]).all()
+    assert np.mean(off[known] > 0.01) < 0.01
+    np.testing.assert_allclose(
+        records["median_divergence"][good], clean["median_divergence"][good], rtol=0, atol=1.7e-3
+    )
+    off, known = np.abs(records["divergence"][good] - clean["divergence"][good]), np.isfinite(clean["divergence"][good])
+    np.testing.assert_array_equal(np.isfinite(off), known)
+    tolerance = np.broadcast_to(_divergence_tolerance(clean["divergence"]), off.shape)
+    assert (off[known] <= tolerance[known]).all()
     np.testing.assert_array_equal(records["slip_flag"][good], clean["slip_flag"][good])
+
+
+def _assert_slide_as_before(small: Small, records: Frames, places: list[int]) -> None:
+    """Skin that slides by px a frame has gone further after a gap: some points are lost for some frames, which say so.
+
+    Areas are the clean run's to the last digit. Of the points, one in twenty may be lost besides; of those that are
+    found 99 in 100 lie within three standard deviations of the difference of two estimates, or 0.01 px. The median
+    divergence is known in the same frames, to the error that the README states.
+    """
+    good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
+    for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
+        np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
+    lost = (clean["status"][good] == 0) & (records["status"][good] != 0)
+    assert lost.mean() < 0.05 * (clean["status"][good] == 0).mean()
+    off = np.linalg.norm(records["position_px"][good] - clean["position_px"][good], axis=-1)
+    both = np.isfinite(off)
+    deviation = np.hypot(clean["position_std_px"][good], records["position_std_px"][good])
+    assert np.quantile(off[both] / np.maximum(3 * deviation[both], 0.01), 0.99) < 1
+    before, after = clean["median_divergence"][good], records["median_divergence"][good]
+    np.testing.assert_allclose(after, before, rtol=0, atol=1.7e-3)
+
+
+def _divergence_tolerance(clean: Frames) -> Frames:
+    """Of each point: an onset in bad frames is seen up to so many frames later as are bad in a row, and the divergence
+    since then is less by what it grows meanwhile; and three standard deviations of the difference of two estimates,
+    from second differences in time, whose variance is 6 sigma^2.
+    """
+    bad = np.isin(np.arange(FRAMES), PLACES)
+    late = max(len(run) for run in "".join("x" if one else " " for one in bad).split())
+    with np.errstate(invalid="ignore"):
+        growth = np.nan_to_num(np.abs(clean[late:] - clean[:-late])).max(0)
+        noise = np.sqrt(np.nanmean(np.diff(clean, 2, axis=0) ** 2) / 6)
+    return np.asarray(growth + 3 * 2**0.5 * noise)
 
 
 def test_a_clean_trial_has_no_bad_frame(trial: Small) -> None:
     assert _status_of(trial.clean.records) == {}
-    assert [event["event"] for event in trial.clean.events] == ["restart"]
+    assert trial.clean.events[0]["event"] == "restart"
+    assert {event["event"] for event in trial.clean.events} <= {"restart", "key_frame"}
 
 
 @pytest.mark.parametrize("kind", SPOILED)
 def test_a_bad_frame_counts_in_no_number(trial: Small, kind: str) -> None:
     """At ten places: its own are NaN with the reason, all others as without it, and nothing is chosen anew."""
     spoil, status = SPOILED[kind]
+    slides = "key_frame" in {event["event"] for event in trial.clean.events}
+    if slides and kind in ("rolled", "shifted", "torn", "lines lost"):
+        # Its skin leaves the view: behind frame 44 hardly a point is followed, by whose loss such frames are known.
+        pytest.skip("a displaced frame is not told live where no points are followed")
     frames = trial.frames.copy()
     for k in PLACES:
         frames[k] = spoil(frames[k])
     played = trial.play(frames)
     assert _status_of(played.records) == dict.fromkeys(PLACES, status)
     _assert_unknown(played.records, PLACES)
-    _assert_others_as_before(trial, played.records, PLACES)
-    events = [(event["event"], event["frame"]) for event in played.events]
-    begins = [k for k in PLACES if k - 1 not in PLACES]
-    assert events == [("restart", 0), *(("not_usable", k) for k in begins)]
-    assert {event["status"] for event in played.events[1:]} == {status}
+    (_assert_slide_as_before if slides else _assert_others_as_before)(trial, played.records, PLACES)
+    chosen = [(event["event"], event["frame"]) for event in played.events if event["event"] == "restart"]
+    assert chosen == [("restart", event["frame"]) for event in trial.clean.events if event["event"] == "restart"]
+    told = [event for event in played.events if event["event"] == "not_usable"]
+    assert [event["frame"] for event in told] == [k for k in PLACES if k - 1 not in PLACES]
+    assert {event["status"] for event in told} == {status}
 
 
 def test_process_says_the_same_of_the_same_recording(small: Small) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from fingerflow.report.outlines import stuck_outline
 
 from fingerflow import cli, load_scene, process
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict, fit_friction, judge_trial, simulate_trial
+from fingerflow.plot.outlines import stuck_outline
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures

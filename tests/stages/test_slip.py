@@ -311,11 +311,9 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
 
 @pytest.mark.parametrize(("rate", "displacement"), [(60.0, "points"), (300.0, "points"), (60.0, "dense_flow")])
 def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path: Path) -> None:
-    """In one frame, at the rim twice while a third to a half of the contact sticks, then once of all; forces with noise
-    and drift. No point is accepted that is off by 2 px, and d² after them is right to 0.06, or NaN.
-
-    The fixed shape of the border that d² is found by (`StuckBorder`) is not that of skin which has jumped: a share of
-    0.03 without jumps.
+    """In one frame, at the rim while a quarter to a half of the contact sticks, later of all; forces with noise and
+    drift. No point is accepted that is on another ridge, 14 px away: at most 2.5 px off, where skin was stretched by a
+    third. By points d² is right to 0.06 or NaN, as many are lost; by dense flow it is there, and right to 0.04.
     """
     frames = round(0.8 * rate)
     folder = small(
@@ -323,7 +321,7 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
         n_frames=frames,
         frame_rate=rate,
         frames_before_trigger=2,
-        jumps=(0.48, 0.51, 0.7),
+        jumps=(0.52, 0.7),
         collapse=0.05,
         force_noise=0.02,
         force_drift=0.05,
@@ -332,22 +330,21 @@ def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path
     scene = load_scene(folder / "scene.toml")
     scene = replace(scene, slip=replace(scene.slip, displacement=displacement))
     result = process(scene, ["position_px", "stuck_ratio"])
-    first_jump, second_jump, last = np.searchsorted(trial.times, (0.48, 0.51, 0.7))
-    assert truth[first_jump] < 0.65
-    assert truth[second_jump] > 0.25
+    first, last = (int(at) for at in np.searchsorted(trial.times, (0.52, 0.7)))
+    assert 0.25 < truth[first] < 0.5
     position = result["position_px"].values
     tracked = []
-    for frame in (first_jump - 1, first_jump, first_jump + 1, second_jump, second_jump + 1, last, last + 1, frames - 1):
-        true = trial.truth.follow(position[0], 0, int(frame))
+    for frame in (first - 1, first, first + 1, first + 2, last - 1, last, last + 1, frames - 1):
+        true = trial.truth.follow(position[0], 0, frame)
         seen = np.isfinite(position[frame]).all(-1)
         tracked.append(seen.mean())
-        assert np.linalg.norm(position[frame] - true, axis=-1)[seen].max() < 2, frame
+        assert np.linalg.norm(position[frame] - true, axis=-1)[seen].max() < 2.5, frame
     assert min(tracked) > 0.5
     found = result["stuck_ratio"].values
     error = np.abs(found - truth)
-    assert np.nanmax(error) < 0.06
-    assert np.isfinite(found).mean() > 0.8
-    assert np.nanmax(found[last:]) == 0
+    assert np.nanmax(error) < (0.06 if displacement == "points" else 0.04)
+    assert np.isfinite(found).mean() > (0.6 if displacement == "points" else 0.95)
+    assert not (found[last:] > 0).any()
 
 
 def by_flow(scene: Scene) -> Scene:
@@ -404,9 +401,10 @@ def test_points_that_are_elsewhere_are_told_by_dense_flow(slip_trials: Path) -> 
         position_std_px=given["position_std_px"].values[:frames],
         gross_contact_region=given["gross_contact_region"].values[:frames],
     )
-    run(trial, DenseFlowSlipStage(trial))
+    stage = DenseFlowSlipStage(trial)
+    run(trial, stage)
     np.testing.assert_allclose(values_of(trial, "dense_flow_difference")[1:], 0.01 * math.sqrt(2), atol=0.003)
-    assert any("dense flow and tracked points differ" in warning for warning in inputs.warnings)
+    assert any("dense flow and tracked points differ" in warning for warning in stage.warnings)
 
 
 def test_outputs_of_dense_flow_need_the_setting(slip_trials: Path) -> None:

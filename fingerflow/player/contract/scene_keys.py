@@ -167,7 +167,7 @@ SCENE: dict[str, Key | Table] = {
     "recording": Table(
         {
             "frames": Key(File(there_for=PROCESS), needed_by=PROCESS),
-            "frame_rate": Key(POSITIVE),
+            "frame_rate": Key(Number(above=1e-6)),
             "trigger_frame": Key(FROM_0),
             "first_frame": Key(FROM_0, default=0),
             "last_frame": Key(FROM_0),

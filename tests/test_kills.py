@@ -1,0 +1,45 @@
+"""A short run of `python -m tests.kills`, the same moments each time; the command has 100."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow.result import save_result
+from tests import kills
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_nothing_is_lost_and_nothing_left_behind() -> None:
+    """Each ending twice, with a command that replaces its output and one that does not."""
+    command = [sys.executable, "-m", "tests.kills", "--count", "14", "--command", "process", "--command", "simulate"]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert run.stdout.splitlines()[-1] == "14 runs, 0 faults"
+
+
+@pytest.mark.parametrize("size", [0, 100, -1])
+def test_half_a_result_is_seen(size: int, tmp_path: Path) -> None:
+    command = kills.COMMANDS["process"]
+    whole, half = tmp_path / "whole.h5", tmp_path / "result.h5"
+    save_result(xr.Dataset({"area": ("frame", np.arange(999.0))}, attrs={"fingerflow_version": "0"}), whole)
+    assert kills._state(command, half, whole) == "absent"
+    half.write_bytes(whole.read_bytes()[:size])
+    assert kills._state(command, half, whole).startswith("is there and ")
+    half.write_bytes(whole.read_bytes())
+    assert kills._state(command, half, whole) == "whole"
+
+
+def test_what_is_left_behind_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "press").mkdir()
+    before = kills._names(tmp_path)
+    (tmp_path / "result.h5").touch()
+    assert kills._left_behind(tmp_path, before, kills.COMMANDS["process"]) == []
+    (tmp_path / ".result-00000000-1-00000000.h5").touch()
+    assert kills._left_behind(tmp_path, before, kills.COMMANDS["process"]) == [
+        "left behind: .result-00000000-1-00000000.h5"
+    ]
