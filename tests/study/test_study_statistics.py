@@ -41,7 +41,9 @@ def test_truth_by_integration_is_that_of_a_million_trials() -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """And two groups of skin are found in each study. Of 20 studies an interval of 95 % misses 1 on average; that it misses 5 or more happens once in 400."""
+    """Of 20 studies an interval of 95 % misses 1 on average; that it misses 5 or more happens once in 400. And two
+    groups of skin are found in each.
+    """
     truth, missed = truth_of(Design()), dict.fromkeys(("d_prime", "auc", "criterion"), 0)
     for seed in range(_STUDIES):
         trials = sample_of(pd.DataFrame(simulate_table(Design(seed=seed)))).trials
