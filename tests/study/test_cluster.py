@@ -53,5 +53,5 @@ def test_a_deployment_by_the_name_of_its_class() -> None:
 
 def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", "1s")
-    with pytest.raises(FingerflowError, match="no cluster can be had from tcp://127.0.0.1:9"):
+    with pytest.raises(FingerflowError, match=r"no cluster can be had from tcp://127\.0\.0\.1:9"):
         list(over_workers(_process, iter([("task", 1)]), 1, _raise, "tcp://127.0.0.1:9", progress=False))
