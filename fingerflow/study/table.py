@@ -18,6 +18,9 @@ from fingerflow.study.row import CURVES, FORCE_GRID
 
 NOT_RUN = "not run"
 _LEVEL = 0.95
+_CURVE_COLUMNS = [
+    "metric", "unit", "condition", "normal_force_N", "mean", "low", "high", "participants", "trials", "without",
+]  # fmt: skip
 _MOST_MISSING = 0.5  # of a condition's trials: where fewer reach a force, their mean would be one of a selection
 
 
@@ -69,7 +72,7 @@ def write_tables(manifest: Manifest) -> Tables:
         columns=["column", "unit", "definition"],
     )
     write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
-    curves = pd.DataFrame(averaged(stored))
+    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # a heading where there is none
     write_atomically(paths.curves, lambda part: curves.to_csv(part, index=False))
     return paths
 

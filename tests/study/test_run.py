@@ -20,6 +20,7 @@ from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
+from fingerflow.study.report import write_study_report
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 
@@ -108,6 +109,12 @@ def test_only_and_a_pattern_that_fits_nothing(study: Manifest, scheduler: str) -
         plan_run(study, only="03_*")
     table = _table(study)
     assert (table["status"] == "not run").sum() == 4
+
+
+def test_a_page_of_nothing_is_refused_in_a_sentence(study: Manifest) -> None:
+    with pytest.raises(FingerflowError, match="no trial has been measured"):
+        write_study_report(study, progress=False)
+    assert "metric" in pd.read_csv(write_tables(study).curves).columns
 
 
 def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
