@@ -56,11 +56,16 @@ def over_workers(
         Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
     """
     many = max(1, min(workers or cores(), count))
-    bar = tqdm(total=count, unit="trial", disable=not progress)
-    with _client(scheduler, many, threads_each(scheduler, many)) as client, bar:
-        for result in _go_through(client, act, iter(tasks), of_error):
-            bar.update()
-            yield result
+    # A local cluster is replaced after so many tasks, when nothing is in flight; another has rules of its own.
+    each_round = _RENEWED_AFTER * many if scheduler is None else None
+    waiting = iter(tasks)
+    with tqdm(total=count, unit="trial", disable=not progress) as bar:
+        while (first := next(waiting, None)) is not None:
+            of_round = islice(chain([first], waiting), each_round)
+            with _client(scheduler, many, threads_each(scheduler, many)) as client:
+                for result in _go_through(client, act, of_round, of_error):
+                    bar.update()
+                    yield result
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
@@ -86,36 +91,21 @@ def _go_through(
     many = max(1, sum(client.nthreads().values()))
     try:
         with _interrupt_once():
-            # A round ends with nothing in flight: no result is on a worker that is replaced then.
-            while round_of := list(islice(tasks, max(2, _IN_FLIGHT * many))):
-                left = islice(tasks, max(0, _RENEWED_AFTER * many - len(round_of)))
-                waiting = as_completed([submit(*one) for one in round_of])
-                for future in waiting:
-                    if future.status == "finished":
-                        yield future.result()
-                    elif future.status == "error":
-                        yield of_error(names[future.key], future.exception())
-                    else:
-                        raise Interrupted(f"the scheduler was lost. {_KEPT}")
-                    del names[future.key]
-                    for one in islice(left, 1):
-                        waiting.add(submit(*one))
-                tasks = _renewed(client, tasks)
+            waiting = as_completed([submit(*one) for one in islice(tasks, max(2, _IN_FLIGHT * many))])
+            for future in waiting:
+                if future.status == "finished":
+                    yield future.result()
+                elif future.status == "error":
+                    yield of_error(names[future.key], future.exception())
+                else:
+                    raise Interrupted(f"the scheduler was lost. {_KEPT}")
+                del names[future.key]
+                for one in islice(tasks, 1):
+                    waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
     except (OSError, TimeoutError) as error:  # a connection that broke
         raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
-
-
-def _renewed(client: Any, tasks: Iterator[tuple[str, Task]]) -> Iterator[tuple[str, Task]]:
-    """The tasks that are left, after workers were replaced, where there are any and a nanny starts new workers."""
-    first = next(tasks, None)
-    if first is None:
-        return iter(())
-    workers = client.scheduler_info(n_workers=-1)["workers"].values()
-    if workers and all(one["nanny"] for one in workers):
-        client.restart()
-    return chain([first], tasks)
 
 
 @contextmanager
