@@ -6,3 +6,7 @@ class FingerflowError(Exception):
 
     The command line prints it without a traceback and exits with status 2.
     """
+
+
+class NoRoomError(FingerflowError):
+    """Memory or disk is too small for now: the same may go well another time."""

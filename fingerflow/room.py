@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import NoRoomError
 from fingerflow.player.contract.variables import LABELS, Variable
 
 # A file takes at least so much of what it holds: on the shipped press 0.6, where noise hardly gets smaller.
@@ -32,22 +32,22 @@ def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> 
 
 
 def check_memory(needed: float) -> None:
-    """Raises FingerflowError where results of so many bytes do not fit in memory."""
+    """Raises NoRoomError where results of so many bytes do not fit in memory."""
     free = psutil.virtual_memory().available
     if needed > free:
-        raise FingerflowError(
+        raise NoRoomError(
             f"the results take {needed / _GB:.2f} GB of memory, and {free / _GB:.2f} GB are free; write them to a file "
             f"(process(..., to=), which takes little memory), ask for fewer outputs, points or frames"
         )
 
 
 def check_disk(path: Path, holds: float) -> None:
-    """Raises FingerflowError where a file of results that holds so many bytes cannot fit on its disk."""
+    """Raises NoRoomError where a file of results that holds so many bytes cannot fit on its disk."""
     _check_free(path, _COMPRESSED * holds)
 
 
 def check_write(path: Path, bytes_more: int) -> None:
-    """Raises FingerflowError where a disk has no room for the next bytes of a file, and for what is held back."""
+    """Raises NoRoomError where a disk has no room for the next bytes of a file, and for what is held back."""
     _check_free(path, bytes_more + _LEFT_BYTES)
 
 
@@ -55,7 +55,7 @@ def _check_free(path: Path, needed: float) -> None:
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
     free = shutil.disk_usage(folder).free
     if needed > free:
-        raise FingerflowError(
+        raise NoRoomError(
             f"{folder}: {needed / _GB:.2f} GB are needed and {free / _GB:.2f} GB of the disk are free; nothing was "
             f"left there. Make room, write to another disk, or ask for fewer outputs, points or frames"
         )

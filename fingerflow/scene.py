@@ -241,6 +241,23 @@ def load_scene(path: str | Path) -> Scene:
         raise FingerflowError(str(error)) from None
 
 
+def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
+    """A scene from the tables and keys of a file of several scenes.
+
+    Args:
+        written: as TOML gives it.
+        path: of that file; paths are relative to its folder.
+        place: where it says so, for errors.
+
+    Raises:
+        FingerflowError: as `load_scene`.
+    """
+    checked, problems = check_scene(written, path.parent, "process")
+    if problems:
+        raise FingerflowError("\n".join(f"{place}: {'.'.join(one.keys)} {one.said}" for one in problems))
+    return _scene(path, checked)
+
+
 def scene_of_text(text: str, path: Path) -> Scene:
     """What :func:`load_scene` will give of a file of this content, before it is written; it raises the same."""
     try:

@@ -114,7 +114,7 @@ class FileStore(Store):
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
-            layout |= {"chunks": (frames, *shape[1:]), "compression": "gzip", "compression_opts": 2}
+            layout |= {"chunks": (frames, *shape[1:]), "compression": "gzip", "compression_opts": 2, "shuffle": True}
         stored = self._file.create_variable(variable.name, variable.dims, kind, **layout)
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}

@@ -69,7 +69,23 @@ ARROWS: dict[str, set[str]] = {
         "export",  # only where `--provider compiled` asks for the package; a bundle does without
         "recordings",  # a bundle carries copies of its readers
     },
-    "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
+    "study": {
+        "__init__",
+        "atomic_write",
+        "contract",
+        "errors",
+        "models",
+        "pipeline",
+        "plot",
+        "recordings",
+        "report",
+        "result",
+        "reuse",
+        "scene",
+        "stages",
+        "synthetic",
+        "toml_string",
+    },
     "stream_result": {"contract", "errors", "player"},
     "view": {
         "__init__",

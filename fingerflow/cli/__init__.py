@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from fingerflow.cli import live, preparation, processing, reporting, synthetic, tables, viewing  # noqa: F401  commands add themselves
+from fingerflow.cli import live, preparation, processing, reporting, study, synthetic, tables, viewing  # noqa: F401  commands add themselves
 from fingerflow.cli.app import app as app
 from fingerflow.errors import FingerflowError
 

@@ -35,6 +35,15 @@ class SkinParameters:
             friction_stiffness=self.friction_stiffness / finer,
         )
 
+    def softer(self, times: float) -> "SkinParameters":
+        """The same skin with every stiffness of its own divided by a number, the plate's penalty too."""
+        return replace(
+            self,
+            membrane_stiffness=self.membrane_stiffness / times,
+            tissue_stiffness=self.tissue_stiffness / times,
+            contact_stiffness=self.contact_stiffness / times,
+        )
+
 
 def _lab() -> SkinParameters:
     """The published script: radius 8 mm, E 1.54 MPa, a layer of 20 um, tissue of 25 kPa.

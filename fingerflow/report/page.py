@@ -106,6 +106,7 @@ def write_report(
     folder: Path,
     comparison: Sequence[Any] = (),
     chain: BesideChain | None = None,
+    video: bool = True,
     overwrite: bool = False,
 ) -> Path:
     """Writes report.html and overlay.mp4 into a folder; sections whose variables were not asked for are left out.
@@ -113,6 +114,7 @@ def write_report(
     Without a scene, as of a stream, whose frames are gone, there is neither picture nor video.
 
     ``comparison``: rows with quantity, unit, measured, truth and error, of a synthetic recording.
+    ``video``: write overlay.mp4 too, which takes longer than all the rest.
     ``chain``: predictions of the skin chain, drawn beside what was measured.
 
     Raises FingerflowError, before anything is computed, where a file of these names is an input, or without
@@ -121,7 +123,7 @@ def write_report(
     for output in ("report.html", "overlay.mp4") if scene is not None else ("report.html",):
         spare(folder / output, *(scene.files() if scene is not None else ()))
         keep_others(folder / output, is_marked, overwrite)
-    if scene is not None:
+    if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
     sections = _sections(result, scene, frames, chain)

@@ -13,6 +13,7 @@ from torch import Tensor
 from fingerflow.models.skin_chain import Press as Chain
 from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_onset import SinceOnset, since_onset
+from fingerflow.models.skin_parameters import named
 from fingerflow.synthetic.motion import Ellipse
 from fingerflow.synthetic.scenes import Array, Scene
 from fingerflow.synthetic.spline import cubic_weights
@@ -33,6 +34,7 @@ class ChainPress(Scene):
     Args:
         friction: coefficient between skin and glass.
         parameters: of the chain, "paper" or "lab", whose contact is half as large.
+        softness: what their stiffnesses are divided by.
         force: at the end, N.
         contact_time: s from the trigger to first contact.
         rise_time: s from first contact to the full force.
@@ -41,6 +43,7 @@ class ChainPress(Scene):
 
     friction: float = 0.2
     parameters: str = "paper"
+    softness: float = 1.0
     force: float = 5.0
     contact_time: float = 0.02
     rise_time: float = 0.9
@@ -51,7 +54,8 @@ class ChainPress(Scene):
         """At even times of the rise, first contact and full force among them."""
         time = torch.linspace(0, self.rise_time, _TIMES, dtype=torch.float64)
         load = torch.from_numpy(self.normal_force(time.numpy() + self.contact_time))
-        return follow(self.friction, time, load, parameters=self.parameters, elements=self.elements)
+        skin = named(self.parameters).softer(self.softness)
+        return follow(self.friction, time, load, parameters=skin, elements=self.elements)
 
     @cached_property
     def chain_since_onset(self) -> SinceOnset:

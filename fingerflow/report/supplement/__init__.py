@@ -20,7 +20,7 @@ from fingerflow.report.supplement.of_trials import (
 from fingerflow.report.supplement.sheet import Panel, Sheet
 from fingerflow.report.supplement.sources import Sources
 
-__all__ = ["Panel", "Sheet", "Sources", "Written", "write_supplement"]
+__all__ = ["FIGURES", "Panel", "Sheet", "Sources", "Written", "write_supplement"]
 
 #: From their sources to figures; S2 is photographs of the setup, S3 frames of a recording being processed.
 FIGURES: dict[str, Callable[[Sources], Sheet]] = {

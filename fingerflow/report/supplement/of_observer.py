@@ -99,11 +99,12 @@ def individual_performance(sources: Sources) -> Sheet:
 
 def curl(sources: Sources) -> Sheet:
     """Figure S13; A and B of the simulated press."""
-    field, trials = sources.field, sources.trials
+    trials = sources.trials
     panels = [
-        Panel("A (simulated press)", lambda part: draw_curl_map(part, field)),
+        Panel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
         Panel(
-            "B (simulated press)", lambda part: draw_median_curl(part.subplots(), [field.force], [field.median_curl])
+            "B (simulated press)",
+            lambda part: draw_median_curl(part.subplots(), [sources.field.force], [sources.field.median_curl]),
         ),
     ]
     lacks = sources.lacks("divergence", "curl")

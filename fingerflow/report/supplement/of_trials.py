@@ -98,11 +98,12 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 
 def surface_strain(sources: Sources) -> Sheet:
     """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
-    presses = sources.presses
     chain = (
-        Panel("B and D (skin chain)", lambda part: draw_strain_maps(part, presses, (LOW, HIGH)), columns=3, rows=2),
-        Panel("E (skin chain)", lambda part: draw_strain_series(part, presses), columns=3),
-        Panel("F (skin chain)", lambda part: draw_strain_series(part, presses, rate=True), columns=3),
+        Panel(
+            "B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses, (LOW, HIGH)), columns=3, rows=2
+        ),
+        Panel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
+        Panel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
     )
     found, lacking = _from_table(
         sources,
@@ -117,11 +118,10 @@ def surface_strain(sources: Sources) -> Sheet:
 
 def strain_energy(sources: Sources) -> Sheet:
     """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
-    presses = sources.presses
     chain = (
-        Panel("A (skin chain)", lambda part: draw_energy_maps(part, presses, (LOW, HIGH)), columns=2),
-        Panel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), presses)),
-        Panel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), presses, rate=True)),
+        Panel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses, (LOW, HIGH)), columns=2),
+        Panel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
+        Panel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses, rate=True)),
     )
     found, lacking = _from_table(
         sources,

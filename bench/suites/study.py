@@ -1,0 +1,164 @@
+"""Many recordings, from files to results and a table of trials: `fingerflow study` beside a loop over OpenCV.
+
+40 recordings of the simulated press, 300 frames of two 512 x 640 px views each (4 of 24 small frames with --quick).
+They are one recording on disk under as many names, so that pages of files come from memory for both. All outputs are
+computed and written to files; OpenCV's pipeline (`bench/opencv_pipeline.py`) gives contact, tracks and strain, and
+writes nothing. Both run in two processes of one thread each.
+
+`frames_per_s` is by the clock, from the start of the command to the end: to be read on an idle machine alone.
+`cpu_ms_frame` is the processors' time of all processes over the frames, starting and loading of the workers included;
+`in_trials_ms_frame` of it what workers spent within trials. `to_peer` is cpu_ms_frame of OpenCV over that of the row.
+`load` is how many processes the machine had to run on average when the row ended.
+
+Rows `empty tasks` are tasks that do nothing: what client and scheduler spend on each, and with that the recordings a
+second that one scheduler can give out, and how many workers of one thread keep it busy at the measured time of a trial.
+"""
+
+import multiprocessing
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import torch
+
+from bench.rows import Row, number
+from bench.suites.pipeline import PIPELINES, QUICK_PRESS, write_quietly
+from fingerflow.study.cluster import over_workers
+from fingerflow.study.init import init_study
+from fingerflow.study.manifest import load_manifest
+from fingerflow.study.run import run_study
+from fingerflow.study.table import write_tables
+from fingerflow.synthetic import Press
+
+RECORDINGS, QUICK_RECORDINGS = 40, 4
+EMPTY_TASKS, QUICK_EMPTY_TASKS = 4000, 200
+WORKERS = 2
+
+
+def run(quick: bool) -> list[Row]:
+    """A row for the study by workers, one for OpenCV, one for empty tasks."""
+    count = QUICK_RECORDINGS if quick else RECORDINGS
+    press = QUICK_PRESS if quick else Press()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _write(folder, press, count)
+        rows = [_study(folder, press, count, workers) for workers in ((WORKERS,) if quick else (WORKERS, 1))]
+        peer = _opencv(folder / "p01/0um/trial001", press, count)
+    rows = [*rows, peer]
+    for row in rows:
+        row["to_peer"] = number(peer, "cpu_ms_frame") / number(row, "cpu_ms_frame")
+    trial_s = number(rows[0], "in_trials_ms_frame") * press.n_frames / 1e3
+    return [*rows, _empty_tasks(QUICK_EMPTY_TASKS if quick else EMPTY_TASKS, trial_s)]
+
+
+def _write(folder: Path, press: Press, count: int) -> None:
+    first = folder / "p01/0um/trial001"
+    write_quietly(first, press)
+    for trial in range(2, count + 1):
+        other = folder / f"p01/0um/trial{trial:03d}"
+        other.mkdir()
+        for file in first.iterdir():
+            os.link(file, other / file.name)
+    init_study(folder)
+
+
+def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, str | float]:
+    results = folder / f"results-{workers}"
+    manifest = folder / "study.toml"
+    text = manifest.read_text(encoding="utf-8")
+    manifest.write_text(text.replace('results = "results"', f'results = "{results.name}"'), encoding="utf-8")
+    found: list[float] = []
+    with _used() as used:
+        loaded = load_manifest(manifest)
+        summary = run_study(loaded, workers=workers, progress=False)
+        write_tables(loaded)
+        found = [one.cpu_seconds for one in summary.outcomes if not one.reason]
+    manifest.write_text(text, encoding="utf-8")
+    if len(found) != count:
+        raise RuntimeError(f"{len(found)} of {count} trials were measured: {summary}")
+    frames = count * press.n_frames
+    return _row("fingerflow study", workers, count, frames, used) | {"in_trials_ms_frame": 1e3 * sum(found) / frames}
+
+
+def _opencv(recording: Path, press: Press, count: int) -> dict[str, str | float]:
+    context = multiprocessing.get_context("spawn")
+    with _used() as used, context.Pool(WORKERS, initializer=_one_thread) as pool:
+        spent = pool.starmap(_by_opencv, [(recording, press)] * count, chunksize=1)
+        pool.close()
+        pool.join()
+    frames = count * press.n_frames
+    return _row("opencv", WORKERS, count, frames, used) | {"in_trials_ms_frame": 1e3 * sum(spent) / frames}
+
+
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+
+
+def _by_opencv(recording: Path, press: Press) -> float:
+    start = time.process_time()
+    PIPELINES["opencv"](recording, press)
+    return time.process_time() - start
+
+
+def _nothing(_: int) -> int:
+    return 0
+
+
+def _empty_tasks(count: int, trial_s: float) -> dict[str, str | float]:
+    """Of a worker's own time nothing is counted: it is a process apart, as the client with the scheduler is here."""
+    run_of: Callable[[int], Iterator[int]] = lambda many: over_workers(  # noqa: E731
+        _nothing, ((f"empty-{one}", one) for one in range(many)), many, _raise, workers=1, progress=False
+    )
+    spent = []
+    for many in (count // 10, count):  # what starting takes falls out of the difference
+        start = time.process_time()
+        for _ in run_of(many):
+            pass
+        spent.append(time.process_time() - start)
+    each = (spent[1] - spent[0]) / (count - count // 10)
+    return {
+        "what": "empty tasks",
+        "workers": 1,
+        "recordings": count,
+        "scheduler_ms_task": 1e3 * each,
+        "most_recordings_per_s": 1 / each,
+        "workers_that_fill_it": trial_s / each,
+        "load": os.getloadavg()[0],
+    }
+
+
+def _raise(name: str, error: BaseException) -> int:
+    raise error
+
+
+@contextmanager
+def _used() -> Iterator[dict[str, float]]:
+    """Seconds by the clock and of the processors, those of child processes that have ended included."""
+    found: dict[str, float] = {}
+    before, start = _processors(), time.perf_counter()
+    yield found
+    found |= {"seconds": time.perf_counter() - start, "cpu": _processors() - before}
+
+
+def _processors() -> float:
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in both)
+
+
+def _row(what: str, workers: int, count: int, frames: int, used: dict[str, float]) -> dict[str, str | float]:
+    return {
+        "what": what,
+        "workers": workers,
+        "recordings": count,
+        "frames": frames,
+        "seconds": used["seconds"],
+        "frames_per_s": frames / used["seconds"],
+        "cpu_ms_frame": 1e3 * used["cpu"] / frames,
+        "load": os.getloadavg()[0],
+    }

@@ -1,0 +1,97 @@
+"""Commands of a study: many recordings, one table."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fingerflow.cli.app import app
+from fingerflow.errors import FingerflowError
+
+study = typer.Typer(
+    help="Many recordings: from a folder to a table of trials, its statistics and figures.", no_args_is_help=True
+)
+app.add_typer(study, name="study")
+Manifest = Annotated[Path, typer.Argument(help="study.toml, or its folder.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        help="Address of a Dask scheduler (tcp://host:8786), or a deployment class by its name "
+        "(dask_jobqueue.SLURMCluster), with the settings of Dask's own configuration. Default: this computer."
+    ),
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default one a core.")]
+Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
+_INTERRUPTED = 130
+
+
+@study.command()
+def init(
+    folder: Annotated[Path, typer.Argument(help="The folder of the recordings.")],
+    answers: Annotated[
+        Path | None, typer.Option(help="A CSV file: participant, trial, answer (1 or 0), and what else is known.")
+    ] = None,
+) -> None:
+    """Write study.toml and trials.csv from what a folder holds."""
+    from fingerflow.study.init import init_study
+
+    found = init_study(folder, answers)
+    typer.echo(f"{found.manifest} and {found.table.name} were written: {found.trials} trials")
+    for lacking in found.to_fill_in:
+        typer.echo(f"to be filled in: {lacking}")
+    typer.echo(f"then: fingerflow study run {found.manifest}")
+
+
+@study.command()
+def run(
+    manifest: Manifest,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    only: Only = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run and why, and run nothing.")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Also trials that failed, though nothing of them has changed.")
+    ] = False,
+) -> None:
+    """Process what has no result yet, or another one than it should, and write the table of trials."""
+    from fingerflow.study.manifest import load_manifest
+    from fingerflow.study.run import plan_run, run_study
+    from fingerflow.study.table import write_tables
+
+    loaded = load_manifest(manifest)
+    if dry_run:
+        planned = plan_run(loaded, only, retry_failed)
+        for one in planned:
+            typer.echo(f"{one.entry.name}: {one.why}")
+        typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
+        return
+    summary = run_study(loaded, scheduler, workers, only, retry_failed)
+    typer.echo(str(summary))
+    typer.echo(f"table: {write_tables(loaded).trials}")
+    if summary.interrupted:
+        raise typer.Exit(_INTERRUPTED)
+
+
+@study.command()
+def report(manifest: Manifest, scheduler: Scheduler = None, workers: Workers = None) -> None:
+    """Write the page of a study: trials, figures and statistics, from what `run` has left."""
+    from fingerflow.study.manifest import load_manifest
+    from fingerflow.study.report import write_study_report
+
+    typer.echo(f"page: {write_study_report(load_manifest(manifest), scheduler, workers)}")
+
+
+@study.command()
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="A new folder.")],
+    participants: Annotated[int, typer.Option(min=2, help="Half of them with softer skin.")] = 4,
+    trials: Annotated[int, typer.Option(min=1, help="Of each participant in each condition.")] = 2,
+    seed: int = 0,
+) -> None:
+    """Write small recordings of a study with known truth, and the answers of an observer of known sensitivity."""
+    from fingerflow.study.simulated import Design, write_recordings
+
+    if folder.exists():
+        raise FingerflowError(f"{folder} exists already; name another folder")
+    write_recordings(folder, Design(participants=participants, trials=trials, seed=seed))
+    typer.echo(f"{folder} was written; then: fingerflow study init {folder} --answers {folder / 'answers.csv'}")

@@ -1,0 +1,182 @@
+"""Tasks of a study on Dask: a few in flight, whatever happens to workers and scheduler."""
+
+import logging
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from itertools import chain, islice
+from typing import Any, TypeVar
+
+from tqdm import tqdm
+
+from fingerflow.errors import FingerflowError
+
+_IN_FLIGHT = 3  # tasks a worker: one that runs, others that wait beside it
+_RENEWED_AFTER = 200  # tasks a worker, after which all are replaced by fresh ones: whatever leaks goes with them
+_ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
+_CONNECT = "20s"  # to reach a scheduler
+_KEPT = "What is finished is kept; run the same command again for the rest"
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class Interrupted(Exception):
+    """Ctrl-C, or the scheduler was lost; the message says so, and what to do."""
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def over_workers(
+    act: Callable[[Task], Result],
+    tasks: Iterable[tuple[str, Task]],
+    count: int,
+    of_error: Callable[[str, BaseException], Result],
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Iterator[Result]:
+    """Results of tasks, as they come.
+
+    Args:
+        act: what a worker does; a function of a module.
+        tasks: by their names, no two alike; taken when there is room for one.
+        count: of the tasks.
+        of_error: what stands for a task that has raised, or whose workers were killed again and again.
+        scheduler, workers: as in `run_study`.
+        progress: show a bar with the time that is left.
+
+    Raises:
+        FingerflowError: the cluster cannot be had.
+        Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
+    """
+    many = max(1, min(workers or cores(), count))
+    # A local cluster is replaced after so many tasks, when nothing is in flight; another has rules of its own.
+    each_round = _RENEWED_AFTER * many if scheduler is None else None
+    waiting = iter(tasks)
+    with tqdm(total=count, unit="trial", disable=not progress) as bar:
+        while (first := next(waiting, None)) is not None:
+            of_round = islice(chain([first], waiting), each_round)
+            with _client(scheduler, many, threads_each(scheduler, many)) as client:
+                for result in _go_through(client, act, of_round, of_error):
+                    bar.update()
+                    yield result
+
+
+def threads_each(scheduler: str | None, workers: int) -> int:
+    """Threads that a worker computes with: the cores of this computer are shared out, a cluster's workers have one."""
+    return max(1, cores() // workers) if scheduler is None else 1
+
+
+def _go_through(
+    client: Any,
+    act: Callable[[Task], Result],
+    tasks: Iterator[tuple[str, Task]],
+    of_error: Callable[[str, BaseException], Result],
+) -> Iterator[Result]:
+    from distributed import as_completed
+
+    names: dict[str, str] = {}
+
+    def submit(name: str, task: Task) -> Any:
+        future = client.submit(act, task, key=f"{name}-{os.getpid()}", pure=False)
+        names[future.key] = name
+        return future
+
+    many = max(1, sum(client.nthreads().values()))
+    try:
+        with _interrupt_once():
+            waiting = as_completed([submit(*one) for one in islice(tasks, max(2, _IN_FLIGHT * many))])
+            for future in waiting:
+                if future.status == "finished":
+                    yield future.result()
+                elif future.status == "error":
+                    yield of_error(names[future.key], future.exception())
+                else:
+                    raise Interrupted(f"the scheduler was lost. {_KEPT}")
+                del names[future.key]
+                for one in islice(tasks, 1):
+                    waiting.add(submit(*one))
+    except KeyboardInterrupt:
+        raise Interrupted(f"interrupted. {_KEPT}") from None
+    except (OSError, TimeoutError) as error:  # a connection that broke
+        raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
+    """A client of a cluster; both are closed behind it, a scheduler that was there before is left alone."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise FingerflowError(
+            f"a study runs on Dask, which is not installed ({error}): pip install 'fingerflow-engine[study]'"
+        ) from error
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    environment = {
+        f"distributed.nanny.pre-spawn-environ.{name}": threads
+        for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    }
+    with dask.config.set({**environment, "distributed.comm.retry.count": 3}):
+        cluster: Any = None
+        try:
+            if scheduler is not None and scheduler.startswith(_ADDRESS):
+                client = Client(scheduler, timeout=_CONNECT)
+            else:
+                if scheduler is None:
+                    cluster = LocalCluster(
+                        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                        silence_logs=logging.ERROR,
+                    )  # fmt: skip
+                else:
+                    cluster = _deployment(scheduler)()
+                    cluster.scale(workers)
+                client = Client(cluster)
+        except FingerflowError:
+            raise
+        except Exception as error:  # whatever a deployment raises
+            raise FingerflowError(
+                f"no cluster can be had{f' from {scheduler}' if scheduler else ''} ({error or type(error).__name__}); "
+                f"look whether its scheduler runs and can be reached from here"
+            ) from error
+        try:
+            yield client
+        finally:
+            client.close(timeout=5)
+            if cluster is not None:
+                cluster.close(timeout=10)
+
+
+def _deployment(name: str) -> Callable[[], Any]:
+    module, _, kind = name.rpartition(".")
+    try:
+        found: Callable[[], Any] = getattr(import_module(module), kind)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise FingerflowError(
+            f"--scheduler {name}: neither an address such as tcp://host:8786 nor a class that can be imported ({error})"
+        ) from error
+    return found
+
+
+@contextmanager
+def _interrupt_once() -> Iterator[None]:
+    """SIGTERM ends a run as Ctrl-C does."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not in the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,232 @@
+"""`fingerflow study init`: a manifest from what a folder holds."""
+
+import csv
+import io
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fingerflow.atomic_write import write_atomically
+from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.scene_keys import SCENE, File, Key, Table
+from fingerflow.recordings.forces.opening import READER_OF
+from fingerflow.recordings.frames.opening import READERS
+from fingerflow.scene import scene_text
+from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, read_rows
+from fingerflow.toml_string import toml_string
+
+_SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
+_NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")
+# How labs write it in names of folders and files; what does not fit stays to be filled in.
+_GUESSES = {
+    PARTICIPANT: re.compile(r"(?<![a-z])(?:participant|subject|subj|sub|s|p)[-_ ]?(\d+)(?!\d)"),
+    CONDITION: re.compile(r"(\d+(?:[.,p]\d+)?)[-_ ]?(?:um|µm|micron)"),
+    TRIAL: re.compile(r"(?<![a-z])(?:trial|run|rep|t)[-_ ]?(\d+)(?!\d)"),
+}
+
+
+class Found(NamedTuple):
+    """What was written: the manifest, its table, trials, and what is still to be filled in."""
+
+    manifest: Path
+    table: Path
+    trials: int
+    to_fill_in: tuple[str, ...]
+
+
+def init_study(folder: Path, answers: Path | None = None) -> Found:
+    """Write `study.toml` and `trials.csv` into a folder of recordings.
+
+    Where there are scene files in it, each is a trial: what they share becomes the shared scene, what differs becomes
+    columns. Otherwise each recording is one, with the forces of the same name or of the same folder, and the shared
+    scene is to be filled in. Participant, condition (µm) and trial are taken from the names of folders and files.
+
+    Args:
+        folder: is searched at any depth.
+        answers: a CSV file with participant, trial, answer and whatever else is known of trials, such as condition.
+
+    Raises FingerflowError where there is nothing to be found, or a manifest already.
+    """
+    manifest, table = folder / "study.toml", folder / "trials.csv"
+    for file in (manifest, table):
+        if file.exists():
+            raise FingerflowError(f"{file} exists already; remove it or name another folder")
+    if not folder.is_dir():
+        raise FingerflowError(f"{folder} is no folder; name the one that holds the recordings")
+    files = [file for file in sorted(folder.rglob("*")) if not any(part.startswith(".") for part in file.parts)]
+    scenes = [file for file in files if file.suffix == ".toml" and _is_scene(file)]
+    rows, shared = _of_scenes(folder, scenes) if scenes else _of_recordings(folder, files)
+    if answers is not None:
+        for row, known in zip(rows, matching(rows, answers), strict=True):
+            row.update({name: value for name, value in known.items() if value})
+        if not any(row.get(ANSWER) for row in rows):
+            example = read_rows(answers)[0]
+            raise FingerflowError(
+                f"{answers}: none of its trials is one of {folder}, such as participant {rows[0].get(PARTICIPANT)!r}, "
+                f"trial {rows[0].get(TRIAL)!r}; it has {example[PARTICIPANT]!r}, {example[TRIAL]!r}"
+            )
+    others = (name for row in rows for name in row)
+    names = list(dict.fromkeys((RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER, *others)))
+    if not any(FORCES in row for row in rows):
+        names.remove(FORCES)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(table, lambda part: part.write_text(text.getvalue(), encoding="utf-8"))
+    write_atomically(manifest, lambda part: part.write_text(_manifest_text(shared), encoding="utf-8"))
+    empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
+    lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
+    lacking += [f"[scene] in {manifest.name}"] if not scenes else []
+    return Found(manifest, table, len(rows), tuple(lacking))
+
+
+def _is_scene(file: Path) -> bool:
+    try:
+        return "recording" in tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return False
+
+
+def _of_scenes(folder: Path, scenes: Iterable[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+    flat: list[dict[str, Any]] = []
+    rows = []
+    for file in scenes:
+        written = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        values = dict(_flattened(written))
+        for name, value in values.items():
+            if isinstance(_key(name), File):
+                values[name] = _relative(file.parent / value, folder)
+        flat.append(values)
+        rows.append(_guessed(file.parent.relative_to(folder) if file.stem == "scene" else file.relative_to(folder)))
+    common = {name: value for name, value in flat[0].items() if all(one.get(name) == value for one in flat)}
+    for row, values in zip(rows, flat, strict=True):
+        for name, value in values.items():
+            if name not in common or name == "recording.frames":
+                column = {"recording.frames": RECORDING, "forces.file": FORCES}.get(name, name)
+                row[column] = value if isinstance(value, str) else _toml(value)
+    common.pop("recording.frames", None)
+    shared: dict[str, Any] = {}
+    for name, value in common.items():
+        *tables, last = name.split(".")
+        place = shared
+        for part in tables:
+            place = place.setdefault(part, {})
+        place[last] = value
+    return rows, shared
+
+
+def _of_recordings(folder: Path, files: list[Path]) -> tuple[list[dict[str, str]], dict[str, Any]]:
+    recordings = [
+        file
+        for file in files
+        if file.suffix.lower() in _SUFFIXES
+        and not _NO_TRIAL.search(file.stem.lower())
+        and not (file.suffix.lower() == ".cih" and file.with_suffix(".mraw").exists())
+        and not (file.suffix.lower() in READER_OF and not _holds_frames(file))
+    ]
+    if not recordings:
+        raise FingerflowError(
+            f"{folder}: no recording was found in it. Known are {', '.join(sorted(_SUFFIXES))}; of folders of images "
+            f"write study.toml with a pattern"
+        )
+    rows = []
+    for file in recordings:
+        row = _guessed(file.relative_to(folder)) | {RECORDING: _relative(file, folder)}
+        beside = [one for one in files if one.parent == file.parent and one.suffix.lower() in READER_OF and one != file]
+        same = [one for one in beside if one.stem == file.stem]
+        alone = [one for one in recordings if one.parent == file.parent] == [file]
+        forces = same or (beside if alone else [])
+        if len(forces) == 1:
+            row[FORCES] = _relative(forces[0], folder)
+        rows.append(row)
+    return rows, {}
+
+
+def _holds_frames(file: Path) -> bool:
+    """An HDF5 file may hold forces as well."""
+    from fingerflow.recordings import open_recording
+
+    try:
+        with open_recording(file):
+            return True
+    except FingerflowError:
+        return False
+
+
+def _guessed(place: Path) -> dict[str, str]:
+    text = place.as_posix().lower()
+    found: dict[str, str] = {}
+    for name, expression in _GUESSES.items():
+        matches = expression.findall(text)
+        if matches:
+            found[name] = re.sub("[,p]", ".", matches[-1])
+    return found
+
+
+def _flattened(written: Mapping[str, Any], place: str = "") -> Iterable[tuple[str, Any]]:
+    """Values by their dotted keys."""
+    for name, value in written.items():
+        if isinstance(value, dict):
+            yield from _flattened(value, f"{place}{name}.")
+        else:
+            yield f"{place}{name}", value
+
+
+def _key(dotted: str) -> Any:
+    known: Mapping[str, Any] = SCENE
+    for part in dotted.split("."):
+        found = known.get(part)
+        if found is None:
+            return None
+        known = found.keys if isinstance(found, Table) else {}
+    return found.type if isinstance(found, Key) else None
+
+
+def _relative(file: Path, folder: Path) -> str:
+    return Path(os.path.relpath(file, folder)).as_posix()
+
+
+def _manifest_text(shared: Mapping[str, Any]) -> str:
+    head = """# A study of fingerflow: its trials, and a scene that they share. Paths are relative to this file.
+[study]
+trials = "trials.csv"         # a row a trial; a column with a dot, such as tracking.points, is a key of the scene
+results = "results"           # where results, the table of trials and the pages go
+
+"""
+    if shared:
+        return head + "# What a scene file has, for all trials.\n" + _toml_tables(shared, ("scene",))
+    return (
+        head
+        + "# To be filled in: what a scene file has, for all trials.\n"
+        + _under_scene(scene_text(forces="of-each-trial.csv"))
+    )
+
+
+def _under_scene(text: str) -> str:
+    """A scene file as tables below [scene]; what each trial has of its own is left out."""
+    lines = []
+    for line in text.splitlines()[2:]:
+        if line.startswith(('frames = "frames.cine', 'file = "of-each-trial')):
+            continue
+        lines.append(re.sub(r"^((?:# )?)\[(\w[\w.]*)\]", r"\1[scene.\2]", line))
+    return "\n".join(lines) + "\n"
+
+
+def _toml_tables(values: Mapping[str, Any], place: tuple[str, ...]) -> str:
+    plain = {name: value for name, value in values.items() if not isinstance(value, Mapping)}
+    own = "".join(f"{name} = {_toml(value)}\n" for name, value in plain.items())
+    lines = [f"[{'.'.join(place)}]\n{own}"] if plain else []
+    tables = [_toml_tables(value, (*place, name)) for name, value in values.items() if isinstance(value, Mapping)]
+    return "\n".join(lines + tables)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return toml_string(value) if isinstance(value, str) else repr(value)

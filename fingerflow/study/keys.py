@@ -1,0 +1,166 @@
+"""What a result was made of: files by their content, settings and code.
+
+`result` is what the whole result comes from, `row` what the row of the table comes from, the result among it. Which
+stages a changed setting touches, `fingerflow.reuse` knows: a changed gauge length reads no picture.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+from fingerflow.reuse import code_version
+from fingerflow.scene import Scene
+
+_PARTS = ("result", "row")
+_ROW = ("row.py", "columns.py")  # beside this file
+_IN_TWO = (".mraw", ".cih", ".cihx")  # a recording in two files is both
+_WHOLE_BYTES = 16 << 20  # up to which a file is digested as a whole
+_SAMPLES, _SAMPLE_BYTES = 64, 4096  # of a larger one, evenly over it
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file or folder that a trial is made of.
+
+    Attributes:
+        path: as it was found.
+        size: bytes, of a folder those of all its files.
+        modified: ns, of a folder the latest.
+        digest: of its bytes; of a file above 16 MB, of its size and 64 samples of 4 kB evenly over it. A change that
+            keeps the size and misses the samples is known by `modified` alone.
+    """
+
+    path: str
+    size: int
+    modified: int
+    digest: str
+
+    @property
+    def whole(self) -> bool:
+        """Whether the digest is of all bytes."""
+        return self.size <= _WHOLE_BYTES
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Digests; `inputs` by the key of the scene that names each."""
+
+    result: str
+    row: str
+    inputs: Mapping[str, InputFile]
+
+    def as_json(self) -> dict[str, Any]:
+        """For the file of a row."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> "Keys":
+        """From what `as_json` gave; raises KeyError or TypeError for something else."""
+        inputs = {name: InputFile(**one) for name, one in found["inputs"].items()}
+        return cls(found["result"], found["row"], inputs)
+
+    def changed_inputs(self, now: "Keys") -> list[str]:
+        """Keys of the scene whose files are not certainly what they were."""
+        names = dict.fromkeys((*self.inputs, *now.inputs))
+        both = [(name, self.inputs.get(name), now.inputs.get(name)) for name in names]
+        return [name for name, before, after in both if not (before and after and same_content(before, after))]
+
+
+def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Keys:
+    """The keys of a trial as it is now.
+
+    A file that `earlier` knows with the same size and time of change is not read again.
+
+    Raises FingerflowError for a file that cannot be read.
+    """
+    settings = json.loads(scene.as_json())
+    settings.pop("path")
+    settings["stream"].pop("output", None)
+    settings["calibration"].pop("file", None)
+    paths = {str(path) for path in scene.files()[1:]}
+    named = dict(_named(settings, paths))
+    inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
+    contents = {name: [one.size, one.digest] for name, one in inputs.items()}
+    result = _digest(_without(settings, paths), contents, code_of("result"))
+    return Keys(result, _digest(result, code_of("row")), inputs)
+
+
+def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
+    """A file or folder as it is now; its digest is the earlier one where size and time have not changed."""
+    file = Path(str(path).partition("::")[0])
+    try:
+        facts = [(one, one.stat()) for one in _files_of(file)]
+        size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
+        if earlier is not None and (earlier.size, earlier.modified) == (size, modified):
+            return InputFile(str(path), size, modified, earlier.digest)
+        digest = hashlib.sha256(str(path).partition("::")[2].encode())
+        for one, fact in facts:
+            digest.update(f"{one.name} {fact.st_size} ".encode())
+            _add_content(digest, one, fact.st_size)
+    except OSError as error:
+        raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
+    return InputFile(str(path), size, modified, digest.hexdigest()[:16])
+
+
+def same_content(before: InputFile, now: InputFile) -> bool:
+    """Whether a file is certainly what it was: a digest of samples counts only beside an unchanged time."""
+    unchanged = (before.size, before.digest) == (now.size, now.digest)
+    return unchanged and (before.modified == now.modified or now.whole)
+
+
+def all_codes() -> dict[str, str]:
+    """`code_of` by part."""
+    return {part: code_of(part) for part in _PARTS}
+
+
+@cache
+def code_of(part: str) -> str:
+    """The code behind a part, "result" or "row"."""
+    if part == "result":
+        return code_version()
+    return _digest(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _ROW))
+
+
+def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:
+    """Files among settings by their dotted keys."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _named(value, paths, f"{place}{name}.")
+        elif isinstance(value, str) and value in paths:
+            yield f"{place}{name}", value
+
+
+def _without(value: Any, paths: set[str]) -> Any:
+    """Settings without the names of files, which count by their content."""
+    if isinstance(value, dict):
+        kept = {name: one for name, one in value.items() if not (isinstance(one, str) and one in paths)}
+        return {name: _without(one, paths) for name, one in kept.items()}
+    return value
+
+
+def _files_of(file: Path) -> list[Path]:
+    if file.is_dir():
+        return sorted(one for one in file.rglob("*") if one.is_file())
+    if file.suffix.lower() in _IN_TWO:
+        return sorted(one for one in file.parent.iterdir() if one.stem == file.stem and one.suffix.lower() in _IN_TWO)
+    return [file]
+
+
+def _add_content(digest: Any, file: Path, size: int) -> None:
+    with file.open("rb") as opened:
+        if size <= _WHOLE_BYTES:
+            while part := opened.read(1 << 20):
+                digest.update(part)
+            return
+        for number in range(_SAMPLES):
+            opened.seek(round(number * (size - _SAMPLE_BYTES) / (_SAMPLES - 1)))
+            digest.update(opened.read(_SAMPLE_BYTES))
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

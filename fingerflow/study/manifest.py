@@ -1,0 +1,307 @@
+"""`study.toml`: the recordings of a study, a scene that they share, and what is known of each trial."""
+
+import csv
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+from fingerflow.player.contract.scene_keys import SCENE, Table
+from fingerflow.scene import Scene, scene_from
+from fingerflow.study.columns import OF_RESULTS
+
+#: Columns of a table of trials that the study itself reads; one with a dot is a key of the scene.
+RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER = (
+    "recording", "forces", "participant", "trial", "condition", "answer",
+)  # fmt: skip
+KNOWN = (RECORDING, FORCES, PARTICIPANT, TRIAL, CONDITION, ANSWER)
+_KEY_OF = {RECORDING: "recording.frames", FORCES: "forces.file"}
+_ANSWERS = {"1": True, "true": True, "0": False, "false": False}
+_NO_ANSWER = ("", "nan", "na")
+_STUDY_KEYS = ("results", "trials", "pattern", "forces", "answers")
+_MOST_SHOWN = 20  # wrong rows that are named; the others are counted
+
+
+@dataclass(frozen=True)
+class TrialEntry:
+    """One row of the manifest.
+
+    Attributes:
+        name: of its folder among the results; no other trial of the study has it.
+        place: "trials.csv, row 7", for errors.
+        participant, trial, condition: as they stand there.
+        answer: whether the comparison was felt as more slippery, None where there is no answer.
+        others: columns that are neither of these nor keys of the scene; they stand in the table of trials too.
+        settings: tables and keys of the scene that differ from the shared one, the recording among them.
+    """
+
+    name: str
+    place: str
+    participant: str
+    trial: str
+    condition: str
+    answer: bool | None
+    others: Mapping[str, str]
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A study; `shared` is its scene as TOML gives it, of which each trial may replace keys."""
+
+    path: Path
+    results: Path
+    shared: Mapping[str, Any]
+    trials: tuple[TrialEntry, ...]
+
+    def scene_of(self, entry: TrialEntry) -> Scene:
+        """The scene of a trial. Raises FingerflowError with the place of the row, key, value and remedy."""
+        return scene_from(_merged(self.shared, entry.settings), self.path, f"{entry.place}: [scene] of {self.path}")
+
+    @cached_property
+    def by_name(self) -> dict[str, TrialEntry]:
+        """The trials by the names of their folders."""
+        return {entry.name: entry for entry in self.trials}
+
+
+def load_manifest(path: str | Path) -> Manifest:
+    """Read `study.toml` and its table of trials, a CSV file or a pattern over file names.
+
+    ::
+
+        [study]
+        trials = "trials.csv"             # columns recording, forces, participant, trial, condition, answer
+        # pattern = "{participant}/{condition}um/{trial}.cine"     in place of the table
+        # forces = "{participant}/{condition}um/{trial}.csv"       beside each recording of the pattern
+        results = "results"
+
+        [scene.views.contact]             # and so on: what a scene file has, for all trials
+        ...
+
+    A column with a dot, such as `tracking.points`, is a key of the scene that differs from trial to trial.
+
+    Raises FingerflowError for a file that is missing or no TOML, an unknown key or column, a row that lacks something
+    or that is there twice; it names the row.
+    """
+    path = Path(path).resolve()
+    if path.is_dir():
+        path = path / "study.toml"
+    try:
+        written = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise FingerflowError(
+            f"{path} cannot be read ({error.strerror or error}); `fingerflow study init FOLDER` writes one"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FingerflowError(f"{path} is not valid TOML: {error}; correct it there") from None
+    _refuse_unknown(path, written, ("study", "scene"))
+    study, shared = written.get("study", {}), written.get("scene", {})
+    if not isinstance(study, dict) or not isinstance(shared, dict):
+        raise FingerflowError(f"{path}: study and scene are tables, [study] and [scene.views.contact]")
+    _refuse_unknown(path, study, _STUDY_KEYS, "study.")
+    for key, value in study.items():
+        if not isinstance(value, str) or not value:
+            raise FingerflowError(f"{path}: study.{key} is {value!r}; give a path or a pattern in quotes")
+    if ("trials" in study) == ("pattern" in study):
+        raise FingerflowError(f"{path}: [study] needs one of trials (a CSV file) and pattern (over file names)")
+    if "forces" in study and "pattern" not in study:
+        raise FingerflowError(f"{path}: study.forces goes with study.pattern; a table of trials has a column forces")
+    if "trials" in study:
+        table = path.parent / study["trials"]
+        rows = read_rows(table)
+        places = [f"{table}, row {number}" for number in range(2, len(rows) + 2)]
+    else:
+        rows = _matches(path, study["pattern"], study.get("forces"))
+        places = [f"{path}, {row[RECORDING]}" for row in rows]
+    if "answers" in study:
+        _add_answers(rows, path.parent / study["answers"])
+    results = (path.parent / study.get("results", "results")).resolve()
+    return Manifest(path, results, shared, _entries(rows, places, path))
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file by the names in its heading; raises FingerflowError for what is no table."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            heading, *rows = [row for row in csv.reader(file) if row] or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FingerflowError(f"{path} cannot be read ({reason}); give a CSV file in UTF-8") from None
+    names = [name.strip() for name in heading]
+    if not rows or "" in names or len(set(names)) < len(names):
+        raise FingerflowError(
+            f"{path}: has the columns {', '.join(map(repr, names)) or 'none'} and {len(rows)} rows; give a heading of "
+            f"different names and one row a trial"
+        )
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(names):
+            raise FingerflowError(f"{path}, row {number}: {len(row)} cells, the heading has {len(names)}")
+    return [{name: cell.strip() for name, cell in zip(names, row, strict=True)} for row in rows]
+
+
+def matching(rows: Iterable[Mapping[str, str]], answers: Path) -> list[dict[str, str]]:
+    """For each row of trials what a table of answers says of it; both have participant and trial.
+
+    Raises FingerflowError where the table lacks one of these columns, or says two things of a trial.
+    """
+    table = read_rows(answers)
+    lacking = [name for name in (PARTICIPANT, TRIAL, ANSWER) if name not in table[0]]
+    if lacking:
+        raise FingerflowError(f"{answers}: has no column {', '.join(lacking)}; it has {', '.join(table[0])}")
+    known: dict[tuple[str, str], dict[str, str]] = {}
+    for number, row in enumerate(table, start=2):
+        key = row[PARTICIPANT], row[TRIAL]
+        if key in known:
+            raise FingerflowError(f"{answers}, row {number}: participant {key[0]}, trial {key[1]} is there twice")
+        known[key] = row
+    return [known.get((row.get(PARTICIPANT, ""), row.get(TRIAL, "")), {}) for row in rows]
+
+
+def _add_answers(rows: list[dict[str, str]], answers: Path) -> None:
+    for row, found in zip(rows, matching(rows, answers), strict=True):
+        row.update({name: value for name, value in found.items() if not row.get(name)})
+        row.setdefault(ANSWER, "")
+
+
+def _matches(path: Path, pattern: str, forces: str | None) -> list[dict[str, str]]:
+    """A row for every file that a pattern with names in braces fits, in order of the names."""
+    parts = re.split(r"\{(\w+)\}", pattern)
+    glob = "*".join(re.sub(r"([\[\]*?])", r"[\1]", part) for part in parts[::2])
+    expression, seen = "", set[str]()
+    for number, part in enumerate(parts):
+        if number % 2 == 0:
+            expression += re.escape(part)
+        elif part in seen:
+            expression += f"(?P={part})"
+        else:
+            expression += f"(?P<{part}>[^/]+?)"
+            seen.add(part)
+    rows = []
+    for file in sorted(path.parent.glob(glob)):
+        name = file.relative_to(path.parent).as_posix()
+        if found := re.fullmatch(expression, name):
+            row = {**found.groupdict(), RECORDING: name}
+            if forces is not None:
+                row[FORCES] = re.sub(r"\{(\w+)\}", lambda part, of=row: of.get(part[1], part[0]), forces)  # type: ignore[misc]
+            rows.append(row)
+    if not rows:
+        raise FingerflowError(f"{path}: no file fits study.pattern = {pattern!r} in {path.parent}")
+    return rows
+
+
+def _entries(rows: list[dict[str, str]], places: list[str], path: Path) -> tuple[TrialEntry, ...]:
+    lacking = [name for name in (RECORDING, PARTICIPANT, CONDITION) if name not in rows[0]]
+    if lacking:
+        close = {name: difflib.get_close_matches(name, rows[0], n=1) for name in lacking}
+        hints = [f"did you mean {found[0]!r} by {name}? " for name, found in close.items() if found]
+        raise FingerflowError(
+            f"{places[0]}: there is no column {', '.join(lacking)}; {''.join(hints)}there are {', '.join(rows[0])}"
+        )
+    for name in rows[0]:
+        if "." in name:
+            _check_key(name, places[0])
+        elif name in OF_RESULTS:
+            raise FingerflowError(f"{places[0]}: the column {name!r} is one that the study measures; rename it")
+    wrong, found, names = [], [], dict[str, str]()
+    for number, (row, place) in enumerate(zip(rows, places, strict=True), start=1):
+        try:
+            entry = _entry(row, place, str(number))
+        except FingerflowError as error:
+            wrong.append(str(error))
+            continue
+        if entry.name in names:
+            wrong.append(
+                f"{place}: trial {entry.trial} of participant {entry.participant}, condition {entry.condition}, is "
+                f"also {names[entry.name]}; number the trials"
+            )
+        names[entry.name] = place
+        found.append(entry)
+    if wrong:
+        more = len(wrong) - _MOST_SHOWN
+        raise FingerflowError(
+            "\n".join(wrong[:_MOST_SHOWN] + ([f"and {more} rows more in {path}"] if more > 0 else []))
+        )
+    return tuple(found)
+
+
+def _entry(row: Mapping[str, str], place: str, number: str) -> TrialEntry:
+    for name in (RECORDING, PARTICIPANT, CONDITION):
+        if not row[name]:
+            raise FingerflowError(f"{place}: {name} is empty; fill it in, or remove the row")
+    answer = row.get(ANSWER, "").lower()
+    if answer not in _ANSWERS and answer not in _NO_ANSWER:
+        raise FingerflowError(
+            f"{place}: answer is {row[ANSWER]!r}; give 1 where the comparison was felt as more slippery, 0 where not, "
+            f"nothing where there is no answer"
+        )
+    settings: dict[str, Any] = {}
+    for name, cell in row.items():
+        key = _KEY_OF.get(name, name)
+        if "." in key and cell:
+            table = settings
+            *tables, last = key.split(".")
+            for part in tables:
+                table = table.setdefault(part, {})
+            table[last] = _value(cell) if name not in _KEY_OF else cell
+    trial = row.get(TRIAL) or number
+    parts = (row[PARTICIPANT], row[CONDITION], trial)
+    return TrialEntry(
+        name="_".join(_safe(part) for part in parts),
+        place=place,
+        participant=row[PARTICIPANT],
+        trial=trial,
+        condition=row[CONDITION],
+        answer=_ANSWERS.get(answer),
+        others={name: cell for name, cell in row.items() if name not in KNOWN and "." not in name},
+        settings=settings,
+    )
+
+
+def _check_key(dotted: str, place: str) -> None:
+    """Raises FingerflowError for a column that is no key of a scene; those of views depend on its kind."""
+    known: Mapping[str, Any] = SCENE
+    for number, part in enumerate(dotted.split(".")):
+        if part == "views" and number == 0:
+            return
+        if part not in known:
+            close = difflib.get_close_matches(part, known, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise FingerflowError(
+                f"{place}: the column {dotted!r} is no key of a scene; {hint}known here: {', '.join(known)}"
+            )
+        table = known[part]
+        known = table.keys if isinstance(table, Table) else {}
+
+
+def _value(cell: str) -> Any:
+    """A cell as TOML would have it: a number, a list, true or false; what is none of them is text."""
+    try:
+        return tomllib.loads(f"value = {cell}")["value"]
+    except tomllib.TOMLDecodeError:
+        return cell
+
+
+def _safe(text: str) -> str:
+    """Letters, digits, dots and dashes as they are, any other character by its number: two texts stay two."""
+    return re.sub(r"[^\w.-]|_", lambda found: f"%{ord(found[0]):02x}", text, flags=re.ASCII)
+
+
+def _merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(shared)
+    for name, value in own.items():
+        there = merged.get(name)
+        merged[name] = _merged(there, value) if isinstance(there, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _refuse_unknown(path: Path, written: Mapping[str, Any], known: tuple[str, ...], table: str = "") -> None:
+    for name in written:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise FingerflowError(f"{path}: {table}{name} is not a key; {hint}known here: {', '.join(known)}")

@@ -1,0 +1,198 @@
+"""The page of a study: every trial with its thumbnail and report, the figures and the statistics."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jinja2 import Environment
+
+from fingerflow.atomic_write import write_atomically
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
+from fingerflow.report import write_report
+from fingerflow.report.trial_metrics import METRICS
+from fingerflow.report.views import ViewPainter
+from fingerflow.result import load_result, open_result
+from fingerflow.scene import Scene
+from fingerflow.study.cluster import over_workers
+from fingerflow.study.figures import write_figures
+from fingerflow.study.files import MEASURED, read_row
+from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.statistics import sample_of, statistics_of
+from fingerflow.study.table import write_tables
+
+_THUMBNAIL_PX = 220  # wide
+_SHOWN = ("max_force", "divergence", "strain_energy", "gross_contact_area", "global_displacement")
+_FEWEST_ALIKE = 5  # trials of a condition, from which one can be told to be far from the others
+_MAD = 1.4826  # standard deviations of a Gaussian in a median absolute deviation
+
+
+@dataclass(frozen=True)
+class PageJob:
+    """A trial whose report and thumbnail are to be written; the manifest is of it alone."""
+
+    manifest: Manifest
+    entry: TrialEntry
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """How far a trial is from the others of its condition, in robust deviations, and by which metric."""
+
+    deviations: float
+    metric: str
+
+
+def write_study_report(
+    manifest: Manifest, scheduler: str | None = None, workers: int | None = None, progress: bool = True
+) -> Path:
+    """Writes `index.html`, `statistics.json` and `figures` among the results, and the report of each trial.
+
+    Reports and thumbnails that are newer than the row of their trial are kept; the others are made by workers, as in
+    `run_study`. Figures and statistics come from the table alone.
+
+    Raises FingerflowError where nothing has been measured, the cluster cannot be had, or a file cannot be written.
+    """
+    import pandas as pd
+
+    tables = write_tables(manifest)
+    frame, curves = pd.read_parquet(tables.trials), pd.read_csv(tables.curves)
+    sample = sample_of(frame)
+    waiting = list(_without_pages(manifest))
+    said = [
+        one
+        for one in over_workers(
+            write_page,
+            ((job.entry.name, job) for job in waiting),
+            len(waiting),
+            lambda name, error: f"{name}: {error}",
+            scheduler,
+            workers,
+            progress,
+        )
+        if one
+    ] if waiting else []  # fmt: skip
+    figures = write_figures(frame, sample, curves, manifest.results / "figures")
+    statistics = statistics_of(sample)
+    text = json.dumps(statistics, indent=1, ensure_ascii=False)
+    write_atomically(manifest.results / "statistics.json", lambda part: part.write_text(text, encoding="utf-8"))
+    template = Environment(autoescape=True).from_string(files(__package__).joinpath("index.html").read_text("utf-8"))
+    html = template.render(
+        study=manifest.path.parent.name,
+        rows=_rows(manifest, frame),
+        shown=[(name, METRICS[name].label, METRICS[name].factor) for name in _SHOWN if name in frame],
+        counted=sample.counted,
+        statuses=frame["status"].value_counts().to_dict(),
+        answered=sample.answered,
+        figures=figures,
+        statistics=statistics,
+        labels={name: shown.label.partition(" (")[0] for name, shown in METRICS.items()},
+        pages_failed=said,
+    )
+    path = manifest.results / "index.html"
+    write_atomically(path, lambda part: part.write_text(html, encoding="utf-8"))
+    return path
+
+
+def write_page(job: PageJob) -> str:
+    """Writes `report.html` and `thumbnail.jpg` of a trial; what went wrong in words, nothing where it did not."""
+    folder = job.manifest.results / job.entry.name
+    stored = read_row(folder)
+    if stored is None or stored.result is None:
+        return ""
+    try:
+        scene = job.manifest.scene_of(job.entry)
+        write_report(load_result(folder / stored.result), scene, folder, video=False)
+        _write_thumbnail(folder / stored.result, scene, folder / "thumbnail.jpg")
+    except FingerflowError as error:
+        return f"{job.entry.name}: {error}"
+    return ""
+
+
+def outliers(frame: Any) -> list[Outlier]:
+    """For each trial the metric by which it is furthest from the median of its condition.
+
+    In units of 1.4826 times the median absolute deviation of that condition; 0 where there are fewer than five trials.
+    """
+    best = np.zeros(len(frame))
+    by = np.full(len(frame), "", dtype=object)
+    for metric in METRICS:
+        if metric not in frame:
+            continue
+        values = frame[metric].to_numpy(np.float64)
+        for condition in frame["condition"].unique():
+            own = (frame["condition"] == condition).to_numpy() & np.isfinite(values)
+            if own.sum() < _FEWEST_ALIKE:
+                continue
+            away = np.abs(values[own] - np.median(values[own]))
+            spread = _MAD * np.median(away)
+            if spread > 0:
+                score = np.zeros(len(frame))
+                score[own] = away / spread
+                by[score > best] = metric
+                best = np.maximum(best, score)
+    return [Outlier(float(score), str(metric)) for score, metric in zip(best, by, strict=True)]
+
+
+def _without_pages(manifest: Manifest) -> Iterator[PageJob]:
+    for entry in manifest.trials:
+        folder = manifest.results / entry.name
+        stored = read_row(folder)
+        if stored is None or stored.status != MEASURED:
+            continue
+        row = (folder / "row.json").stat().st_mtime_ns
+        made = [folder / "report.html", folder / "thumbnail.jpg"]
+        if not all(one.exists() and one.stat().st_mtime_ns >= row for one in made):
+            alone = Manifest(manifest.path, manifest.results, manifest.shared, (entry,))
+            yield PageJob(alone, entry)
+
+
+def _write_thumbnail(result: Path, scene: Scene, path: Path) -> None:
+    with (
+        open_result(result) as opened,
+        open_recording(scene.recording.frames, frame_rate=scene.recording.frame_rate) as recording,
+    ):
+        area = opened["gross_contact_area"].fillna(0).values if "gross_contact_area" in opened else np.zeros(1)
+        picture = ViewPainter(opened, scene, recording).paint(int(np.argmax(area)))
+    height = round(_THUMBNAIL_PX * picture.shape[0] / picture.shape[1])
+    small = cv2.resize(picture, (_THUMBNAIL_PX, height), interpolation=cv2.INTER_AREA)
+    encoded = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+    write_atomically(path, lambda part: part.write_bytes(encoded.tobytes()))
+
+
+def _rows(manifest: Manifest, frame: Any) -> list[dict[str, Any]]:
+    """What the page shows of each trial: those that failed first, then by how far off they are."""
+    rows = []
+    for entry, outlier, (_, values) in zip(manifest.trials, outliers(frame), frame.iterrows(), strict=True):
+        folder = manifest.results / entry.name
+        measured = values["status"] == MEASURED
+        rows.append(
+            {
+                "name": entry.name,
+                "participant": entry.participant,
+                "condition": entry.condition,
+                "trial": entry.trial,
+                "answer": "" if entry.answer is None else "more slippery" if entry.answer else "not",
+                "status": values["status"],
+                "verdict": values["slip_verdict"] or "",
+                "reason": values["reason"],
+                "warnings": (values["warnings"] or "").splitlines() if measured else [],
+                "usable": values["usable_frames"] / values["frames"] if measured else None,
+                "coverage": values["coverage"] if measured and np.isfinite(values["coverage"]) else None,
+                "outlier": outlier.deviations if measured else None,
+                "by": METRICS[outlier.metric].label.partition(" (")[0] if outlier.metric else "",
+                "page": f"{entry.name}/report.html" if (folder / "report.html").exists() and measured else "",
+                "thumbnail": f"{entry.name}/thumbnail.jpg" if (folder / "thumbnail.jpg").exists() and measured else "",
+                "values": {
+                    name: METRICS[name].factor * values[name] if np.isfinite(values[name]) else None
+                    for name in _SHOWN
+                    if name in frame
+                },
+            }
+        )
+    return sorted(rows, key=lambda row: (row["status"] == MEASURED, -(row["outlier"] or 0.0)))

@@ -1,0 +1,237 @@
+"""One trial's result as a row of numbers, and as curves against force on a grid that all trials share."""
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.stages.series import rate
+from fingerflow.study.columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
+
+Series = NDArray[np.float64]
+Moment = tuple[int, int, float]  # two frames, and how far between them
+
+#: N, at which curves are averaged.
+FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
+#: Metrics that have a curve.
+CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
+
+_LARGEST_QUANTILE = 0.99
+_ANGLE_SHARE = 0.1  # of the largest force, below which T/N is noise over little
+_SLID = 0.02  # stuck share below which no skin sticks
+_FEWEST_SLID = 5  # frames
+
+
+def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
+    """The row of a trial by the names of `columns.NUMBERS` and `FACTS`, and its curves on `FORCE_GRID`.
+
+    None stands for what is not known: it was not measured, its moment did not come, or a frame there is not usable.
+
+    At a force F the value lies on the straight line between the two frames around its first crossing, after the onset
+    and before the maximum. The strain along the direction t, the major axis of the gross contact at its maximum, is
+    t' E t of the median components; its deviation takes their errors as independent.
+    """
+    trial = _Trial(result)
+    row: dict[str, Any] = dict.fromkeys(NUMBERS)
+    row |= trial.of_the_whole()
+    for name, _, _, has_std, largest in AT_MOMENTS:
+        series, deviation = trial.series.get(name), trial.series.get(f"{name}_std")
+        if series is None:
+            continue
+        for moment, where in trial.moments.items():
+            suffix = "" if moment == AT_MAX and not largest else f"_{moment}"
+            row[f"{name}{suffix}"] = _at(series, where)
+            if has_std and deviation is not None:
+                row[f"{name}{suffix}_std"] = _at(deviation, where)
+        if largest:
+            row[name] = trial.largest(series)
+    known = {name: None if value is None or not np.isfinite(value) else float(value) for name, value in row.items()}
+    curves = {name: trial.curve(trial.series[name]) for name in CURVES if name in trial.series}
+    return {**known, **trial.facts()}, {name: curve for name, curve in curves.items() if curve is not None}
+
+
+class _Trial:
+    """The series of a result by the names of the table, and its moments."""
+
+    def __init__(self, result: xr.Dataset) -> None:
+        self._result = result
+        self._time = np.asarray(result["time"].values, dtype=np.float64)
+        self._window = float(json.loads(result.attrs["settings"])["fields"]["rate_window_s"])
+        self._usable = self._read("frame_status", np.zeros(len(self._time))) == 0
+        self._force = self._values("normal_force")
+        self._gross = self._values("gross_contact_area")
+        touching = np.flatnonzero(np.nan_to_num(self._gross) > 0) if self._gross is not None else np.empty(0, int)
+        self.onset = int(touching[0]) if len(touching) else None
+        self.last = int(touching[-1]) if len(touching) else None
+        self.top = self._most()
+        self.series = self._series()
+        self.moments = self._moments()
+
+    def _read(self, name: str, otherwise: Series) -> Series:
+        return np.asarray(self._result[name].values) if name in self._result else otherwise
+
+    def _values(self, name: str) -> Series | None:
+        """NaN in frames that are not usable; None where the result has no such variable."""
+        if name not in self._result:
+            return None
+        values = np.array(self._result[name].values, dtype=np.float64)
+        values[~self._usable] = np.nan
+        return values
+
+    def _most(self) -> int | None:
+        """The frame of the largest force while the finger touches, or without forces of the largest gross area."""
+        by = self._force if self._force is not None and np.isfinite(self._force).any() else self._gross
+        if by is None or self.onset is None or self.last is None:
+            return None
+        part = by[self.onset : self.last + 1]
+        return self.onset + int(np.nanargmax(part)) if np.isfinite(part).any() else None
+
+    def _series(self) -> dict[str, Series]:
+        names = {
+            "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
+            "divergence": "median_divergence", "divergence_std": "median_divergence_std",
+            "divergence_rate": "median_divergence_rate", "curl": "median_curl", "curl_std": "median_curl_std",
+            "strain_energy": "strain_energy", "strain_energy_std": "strain_energy_std",
+            "strain_energy_rate": "strain_energy_rate", "global_displacement": "global_displacement",
+        }  # fmt: skip
+        found = {name: self._values(variable) for name, variable in names.items()}
+        known = {name: values for name, values in found.items() if values is not None}
+        known |= self._strains()
+        ratio = self._values("load_ratio")
+        if ratio is not None and self._force is not None:
+            pressed = self._force >= _ANGLE_SHARE * np.nanmax(self._force, initial=0.0)
+            known["force_angle"] = np.where(pressed, np.abs(np.arctan(ratio)), np.nan)
+        if "status" in self._result and "in_contact" in self._result:
+            covered = self._result["in_contact"].values > 0
+            tracked = covered & (self._result["status"].values == 0)
+            count = covered.sum(1)
+            share = np.where((count > 0) & self._usable, tracked.sum(1) / np.maximum(count, 1), np.nan)
+            known["coverage"] = share
+        return known
+
+    def _strains(self) -> dict[str, Series]:
+        if self.top is None or "median_strain" not in self._result:
+            return {}
+        angle = float(self._result["ellipse_angle"].values[self.top])
+        strain, deviation = self._values("median_strain"), self._values("median_strain_std")
+        rates = self._values("median_strain_rate")
+        assert strain is not None
+        assert deviation is not None
+        assert rates is not None
+        found = {}
+        for name, turned in (("strain", angle), ("strain_across", angle + np.pi / 2)):
+            cosine, sine = np.cos(turned), np.sin(turned)
+            weights = np.array([cosine**2, sine**2, 2 * cosine * sine])
+            found[name] = strain @ weights
+            found[f"{name}_std"] = np.sqrt(deviation**2 @ weights**2)
+            if name == "strain":
+                found["strain_rate"] = rates @ weights
+        return found
+
+    def _moments(self) -> dict[str, Moment]:
+        moments: dict[str, Moment] = {}
+        if self.onset is None or self.top is None:
+            return moments
+        moments[AT_ONSET] = (self.onset, self.onset, 0.0)
+        moments[AT_MAX] = (self.top, self.top, 0.0)
+        for force in FORCES_N:
+            where = self.crossing(force)
+            if where is not None:
+                moments[f"at_{force:g}n"] = where
+        return moments
+
+    def crossing(self, force: float) -> Moment | None:
+        """Where the normal force first reaches a value, between onset and maximum."""
+        if self._force is None or self.onset is None or self.top is None:
+            return None
+        frames = np.arange(max(self.onset - 1, 0), self.top + 1)
+        frames = frames[np.isfinite(self._force[frames])]
+        values = self._force[frames]
+        above = np.flatnonzero(values >= force)
+        if not len(above) or above[0] == 0:
+            return None
+        before, after = int(frames[above[0] - 1]), int(frames[above[0]])
+        share = (force - values[above[0] - 1]) / (values[above[0]] - values[above[0] - 1])
+        return before, after, float(share)
+
+    def curve(self, series: Series) -> list[float | None] | None:
+        """Values on `FORCE_GRID`, None where the force does not come to; None where nothing is known."""
+        places = [self.crossing(float(force)) for force in FORCE_GRID]
+        values = [np.nan if where is None else _at(series, where) for where in places]
+        return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
+
+    def largest(self, series: Series) -> float:
+        """From onset to the last frame with contact."""
+        if self.onset is None or self.last is None:
+            return np.nan
+        part = series[self.onset : self.last + 1]
+        return float(np.nanmax(part)) if np.isfinite(part).any() else np.nan
+
+    def of_the_whole(self) -> dict[str, float]:
+        """Numbers that have no moment."""
+        found: dict[str, float] = {}
+        if self.onset is None or self.last is None or self.top is None:
+            return found
+        found["duration"] = self._time[self.last] - self._time[self.onset]
+        if self._force is not None:
+            found["max_force"] = self._force[self.top]
+            found["time_to_max_force"] = self._time[self.top] - self._time[self.onset]
+            rates = rate(self._force, self._time, self._window)[self.onset : self.top + 1]
+            found["force_rate"] = float(np.nanmax(rates)) if np.isfinite(rates).any() else np.nan
+        axes = self._values("ellipse_semi_axes")
+        if axes is not None:
+            found["longest_axis_ratio"] = axes[self.top, 0] / axes[self.top, 1]
+        if "displacement" in self._result:
+            found |= self._of_displacement()
+        stuck, ratio = self._values("stuck_ratio"), self._values("load_ratio")
+        if stuck is not None and ratio is not None:
+            slid = np.isfinite(ratio) & (stuck <= _SLID)
+            if slid.sum() >= _FEWEST_SLID:
+                found["friction"] = float(np.median(np.abs(ratio[slid])))
+        return found
+
+    def _of_displacement(self) -> dict[str, float]:
+        assert self.onset is not None
+        assert self.last is not None
+        assert self.top is not None
+        moved = np.asarray(self._result["displacement"][self.onset : self.last + 1].values, dtype=np.float64)
+        usable = self._usable[self.onset : self.last + 1]
+        length = np.hypot(moved[..., 0], moved[..., 1])
+        length[~usable] = np.nan
+        length[self._result["in_contact"].values[self.onset : self.last + 1] == 0] = np.nan
+        counts = np.isfinite(length).sum(1)
+        if not counts.any():
+            return {}
+        # The quantile as the value of one point, whose speed is asked for too: the lower neighbour.
+        order = np.argsort(length, axis=1)  # NaN last
+        chosen = np.floor(_LARGEST_QUANTILE * np.maximum(counts - 1, 0)).astype(int)
+        point = np.take_along_axis(order, chosen[:, None], axis=1)[:, 0]
+        largest = np.where(counts > 0, np.take_along_axis(length, point[:, None], axis=1)[:, 0], np.nan)
+        frame = int(np.nanargmax(largest))
+        velocity = rate(moved[:, point[frame]], self._time[self.onset : self.last + 1], self._window)
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self.top - self.onset + 1]
+        return {
+            "max_displacement": float(largest[frame]),
+            "max_speed": float(np.nanmax(speed)) if np.isfinite(speed).any() else np.nan,
+        }
+
+    def facts(self) -> dict[str, Any]:
+        """What is no number with a unit."""
+        attributes = self._result["stuck_ratio"].attrs if "stuck_ratio" in self._result else {}
+        return {
+            "frames": len(self._time),
+            "usable_frames": int(self._usable.sum()),
+            "warnings": "\n".join(json.loads(self._result.attrs["warnings"])),
+            "slip_verdict": json.loads(attributes["verdict"])["outcome"] if "verdict" in attributes else None,
+        }
+
+
+def _at(series: Series, where: Moment) -> float:
+    before, after, share = where
+    return (
+        float(series[after])
+        if share == 1 or before == after
+        else float((1 - share) * series[before] + share * series[after])
+    )

@@ -1,0 +1,156 @@
+"""Which trials are to be run and why, and running them on Dask."""
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+
+from fingerflow.errors import FingerflowError
+from fingerflow.study.cluster import Interrupted, cores, over_workers, threads_each
+from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, write_row
+from fingerflow.study.keys import all_codes, keys_of
+from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.trial import Job, Outcome, is_current, run_trial
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A trial that is to be run: from which part on, and why."""
+
+    entry: TrialEntry
+    redo: Part
+    why: str
+
+
+@dataclass
+class Summary:
+    """How a run ended: outcomes by status, what failed and why, and whether it was interrupted."""
+
+    planned: int
+    skipped: int
+    outcomes: list[Outcome] = field(default_factory=list)
+    interrupted: str = ""
+
+    def __str__(self) -> str:
+        """A line of counts, and one for each failure."""
+        counts = Counter(one.status for one in self.outcomes)
+        left = self.planned - len(self.outcomes)
+        lines = [
+            f"{counts[MEASURED]} trials measured, {counts[FAILED]} failed, {self.skipped} were done already"
+            + (f", {left} not run" if left else "")
+        ]
+        lines += [
+            f"  {one.name}: {one.reason}{' (is tried again by the next run)' if one.passing else ''}"
+            for one in self.outcomes
+            if one.status == FAILED
+        ]
+        return "\n".join(lines + ([f"stopped: {self.interrupted}"] if self.interrupted else []))
+
+
+def plan_run(manifest: Manifest, only: str | None = None, retry_failed: bool = False) -> list[Planned]:
+    """The trials that have no result of what they are now made of, in the order of the manifest.
+
+    Args:
+        manifest: the study.
+        only: a pattern of names of trials such as "p03_*"; the others are left as they are.
+        retry_failed: also those that failed, though nothing of them has changed.
+
+    Raises FingerflowError where `only` fits no trial.
+    """
+    entries = [entry for entry in manifest.trials if only is None or fnmatchcase(entry.name, only)]
+    if not entries:
+        names = ", ".join(entry.name for entry in manifest.trials[:3])
+        raise FingerflowError(f"--only {only}: no trial has such a name; they are {names} ...")
+    found = (_why(manifest, entry, retry_failed) for entry in entries)
+    return [one for one in found if one is not None]
+
+
+def run_study(
+    manifest: Manifest,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    only: str | None = None,
+    retry_failed: bool = False,
+    progress: bool = True,
+) -> Summary:
+    """Runs what `plan_run` says, on processes of this computer or on a cluster.
+
+    Each task is one trial. What is finished stands in the folder of the results, whatever happens afterwards: Ctrl-C,
+    or the loss of a worker or of the scheduler, end the run and lose nothing of it.
+
+    Args:
+        manifest: the study.
+        scheduler: the address of a Dask scheduler, or the class of a deployment by its name, such as
+            "dask_jobqueue.SLURMCluster", which takes its settings from Dask's own configuration. None for a cluster
+            of processes on this computer.
+        workers: processes; by default a core each. Cores that are left over become threads of each.
+        only, retry_failed: as in `plan_run`.
+        progress: show a bar.
+
+    Raises FingerflowError where the cluster cannot be had.
+    """
+    planned = plan_run(manifest, only, retry_failed)
+    chosen = [entry for entry in manifest.trials if only is None or fnmatchcase(entry.name, only)]
+    summary = Summary(len(planned), len(chosen) - len(planned))
+    if not planned:
+        return summary
+    count = max(1, min(workers or cores(), len(planned)))
+    codes = all_codes()
+    threads = threads_each(scheduler, count)
+    jobs = (
+        (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
+        for one in planned
+    )
+
+    def of_error(name: str, error: BaseException) -> Outcome:
+        return _of_error(error, name, manifest)
+
+    try:
+        for outcome in over_workers(run_trial, jobs, len(planned), of_error, scheduler, workers, progress):
+            summary.outcomes.append(outcome)
+    except Interrupted as stop:
+        summary.interrupted = str(stop)
+    return summary
+
+
+def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:
+    folder = manifest.results / entry.name
+    stored = read_row(folder)
+    if stored is None:
+        return Planned(entry, "everything", "has not been run" if not folder.exists() else "has no row")
+    if stored.status == FAILED and (stored.passing or retry_failed):
+        return Planned(entry, "everything", f"failed: {stored.reason}")
+    try:
+        keys = keys_of(manifest.scene_of(entry), None if stored.keys is None else stored.keys.inputs)
+    except FingerflowError as error:
+        # It would fail in the same words again; a row that says so already is all there can be.
+        return None if stored.reason == str(error) else Planned(entry, "everything", f"cannot be run: {error}")
+    if stored.keys is None:
+        return Planned(entry, "everything", "could not be opened last time")
+    if is_current(stored, keys, folder):
+        return None
+    changed = stored.keys.changed_inputs(keys)
+    if changed:
+        return Planned(entry, "everything", f"{', '.join(changed)} changed")
+    if stored.status == FAILED:
+        return Planned(entry, "everything", "settings or code changed since it failed")
+    if stored.result is None or not (folder / stored.result).exists():
+        return Planned(entry, "everything", "its result is gone")
+    if stored.keys.result != keys.result:
+        return Planned(entry, "changed", "settings or code changed; what does not depend on them is kept")
+    return Planned(entry, "row", "the table has other columns now; the result is kept")
+
+
+def _of_error(error: BaseException, name: str, manifest: Manifest) -> Outcome:
+    """Of a task that no worker could bring to an end. Raises FingerflowError where the worker itself is at fault."""
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        reason = (
+            "every worker that took it was killed, as where memory is too small: give fewer workers, or ask why in "
+            "their logs"
+        )
+        write_row(manifest.results / name, TrialRow(FAILED, reason, passing=True))
+        return Outcome(name, FAILED, reason, passing=True)
+    if isinstance(error, FingerflowError):
+        raise error
+    return Outcome(name, FAILED, f"unexpected {type(error).__name__}: {error}", passing=True)

@@ -1,0 +1,177 @@
+"""The paper's statistics from the table of trials, by `fingerflow.models.observer`, and what was left out of them."""
+
+import math
+import warnings
+from dataclasses import asdict, dataclass, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.models.observer import (
+    Trials,
+    compare_auc,
+    leave_out_moved,
+    mixed_model,
+    observe,
+    one_way_anova,
+    participant_groups,
+    pearson,
+    read_trials,
+    spearman,
+)
+from fingerflow.report.trial_metrics import METRICS
+from fingerflow.study.files import MEASURED
+
+_FIRST = "divergence"  # the metric that the others are compared with
+
+
+@dataclass(frozen=True)
+class Counted:
+    """How many trials there are, and how many each rule has left out."""
+
+    trials: int
+    rules: tuple[tuple[str, int], ...]
+    used: int
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Trials for figures and statistics; where `answered` is False, `answer` says nothing."""
+
+    trials: Trials
+    answered: bool
+    counted: Counted
+
+
+def sample_of(frame: Any) -> Sample:
+    """The trials of a table (a DataFrame with the columns of `write_tables`) that have what statistics need.
+
+    Raises FingerflowError where no trial has been measured.
+    """
+    measured = (frame["status"] == MEASURED).to_numpy()
+    answered = frame["answer"].notna().to_numpy()
+    any_answer = bool((measured & answered).any())
+    used = measured & answered if any_answer else measured
+    if not used.any():
+        raise FingerflowError("no trial has been measured: `fingerflow study run` comes first, and says what failed")
+    own = frame[used]
+    columns = {name: own[name].to_numpy() for name in ("participant", "trial", "condition")}
+    columns["answer"] = own["answer"].to_numpy().astype(bool) if any_answer else np.zeros(len(own), bool)
+    metrics = {name: own[name].to_numpy(np.float64) for name in METRICS if name in own and own[name].notna().any()}
+    rules = [(f"{name}, so nothing was measured", int((frame["status"] == name).sum()))
+             for name in dict.fromkeys(frame["status"]) if name != MEASURED]  # fmt: skip
+    if any_answer:
+        rules.append(("no answer in the manifest", int((measured & ~answered).sum())))
+    return Sample(read_trials(columns | metrics), any_answer, Counted(len(frame), tuple(rules), int(used.sum())))
+
+
+def statistics_of(sample: Sample, resamples: int = 2000, seed: int = 0) -> dict[str, Any]:
+    """Everything as plain numbers, for `statistics.json` and the page.
+
+    - `by_condition`: a one-way ANOVA of each metric over conditions, and of each over answers.
+    - `shares`: Spearman's coefficient between medians and shares of answers, a dot a participant and condition.
+    - `correlations`: Pearson's, of strain and of energy with divergence.
+    - `force_rate`: a mixed model of the rate by condition, an intercept a participant (numbers as conditions).
+    - `observer`: d', area under the ROC, criterion for 75 % hits, and their intervals by participant, without trials of
+      fingers that slid as a whole; `beside_divergence` the area less that of divergence in the same trials.
+    - `groups`: one or two groups of participants by their median divergence.
+
+    Args:
+        sample: of `sample_of`.
+        resamples, seed: of intervals and tests.
+    """
+    trials = sample.trials
+    found: dict[str, Any] = {
+        "counted": asdict(sample.counted),
+        "by_condition": {name: one_way_anova(values, trials.condition) for name, values in trials.metrics.items()},
+        "correlations": {
+            name: pearson(trials.metrics[_FIRST], trials.metrics[name])
+            for name in ("strain", "strain_energy", "curl")
+            if name in trials.metrics and _FIRST in trials.metrics
+        },
+        "force_rate": _of_force_rate(trials),
+        "groups": _groups(trials, resamples, seed),
+    }
+    if sample.answered:
+        found["by_answer"] = {name: one_way_anova(values, trials.answer) for name, values in trials.metrics.items()}
+        found["shares"] = {name: spearman(*_dots(trials, values)) for name, values in trials.metrics.items()}
+        found["observer"] = _observed(trials, resamples, seed)
+    return {name: _plain(value) for name, value in found.items()}
+
+
+def _observed(trials: Trials, resamples: int, seed: int) -> dict[str, Any]:
+    without = trials
+    if "global_displacement" in trials.metrics:
+        without = leave_out_moved(trials)
+    found = {}
+    first = without.split(_FIRST) if _FIRST in without.metrics else None
+    for name, summary in observe(without, resamples=resamples, seed=seed).items():
+        found[name] = {
+            "d_prime": summary.d_prime,
+            "auc": summary.auc,
+            "criterion": summary.criterion,
+            "permutation": summary.permutation,
+            "as_printed": {"d_prime": summary.printed.d_prime, "auc": summary.printed.auc},
+        }
+        if first is not None and name != _FIRST:
+            found[name]["beside_divergence"] = compare_auc(
+                without.split(name), first, participants=without.participants(), resamples=resamples, seed=seed
+            )
+    return {"left_out": without.left_out, "rule": without.rule, "metrics": found}
+
+
+def _dots(trials: Trials, values: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    medians, shares = [], []
+    for participant in np.unique(trials.participant):
+        for condition in np.unique(trials.condition):
+            own = (trials.participant == participant) & (trials.condition == condition) & np.isfinite(values)
+            if own.any():
+                medians.append(float(np.median(values[own])))
+                shares.append(float(trials.answer[own].mean()))
+    return medians, shares
+
+
+def _of_force_rate(trials: Trials) -> Any:
+    if "force_rate" not in trials.metrics or not np.issubdtype(trials.condition.dtype, np.number):
+        return {"reason": "needs the rate of the force and conditions that are numbers"}
+    table = {
+        "participant": trials.participant,
+        "condition": trials.condition.astype(float),
+        "force_rate": trials.metrics["force_rate"],
+    }
+    try:
+        with warnings.catch_warnings(record=True):  # that it has not converged stands in the result
+            return mixed_model(table, "force_rate ~ condition")
+    except (FingerflowError, ValueError, np.linalg.LinAlgError) as error:
+        return {"reason": f"the model cannot be fitted: {error}"}
+
+
+def _groups(trials: Trials, resamples: int, seed: int) -> Any:
+    if _FIRST not in trials.metrics:
+        return {"reason": "needs the divergence"}
+    names = np.unique(trials.participant)
+    medians = [_median(trials.metrics[_FIRST][trials.participant == name]) for name in names]
+    groups = participant_groups(1e3 * np.array(medians), resamples, seed)
+    return {**asdict(groups), "names": names.tolist(), "medians_um_mm": [1e3 * value for value in medians]}
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can say; NaN is None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, dict):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,174 @@
+"""The table of trials, and averages of curves by condition, from the rows that runs have left."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from fingerflow.atomic_write import write_atomically
+from fingerflow.errors import FingerflowError
+from fingerflow.study.columns import FACTS, NORMALISED, NUMBERS
+from fingerflow.study.files import MEASURED, TrialRow, read_row
+from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.row import CURVES, FORCE_GRID
+
+NOT_RUN = "not run"
+_LEVEL = 0.95
+_CURVE_COLUMNS = [
+    "metric", "unit", "condition", "normal_force_N", "mean", "low", "high", "participants", "trials", "without",
+]  # fmt: skip
+_MOST_MISSING = 0.5  # of a condition's trials: where fewer reach a force, their mean would be one of a selection
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The files that were written."""
+
+    trials: Path
+    csv: Path
+    variables: Path
+    curves: Path
+
+
+def write_tables(manifest: Manifest) -> Tables:
+    """Writes `trials.parquet` and `trials.csv` (a row a trial), `variables.csv` (what each column is) and `curves.csv`.
+
+    Every trial of the manifest has its row: one that failed or was not run has its reason, and no numbers.
+
+    Raises FingerflowError where pandas or pyarrow is not installed, or a file cannot be written.
+    """
+    try:
+        import pandas as pd
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise FingerflowError(
+            f"the table of trials needs pandas and pyarrow ({error}): pip install 'fingerflow-engine[study]'"
+        ) from error
+    stored = [(entry, read_row(manifest.results / entry.name)) for entry in manifest.trials]
+    frame = pd.DataFrame(rows_of(manifest, stored))
+    for name, values in normalised(frame).items():
+        frame[name] = values
+    paths = Tables(
+        *(manifest.results / name for name in ("trials.parquet", "trials.csv", "variables.csv", "curves.csv"))
+    )
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    described = NUMBERS | FACTS
+    fields = [
+        one.with_metadata({"units": described[one.name].units, "long_name": described[one.name].long_name})
+        if one.name in described
+        else one
+        for one in table.schema
+    ]
+    table = table.cast(pa.schema(fields, metadata=table.schema.metadata))
+    write_atomically(paths.trials, lambda part: parquet.write_table(table, part))
+    write_atomically(paths.csv, lambda part: frame.to_csv(part, index=False))
+    variables = pd.DataFrame(
+        [(one.name, one.units, one.long_name) for one in described.values() if one.name in frame],
+        columns=["column", "unit", "definition"],
+    )
+    write_atomically(paths.variables, lambda part: variables.to_csv(part, index=False))
+    curves = pd.DataFrame(averaged(stored), columns=_CURVE_COLUMNS)  # a heading where there is none
+    write_atomically(paths.curves, lambda part: curves.to_csv(part, index=False))
+    return paths
+
+
+def rows_of(manifest: Manifest, stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
+    """The rows of the table: what the manifest says of each trial, then its facts, then its numbers, NaN for None."""
+    numeric = _are_numbers([entry.condition for entry, _ in stored])
+    rows = []
+    for entry, found in stored:
+        known = found.row if found is not None and found.status == MEASURED else {}
+        result = None if found is None or found.result is None else manifest.results / entry.name / found.result
+        recording = (manifest.path.parent / entry.settings["recording"]["frames"]).resolve()
+        facts = {
+            "status": NOT_RUN if found is None else found.status,
+            "reason": "" if found is None else found.reason,
+            "recording": _relative(recording, manifest.path.parent),
+            "result": None if result is None else _relative(result, manifest.path.parent),
+            **{name: known.get(name) for name in ("slip_verdict", "frames", "usable_frames", "warnings")},
+        }
+        rows.append(
+            {
+                "participant": entry.participant,
+                "trial": entry.trial,
+                "condition": float(entry.condition) if numeric else entry.condition,
+                "answer": entry.answer,
+                **entry.others,
+                **facts,
+                **{name: np.nan if known.get(name) is None else float(known[name]) for name in NUMBERS},
+            }
+        )
+    return rows
+
+
+def normalised(frame: Any) -> dict[str, Any]:
+    """Areas over the median of their participant, by the names of their columns; NaN where that is 0 or unknown."""
+    found = {}
+    for name in NORMALISED:
+        median = frame.groupby("participant")[name].transform("median")
+        found[f"{name}_normalised"] = frame[name] / median.where(median > 0)
+    return found
+
+
+def averaged(stored: Sequence[tuple[TrialEntry, TrialRow | None]]) -> list[dict[str, Any]]:
+    """Curves against force, averaged by condition, a row a metric, condition and force.
+
+    The mean is that of the participants' means, and its 95 % interval by Student's t from their spread: participants
+    are the units, their trials are not independent. NaN for fewer than two participants. A force that fewer than half
+    of a condition's trials reach is left out: they would be a selection of those that pressed hard.
+    """
+    rows: list[dict[str, Any]] = []
+    conditions = sorted({entry.condition for entry, _ in stored}, key=_in_order)
+    for metric in CURVES:
+        for condition in conditions:
+            own = [
+                (entry.participant, found.curves[metric])
+                for entry, found in stored
+                if entry.condition == condition and found is not None and metric in found.curves
+            ]
+            if not own:
+                continue
+            who = np.array([name for name, _ in own])
+            values = np.array([[np.nan if value is None else value for value in curve] for _, curve in own])
+            for column, force in enumerate(FORCE_GRID):
+                known = np.isfinite(values[:, column])
+                if known.mean() < _MOST_MISSING:
+                    continue
+                means = np.array([values[known & (who == name), column].mean() for name in np.unique(who[known])])
+                reach = (
+                    float(stats.t.ppf((1 + _LEVEL) / 2, means.size - 1) * means.std(ddof=1) / np.sqrt(means.size))
+                    if means.size > 1
+                    else np.nan
+                )
+                mean = float(means.mean())
+                rows.append(
+                    {
+                        "metric": metric, "unit": NUMBERS[metric].units, "condition": condition,
+                        "normal_force_N": float(force), "mean": mean, "low": mean - reach, "high": mean + reach,
+                        "participants": int(means.size), "trials": int(known.sum()), "without": int((~known).sum()),
+                    }
+                )  # fmt: skip
+    return rows
+
+
+def _are_numbers(texts: Sequence[str]) -> bool:
+    try:
+        return all(np.isfinite(float(text)) for text in texts)
+    except ValueError:
+        return False
+
+
+def _in_order(text: str) -> tuple[float, str]:
+    try:
+        return float(text), text
+    except ValueError:
+        return np.inf, text
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()

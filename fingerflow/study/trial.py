@@ -1,0 +1,161 @@
+"""One trial, as a worker runs it: paths in, a short outcome out; everything else goes to its folder."""
+
+import errno
+import os
+import platform
+import time
+import traceback
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+import torch
+
+from fingerflow import __version__
+from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.pipeline import process
+from fingerflow.result import is_result, open_result
+from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, result_name, write_row
+from fingerflow.study.keys import Keys, all_codes, code_of, keys_of
+from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.row import measure
+
+_PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
+_VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A trial to run.
+
+    Attributes:
+        manifest: of this trial alone.
+        entry: the trial.
+        redo: "everything", what settings or code have "changed", or the "row" alone.
+        codes: the client's `code_of` by part, which the worker's must be.
+        threads: that a worker computes with.
+    """
+
+    manifest: Manifest
+    entry: TrialEntry
+    redo: Part
+    codes: Mapping[str, str]
+    threads: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job: its status and reason, and seconds of wall clock and of the processor."""
+
+    name: str
+    status: str
+    reason: str = ""
+    passing: bool = False
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+
+def run_trial(job: Job) -> Outcome:
+    """Processes a trial and writes its row, or the reason why there is none.
+
+    Only what is wrong with the worker itself is raised, as FingerflowError: another version of the package.
+    """
+    different = [part for part, code in job.codes.items() if code_of(part) != code]
+    if different:
+        raise FingerflowError(
+            f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
+            f"the same version of fingerflow on both"
+        )
+    _set_threads(job.threads)
+    started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
+    folder = job.manifest.results / job.entry.name
+    keys: Keys | None = None
+    try:
+        scene = job.manifest.scene_of(job.entry)
+        stored = read_row(folder)
+        keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
+        if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
+            return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
+        path = folder / result_name(keys)
+        if job.redo == "row" and is_result(path):
+            opened = open_result(path)
+        else:
+            earlier = None
+            if job.redo == "changed" and stored is not None and stored.result is not None:
+                earlier = folder / stored.result
+            opened = process(scene, to=path, earlier=earlier)
+        with opened as result:
+            row, curves = measure(result)
+        trial = TrialRow(MEASURED, keys=keys, result=path.name, row=row, curves=curves)
+    except Exception as error:
+        unexpected = not isinstance(error, FingerflowError) and not _is_passing(error)
+        reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
+        trial = TrialRow(FAILED, reason, _is_passing(error), keys)
+        trace = {"traceback": traceback.format_exc()} if unexpected else {}
+    else:
+        trace = {}
+    seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - cpu
+    made = {
+        "started": started.isoformat(timespec="seconds"),
+        "seconds": round(seconds, 3),
+        "cpu_seconds": round(cpu_seconds, 3),
+        "redone_from": job.redo,
+        "threads": job.threads,
+        "seed": None,  # nothing of `process` is drawn
+        **_machine(),
+        **trace,
+    }
+    try:
+        write_row(folder, TrialRow(**{**trial.__dict__, "made": made}))
+    except FingerflowError as error:  # it is not lost: without a row the trial is run again
+        return Outcome(job.entry.name, FAILED, str(error), True, seconds, cpu_seconds)
+    return Outcome(job.entry.name, trial.status, trial.reason, trial.passing, seconds, cpu_seconds)
+
+
+def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
+    """Whether a row and its result are those of the trial as it is now."""
+    if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
+        return False
+    return stored.result is None or (folder / stored.result).exists()
+
+
+def _is_passing(error: BaseException) -> bool:
+    """Whether it may go well another time, with the same trial."""
+    return any(
+        isinstance(one, (MemoryError, NoRoomError, torch.OutOfMemoryError))
+        or (isinstance(one, OSError) and one.errno in _PASSING)
+        or (isinstance(one, RuntimeError) and "allocate memory" in str(one))
+        for one in _chain(error)
+    )
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+@cache
+def _set_threads(threads: int) -> None:
+    torch.set_num_threads(threads)
+    cv2.setNumThreads(threads)
+
+
+@cache
+def _machine() -> dict[str, Any]:
+    versions = {"fingerflow": __version__, "python": platform.python_version()}
+    for name in _VERSIONS:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return {
+        "versions": versions,
+        "code": all_codes(),
+        "machine": {"name": platform.node(), "system": platform.platform(), "cores": os.cpu_count()},
+    }

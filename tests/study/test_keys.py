@@ -1,0 +1,63 @@
+"""What has to be done again, and what not."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fingerflow import load_scene
+from fingerflow.study import keys as room
+from fingerflow.study.keys import keys_of, look_at, same_content
+
+
+def _changed(folder: Path, old: str, new: str) -> room.Keys:
+    text = (folder / "scene.toml").read_text(encoding="utf-8")
+    assert old in text
+    (folder / "other.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    return keys_of(load_scene(folder / "other.toml"))
+
+
+@pytest.fixture
+def folder(lab: Path) -> Path:
+    return lab / "p01/0um/trial1"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first"),
+    [
+        ("gauge_length_mm = 1.6", "gauge_length_mm = 1.4", "result"),
+        ("depth_mm = 2.0", "depth_mm = 1.0", "result"),
+        ("points = 700", "points = 300", "result"),
+        ("median_px = 3", "median_px = 5", "result"),
+        ("mm_per_px = 0.0325", "mm_per_px = 0.0326", "result"),
+        ("# A scene", "# The scene", None),
+    ],
+)
+def test_settings(folder: Path, old: str, new: str, first: str | None) -> None:
+    before, now = keys_of(load_scene(folder / "scene.toml")), _changed(folder, old, new)
+    parts = ("result", "row")
+    different = [part for part in parts if getattr(before, part) != getattr(now, part)]
+    assert different == ([] if first is None else list(parts[parts.index(first) :]))
+
+
+def test_a_recording_counts_by_its_content(folder: Path) -> None:
+    scene = load_scene(folder / "scene.toml")
+    before = keys_of(scene)
+    os.utime(folder / "frames.npy", ns=(1, 1))
+    touched = keys_of(scene, before.inputs)
+    assert touched.row == before.row
+    assert same_content(before.inputs["recording.frames"], touched.inputs["recording.frames"])
+    frames = np.load(folder / "frames.npy")
+    frames[5, 50, 50] ^= 1
+    np.save(folder / "frames.npy", frames)
+    assert keys_of(scene, before.inputs).result != before.result
+
+
+def test_a_large_file_that_was_touched_is_not_certainly_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "large.bin"
+    path.write_bytes(bytes(room._WHOLE_BYTES + 1))
+    before = look_at(path)
+    assert same_content(before, look_at(path, before))
+    os.utime(path, ns=(1, 1))
+    assert not same_content(before, look_at(path, before))

@@ -1,0 +1,133 @@
+"""What a study is told: a table or a pattern, and errors that name the row."""
+
+from pathlib import Path
+
+import pytest
+
+from fingerflow.errors import FingerflowError
+from fingerflow.study.init import init_study
+from fingerflow.study.manifest import Manifest, load_manifest
+
+
+def _edit(folder: Path, old: str, new: str, file: str = "trials.csv") -> None:
+    path = folder / file
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def test_scene_files_become_a_shared_scene_and_columns(study: Manifest, lab: Path) -> None:
+    assert [entry.name for entry in study.trials][:3] == ["01_0_1", "01_0_2", "01_2_3"]
+    assert [entry.answer for entry in study.trials] == [False, True] * 4
+    scene = study.scene_of(study.trials[2])
+    assert scene.recording.frames == lab / "p01/2um/trial3/frames.npy"
+    assert scene.background.frames == lab / "p01/2um/trial3/empty.npy"
+    assert scene.forces is not None
+    assert scene.forces.file == lab / "p01/2um/trial3/forces.csv"
+    assert scene.tracking.points == 700
+
+
+def test_a_column_with_a_dot_is_a_key_of_the_scene(study: Manifest, lab: Path) -> None:
+    lines = (lab / "trials.csv").read_text(encoding="utf-8").splitlines()
+    lines = [f"{lines[0]},tracking.points,hand", f"{lines[1]},200,left", *(f"{line},,right" for line in lines[2:])]
+    (lab / "trials.csv").write_text("\n".join(lines), encoding="utf-8")
+    changed = load_manifest(lab)
+    assert changed.scene_of(changed.trials[0]).tracking.points == 200
+    assert changed.scene_of(changed.trials[1]).tracking.points == 700
+    assert changed.trials[0].others["hand"] == "left"
+
+
+def test_errors_name_the_row(study: Manifest, lab: Path) -> None:
+    _edit(lab, "01,2,0,1", "01,2,0,maybe")
+    _edit(lab, "01,3,2,0", "01,3,,0")
+    with pytest.raises(FingerflowError) as raised:
+        load_manifest(lab)
+    said = str(raised.value)
+    assert "trials.csv, row 3: answer is 'maybe'" in said
+    assert "trials.csv, row 4: condition is empty" in said
+
+
+def test_a_trial_that_is_there_twice(study: Manifest, lab: Path) -> None:
+    _edit(lab, "01,2,0,1", "01,1,0,1")
+    with pytest.raises(FingerflowError, match=r"row 3: trial 1 of participant 01, condition 0, is also .*row 2"):
+        load_manifest(lab)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("tracking.pionts", "did you mean 'points'"),
+        ("divergence", "is one that the study measures"),
+    ],
+)
+def test_columns_that_cannot_be(study: Manifest, lab: Path, column: str, said: str) -> None:
+    lines = (lab / "trials.csv").read_text(encoding="utf-8").splitlines()
+    text = "\n".join([f"{lines[0]},{column}", *(f"{line},1" for line in lines[1:])])
+    (lab / "trials.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(FingerflowError, match=said):
+        load_manifest(lab)
+
+
+def test_a_wrong_scene_names_the_row_and_the_key(study: Manifest, lab: Path) -> None:
+    _edit(lab, "p02/2um/trial3/frames.npy", "p02/2um/gone.npy")
+    changed = load_manifest(lab)
+    with pytest.raises(FingerflowError, match=r"trials.csv, row 8: .*recording.frames .*gone.npy.* does not exist"):
+        changed.scene_of(changed.trials[6])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[study]", "[studies]", "studies is not a key; did you mean 'study'"),
+        ('trials = "trials.csv"', 'trails = "trials.csv"', "study.trails is not a key; did you mean 'trials'"),
+        ('trials = "trials.csv"', "trials = 3", "study.trials is 3"),
+        ('trials = "trials.csv"', "", "one of trials"),
+        ("[study]", "[study", "is not valid TOML"),
+    ],
+)
+def test_wrong_manifests(study: Manifest, lab: Path, old: str, new: str, said: str) -> None:
+    _edit(lab, old, new, "study.toml")
+    with pytest.raises(FingerflowError, match=said):
+        load_manifest(lab)
+
+
+def test_a_pattern_in_place_of_a_table(study: Manifest, lab: Path) -> None:
+    pattern = 'pattern = "p{participant}/{condition}um/trial{trial}/frames.npy"\n'
+    pattern += 'forces = "p{participant}/{condition}um/trial{trial}/forces.csv"\nanswers = "answers.csv"'
+    _edit(lab, 'trials = "trials.csv"', pattern, "study.toml")
+    text = (lab / "study.toml").read_text(encoding="utf-8")
+    background = '[scene.background]\nframes = "p01/0um/trial1/empty.npy"\ndark = "p01/0um/trial1/dark.npy"\n'
+    (lab / "study.toml").write_text(f"{text}\n{background}", encoding="utf-8")
+    found = load_manifest(lab)
+    assert [(one.participant, one.condition, one.trial, one.answer) for one in found.trials] == [
+        (one.participant, one.condition, one.trial, one.answer) for one in study.trials
+    ]
+    scene = found.scene_of(found.trials[3])
+    assert scene.forces is not None
+    assert scene.forces.file.parent == scene.recording.frames.parent
+
+
+def test_recordings_without_scenes(lab: Path) -> None:
+    for scene in lab.rglob("scene.toml"):
+        scene.unlink()
+    found = init_study(lab, lab / "answers.csv")
+    assert found.trials == 8
+    assert found.to_fill_in == ("[scene] in study.toml",)
+    manifest = load_manifest(lab)
+    assert manifest.trials[0].settings["forces"] == {"file": "p01/0um/trial1/forces.csv"}
+    assert {entry.condition for entry in manifest.trials} == {"0", "2"}
+
+
+def test_answers_of_other_trials_are_refused(lab: Path) -> None:
+    _other = lab / "others.csv"
+    _other.write_text("participant,trial,answer\n77,1,1\n", encoding="utf-8")
+    with pytest.raises(FingerflowError, match="none of its trials is one of"):
+        init_study(lab, _other)
+
+
+def test_names_of_trials_never_collide(study: Manifest, lab: Path) -> None:
+    _edit(lab, "01,1,0,0", "a_b,c,0,0")
+    _edit(lab, "01,2,0,1", "a,b_c,0,1")
+    names = [entry.name for entry in load_manifest(lab).trials]
+    assert len(set(names)) == len(names)
+    assert names[0] == "a%5fb_0_c"

@@ -1,0 +1,145 @@
+"""The row of a trial whose series are formulas of time: every number is known."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow.study.columns import NUMBERS
+from fingerflow.study.row import FORCE_GRID, measure
+
+FRAMES, RATE = 101, 100.0
+TIME = np.arange(FRAMES) / RATE
+FORCE = 5.0 * TIME  # N; 1 N in frame 20
+ANGLE = 0.4
+
+
+def _result(**changed: np.ndarray) -> xr.Dataset:
+    """Contact from frame 10 on; by N a divergence of 0.01 and a strain of 0.02 along ANGLE and -0.01 across it."""
+    area = np.where(np.arange(FRAMES) >= 10, 10 * FORCE, 0.0)
+    along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
+    across = np.array([-np.sin(ANGLE), np.cos(ANGLE)])
+    tensor = 0.02 * np.outer(along, along) - 0.01 * np.outer(across, across)
+    strain = FORCE[:, None] * np.array([tensor[0, 0], tensor[1, 1], tensor[0, 1]])
+    rates = np.broadcast_to(5.0 * np.array([tensor[0, 0], tensor[1, 1], tensor[0, 1]]), (FRAMES, 3))
+    moved = np.zeros((FRAMES, 4, 2))
+    moved[:, :, 0] = TIME[:, None] * np.array([0.1, 0.2, 0.3, 9.0])  # the last point never touches
+    covered = np.ones((FRAMES, 4), np.uint8)
+    covered[:, 3] = 0
+    status = np.zeros((FRAMES, 4), np.uint8)
+    status[:, 2] = 5
+    values = {
+        "normal_force": FORCE,
+        "load_ratio": np.full(FRAMES, -0.3),
+        "gross_contact_area": area,
+        "real_contact_area": area / 2,
+        "median_divergence": 0.01 * FORCE,
+        "median_divergence_std": 0.001 * FORCE,
+        "median_divergence_rate": np.full(FRAMES, 0.05),
+        "ellipse_angle": np.full(FRAMES, ANGLE),
+        "global_displacement": 0.04 * TIME,
+        "frame_status": np.zeros(FRAMES, np.uint8),
+    }
+    values |= changed
+    data = {name: ("frame", one) for name, one in values.items()}
+    data |= {
+        "median_strain": (("frame", "strain_component"), strain),
+        "median_strain_std": (("frame", "strain_component"), np.full((FRAMES, 3), 1e-4)),
+        "median_strain_rate": (("frame", "strain_component"), rates),
+        "ellipse_semi_axes": (("frame", "axis"), np.tile([3.0, 2.0], (FRAMES, 1))),
+        "displacement": (("frame", "point", "xy"), moved),
+        "in_contact": (("frame", "point"), covered),
+        "status": (("frame", "point"), status),
+    }
+    attributes = {"settings": json.dumps({"fields": {"rate_window_s": 0.05}}), "warnings": json.dumps(["one", "two"])}
+    return xr.Dataset(data, {"time": ("frame", TIME)}, attributes)
+
+
+def test_values_at_forces_lie_on_the_line_between_frames() -> None:
+    row, curves = measure(_result())
+    for force in (1, 2, 3):
+        assert row[f"divergence_at_{force}n"] == pytest.approx(0.01 * force, rel=1e-12)
+        assert row[f"divergence_at_{force}n_std"] == pytest.approx(0.001 * force, rel=1e-12)
+        assert row[f"gross_contact_area_at_{force}n"] == pytest.approx(10 * force, rel=1e-12)
+    known = [value for value in curves["divergence"] if value is not None]
+    # The finger touches at 0.5 N and is pressed with 5 N.
+    assert known == pytest.approx(0.01 * FORCE_GRID[1:20], rel=1e-12)
+    assert len(curves["divergence"]) == len(FORCE_GRID)
+
+
+def test_numbers_of_the_whole_trial() -> None:
+    row, _ = measure(_result())
+    expected = {
+        "max_force": 5.0,
+        "time_to_max_force": 0.9,
+        "duration": 0.9,
+        "force_rate": 5.0,
+        "divergence": 0.05,
+        "divergence_at_onset": 0.005,
+        "divergence_rate": 0.05,
+        "global_displacement": 0.04,
+        "force_angle": np.arctan(0.3),
+        "strain": 0.1,
+        "strain_across": -0.05,
+        "strain_rate": 0.1,
+        "longest_axis_ratio": 1.5,
+        "coverage": 2 / 3,
+        # The 0.99 quantile of three points is the second one; the fourth never touches.
+        "max_displacement": 0.2,
+        "max_speed": 0.2,
+    }
+    for name, value in expected.items():
+        assert row[name] == pytest.approx(value, rel=1e-9), name
+    assert row["friction"] is None
+    assert row["warnings"] == "one\ntwo"
+    assert set(NUMBERS) <= set(row)
+
+
+def test_deviation_of_a_turned_strain() -> None:
+    """t' E t with independent components of the same deviation s: s (c^4 + s^4 + 4 c^2 s^2)^(1/2)."""
+    row, _ = measure(_result())
+    cosine, sine = np.cos(ANGLE), np.sin(ANGLE)
+    assert row["strain_std"] == pytest.approx(1e-4 * np.sqrt(cosine**4 + sine**4 + 4 * cosine**2 * sine**2), rel=1e-9)
+
+
+def test_frames_that_are_not_usable_are_in_no_number() -> None:
+    status = np.zeros(FRAMES, np.uint8)
+    status[[50, 100]] = 3
+    force = FORCE.copy()
+    force[50] = 99.0
+    row, _ = measure(_result(frame_status=status, normal_force=force))
+    assert row["max_force"] == pytest.approx(FORCE[99])
+    assert row["divergence"] == pytest.approx(0.01 * FORCE[99])
+    assert row["usable_frames"] == FRAMES - 2
+    assert row["divergence_at_2n"] == pytest.approx(0.02)
+
+
+def test_nothing_is_made_up_where_a_force_does_not_come() -> None:
+    row, curves = measure(_result(normal_force=FORCE / 4))
+    assert row["divergence_at_2n"] is None
+    assert row["divergence_at_3n_std"] is None
+    assert row["divergence_at_1n"] is not None
+    assert all(value is None for force, value in zip(FORCE_GRID, curves["divergence"], strict=True) if force > 1.25)
+
+
+def test_a_trial_without_contact_has_no_numbers() -> None:
+    row, curves = measure(_result(gross_contact_area=np.zeros(FRAMES)))
+    assert all(row[name] is None for name in NUMBERS)
+    assert curves == {}
+
+
+def test_without_forces_the_largest_area_is_the_maximum() -> None:
+    without = _result().drop_vars(["normal_force", "load_ratio"])
+    row, curves = measure(without)
+    assert row["max_force"] is None
+    assert row["divergence"] == pytest.approx(0.05)
+    assert row["divergence_at_1n"] is None
+    assert curves == {}
+
+
+def test_friction_only_where_no_skin_sticks() -> None:
+    stuck = np.where(np.arange(FRAMES) < 80, 0.5, 0.0)
+    ratio = np.where(np.arange(FRAMES) < 80, 0.3, 0.6)
+    row, _ = measure(_result(stuck_ratio=stuck, load_ratio=ratio))
+    assert row["friction"] == pytest.approx(0.6)

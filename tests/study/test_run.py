@@ -1,0 +1,247 @@
+"""Runs: what is done, what is skipped, what fails, and that numbers do not depend on who computes them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from fingerflow.atomic_write import write_atomically
+from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.study import trial as worker
+from fingerflow.study.files import FAILED, MEASURED, read_row
+from fingerflow.study.manifest import Manifest, load_manifest
+from fingerflow.study.report import write_study_report
+from fingerflow.study.run import plan_run, run_study
+from fingerflow.study.table import write_tables
+
+ROOT = Path(__file__).resolve().parents[2]
+_PROVENANCE = {"created", "stage_seconds"}
+
+
+def _run(study: Manifest, scheduler: str, **options: Any) -> dict[str, str]:
+    summary = run_study(study, scheduler, progress=False, **options)
+    assert not summary.interrupted
+    return {one.name: one.status for one in summary.outcomes}
+
+
+def _table(study: Manifest) -> pd.DataFrame:
+    return pd.read_parquet(write_tables(study).trials).drop(columns="result")
+
+
+def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, scheduler: str) -> None:
+    assert _run(study, scheduler) == {entry.name: MEASURED for entry in study.trials}
+    assert plan_run(study) == []
+    assert _run(study, scheduler) == {}
+    before = _table(study)
+    text = (lab / "study.toml").read_text(encoding="utf-8")
+    (lab / "study.toml").write_text(text.replace("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"), encoding="utf-8")
+    changed = load_manifest(lab)
+    assert {one.redo for one in plan_run(changed)} == {"changed"}
+    _run(changed, scheduler)
+    made = read_row(changed.results / "01_0_1")
+    assert made is not None
+    assert made.result is not None
+    with xr.open_dataset(changed.results / "01_0_1" / made.result, engine="h5netcdf") as result:
+        assert "decoding" not in json.loads(result.attrs["stage_seconds"])
+    after = _table(changed)
+    assert (before["real_contact_area"] == after["real_contact_area"]).all()
+    assert (before["divergence"] != after["divergence"]).all()
+    # One result a trial: the one before is not left behind.
+    assert all(len(list((changed.results / entry.name).glob("*.h5"))) == 1 for entry in changed.trials)
+    frames = np.load(lab / "p02/0um/trial1/frames.npy")
+    frames[3] //= 2
+    np.save(lab / "p02/0um/trial1/frames.npy", frames)
+    (planned,) = plan_run(changed)
+    assert (planned.entry.name, planned.redo) == ("02_0_1", "everything")
+    assert "recording.frames changed" in planned.why
+
+
+def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> None:
+    _run(study, scheduler, only="01_0_1")
+    row = read_row(study.results / "01_0_1")
+    assert row is not None
+    assert row.keys is not None
+    assert set(row.keys.inputs) == {"recording.frames", "background.frames", "background.dark", "forces.file"}
+    assert {"started", "seconds", "cpu_seconds", "versions", "machine", "code", "seed", "threads"} <= set(row.made)
+    assert row.made["versions"]["torch"]
+
+
+def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+    broken = [lab / place / "frames.npy" for place in ("p01/0um/trial1", "p01/0um/trial2", "p01/2um/trial3")]
+    whole = [path.read_bytes() for path in broken]
+    undisturbed = replace(study, results=lab / "undisturbed")
+    _run(undisturbed, scheduler)
+    (lab / "p01/0um/trial1/frames.npy").write_bytes(b"no frames")
+    (lab / "p01/0um/trial2/frames.npy").unlink()
+    frames = np.load(lab / "p01/2um/trial3/frames.npy")
+    np.save(lab / "p01/2um/trial3/frames.npy", np.broadcast_to(np.load(lab / "p01/2um/trial3/empty.npy"), frames.shape))
+    found = _run(study, scheduler)
+    failed = {"01_0_1", "01_0_2", "01_2_3"}
+    assert {name for name, status in found.items() if status == FAILED} == failed
+    table = _table(study).set_index("status")
+    assert len(table) == len(study.trials)
+    assert table.loc[FAILED, "divergence"].isna().all()
+    reasons = table.loc[FAILED, "reason"].tolist()
+    assert "frames.npy" in reasons[0]
+    assert "does not exist" in reasons[1]
+    # They are not tried again for nothing, but where somebody asks, and where the file has changed.
+    assert plan_run(study) == []
+    assert {one.entry.name for one in plan_run(study, retry_failed=True)} == failed
+    for path, content in zip(broken, whole, strict=True):
+        path.write_bytes(content)
+    assert _run(study, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
+    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
+
+
+def test_only_and_a_pattern_that_fits_nothing(study: Manifest, scheduler: str) -> None:
+    assert set(_run(study, scheduler, only="02_*")) == {entry.name for entry in study.trials if entry.name[:2] == "02"}
+    with pytest.raises(FingerflowError, match="no trial has such a name"):
+        plan_run(study, only="03_*")
+    table = _table(study)
+    assert (table["status"] == "not run").sum() == 4
+
+
+def test_a_page_of_nothing_is_refused_in_a_sentence(study: Manifest) -> None:
+    with pytest.raises(FingerflowError, match="no trial has been measured"):
+        write_study_report(study, progress=False)
+    assert "metric" in pd.read_csv(write_tables(study).curves).columns
+
+
+def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise NoRoomError("the disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(worker, "process", full)
+        assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
+    assert {one.entry.name for one in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
+
+    def no_room(path: Path, write: Any) -> None:
+        def fails(part: Path) -> None:
+            raise OSError(28, "No space left on device")
+
+        write_atomically(path, fails)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fingerflow.study.files.write_atomically", no_room)
+        assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
+    assert _run(study, scheduler, only="01_0_*") == {"01_0_1": MEASURED, "01_0_2": MEASURED}
+
+
+def test_what_nobody_expected_is_a_row_with_its_traceback(
+    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "measure", lambda result: 1 / 0)
+    assert _run(study, scheduler, only="01_0_1") == {"01_0_1": FAILED}
+    row = read_row(study.results / "01_0_1")
+    assert row is not None
+    assert row.reason.startswith("unexpected ZeroDivisionError")
+    assert "1 / 0" in row.made["traceback"]
+
+
+def test_a_worker_of_another_version_is_refused(
+    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "code_of", lambda part: "other")
+    with pytest.raises(FingerflowError, match="has other code for result, row"):
+        _run(study, scheduler, only="01_0_1")
+
+
+def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
+    """A run that was planned before another one had finished leaves what is there."""
+    late = [one.entry for one in plan_run(study, only="01_0_*")]
+    _run(study, scheduler, only="01_0_*")
+    stamps = {entry.name: (study.results / entry.name / "row.json").stat().st_mtime_ns for entry in late}
+    codes = worker.all_codes()
+    for entry in late:
+        outcome = worker.run_trial(worker.Job(replace(study, trials=(entry,)), entry, "everything", codes, 1))
+        assert outcome.reason == "was done by another run meanwhile"
+        assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
+
+
+def test_a_damaged_row_is_run_again(study: Manifest, scheduler: str) -> None:
+    _run(study, scheduler, only="01_0_1")
+    (study.results / "01_0_1" / "row.json").write_text("{", encoding="utf-8")
+    assert [one.entry.name for one in plan_run(study, only="01_0_1")] == ["01_0_1"]
+    _run(study, scheduler, only="01_0_1")
+    next((study.results / "01_0_1").glob("*.h5")).unlink()
+    (planned,) = plan_run(study, only="01_0_1")
+    assert planned.why == "its result is gone"
+
+
+def test_no_scheduler_there(study: Manifest) -> None:
+    with pytest.raises(FingerflowError, match="neither an address"):
+        run_study(study, "dask_jobqueue.NoSuchCluster", progress=False)
+
+
+def _start(lab: Path, *options: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "fingerflow", "study", "run", str(lab), "--workers", "2", *options]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+    """The client with all its workers in the middle of a run, then a worker alone, then Ctrl-C: the table at the end
+    is that of an undisturbed run in one process, bit for bit.
+    """
+    import psutil
+
+    undisturbed = replace(study, results=lab / "undisturbed")
+    _run(undisturbed, scheduler)
+    rows = lambda: len(list(study.results.glob("*/row.json")))  # noqa: E731
+    for blow in ("client", "worker", "interrupt"):
+        there, started = rows(), _start(lab)
+        try:
+            _until(lambda there=there: rows() > there, started)
+            if blow == "client":
+                os.killpg(started.pid, signal.SIGKILL)
+            elif blow == "worker":
+                workers = [one for one in psutil.Process(started.pid).children(recursive=True) if _is_worker(one)]
+                workers[0].kill()
+                _until(lambda there=there: rows() > there + 1, started)
+                os.killpg(started.pid, signal.SIGKILL)
+            else:
+                os.kill(started.pid, signal.SIGINT)
+                started.wait(120)
+        finally:
+            if started.poll() is None:
+                os.killpg(started.pid, signal.SIGKILL)
+            started.wait(60)
+    summary = run_study(study, workers=2, progress=False)
+    assert not [one for one in summary.outcomes if one.status == FAILED]
+    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
+    for entry in study.trials:
+        one, other = (next((where.results / entry.name).glob("*.h5")) for where in (study, undisturbed))
+        with xr.open_dataset(one, engine="h5netcdf") as first, xr.open_dataset(other, engine="h5netcdf") as second:
+            for name in first.data_vars:
+                np.testing.assert_array_equal(first[name].values, second[name].values)
+            assert {k: v for k, v in first.attrs.items() if k not in _PROVENANCE} == {
+                k: v for k, v in second.attrs.items() if k not in _PROVENANCE
+            }
+    left = [path for path in study.results.rglob("*") if path.name.startswith(".")]
+    assert not left, "a run removes what killed ones have left"
+
+
+def _until(done: Any, process: subprocess.Popen[bytes]) -> None:
+    for _ in range(3000):
+        if done() or process.poll() is not None:
+            return
+        time.sleep(0.1)
+    raise AssertionError("nothing came")
+
+
+def _is_worker(process: Any) -> bool:
+    return "spawn_main" in " ".join(process.cmdline())
