@@ -66,8 +66,9 @@ ARROWS: dict[str, set[str]] = {
     "player": {
         "contract",
         "errors",
-        "export",
-    },  # only where `--provider compiled` asks for the package; a bundle does without
+        "export",  # only where `--provider compiled` asks for the package; a bundle does without
+        "recordings",  # a bundle carries copies of its readers
+    },
     "study": {
         "__init__",
         "atomic_write",
