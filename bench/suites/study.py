@@ -19,12 +19,13 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import torch
+from distributed import LocalCluster
 
 from bench.rows import Row, number
 from bench.suites.pipeline import PIPELINES, QUICK_PRESS, write_quietly
@@ -112,15 +113,14 @@ def _nothing(_: int) -> int:
 
 def _empty_tasks(count: int, trial_s: float) -> dict[str, str | float]:
     """Of a worker's own time nothing is counted: it is a process apart, as the client with the scheduler is here."""
-    run_of: Callable[[int], Iterator[int]] = lambda many: over_workers(  # noqa: E731
-        _nothing, ((f"empty-{one}", one) for one in range(many)), many, _raise, workers=1, progress=False
-    )
     spent = []
-    for many in (count // 10, count):  # what starting takes falls out of the difference
-        start = time.process_time()
-        for _ in run_of(many):
-            pass
-        spent.append(time.process_time() - start)
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        for many in (count // 10, count):  # what starting takes falls out of the difference
+            tasks = ((f"empty-{many}-{one}", one) for one in range(many))
+            start = time.process_time()
+            for _ in over_workers(_nothing, tasks, many, _raise, cluster.scheduler_address, progress=False):
+                pass
+            spent.append(time.process_time() - start)
     each = (spent[1] - spent[0]) / (count - count // 10)
     return {
         "what": "empty tasks",
