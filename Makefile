@@ -1,9 +1,9 @@
-# Two commands and nothing before them: `make demo` and `make test`. Python 3.11 or newer and make are all they need.
+# Commands with nothing before them: `make demo`, `make test` and `make docs`. Python 3.11 or newer and make are all they need.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench format clean
+.PHONY: demo test docs bench format clean
 
 demo: $(VENV)/installed
 	$(BIN)/fingerflow demo
@@ -14,6 +14,11 @@ test: $(VENV)/installed-dev
 	$(BIN)/mypy
 	# Two processes of one thread each: threads of torch that share cores wait for each other.
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadscope
+
+# -W: whatever Sphinx warns of, a broken link among it, is an error.
+docs: $(VENV)/installed-dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d docs/site/.doctrees docs docs/site
+	@echo "open docs/site/index.html"
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python -m bench
@@ -40,4 +45,4 @@ $(VENV)/installed-dev: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	@touch $@ $(VENV)/installed
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info fingerflow/_kernels* fingerflow-demo
+	rm -rf $(VENV) build dist *.egg-info fingerflow/_kernels* fingerflow-demo docs/site docs/generated

@@ -14,7 +14,6 @@ from .scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
-    Instead,
     Key,
     NotBefore,
     NotBoth,
@@ -194,9 +193,6 @@ class _Check:
                 self._inside(rule)
             case OneOf():
                 self._one_of(rule)
-            case Instead():
-                if rule.key in self.given and self._at(rule.other) is not None:
-                    self._blame(rule.key, f"{rule.other} says the same, and is there too; keep one of them")
             case FitsTheViews():
                 self._fits_the_views(rule)
 

@@ -1,0 +1,226 @@
+"""Pages that are written from the package when the site is built: outputs, keys of a scene, measurements."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fingerflow.dictionary import Entry, dictionary
+from fingerflow.player.contract.scene_keys import (
+    SCENE,
+    Choice,
+    Column,
+    Corners,
+    Each,
+    File,
+    Key,
+    Moment,
+    Number,
+    Pair,
+    PixelRange,
+    Switch,
+    Table,
+    Text,
+    TimeRange,
+    Transform,
+    Whole,
+    views_of,
+)
+from fingerflow.player.contract.scene_kinds import KINDS
+
+HERE = Path(__file__).resolve().parents[1]
+RESULTS = HERE.parent / "bench" / "results"
+
+
+def _cell(text: object) -> str:
+    """As it reads in a cell of a table of Markdown."""
+    plain = str(text)
+    for mark in "\\|*_<>$`[]~":
+        plain = plain.replace(mark, f"\\{mark}")
+    return plain.replace("\n", " ")
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *([_cell(cell) for cell in row] for row in rows)]
+    return ["| " + " | ".join(line) + " |" for line in lines] + [""]
+
+
+def outputs_page() -> str:
+    """Every variable: unit, dimensions, definition, equation, by stage."""
+    lines = [
+        "# Dictionary of outputs",
+        "",
+        "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is "
+        "written from `fingerflow/player/contract` when the site is built. What is *only where it is named* is "
+        "computed when `-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind "
+        "of scene and its files allow; a variable that it has not is absent, a value that is not known is NaN.",
+        "",
+        *_symbols(),
+    ]
+    stages: dict[str, list[Entry]] = {}
+    for entry in dictionary():
+        stages.setdefault(entry.stage, []).append(entry)
+    for stage, entries in stages.items():
+        lines += [f"## {stage.replace('_', ' ').capitalize()}", ""]
+        for entry in entries:
+            lines += [
+                f"({entry.stage}-{entry.name})=",
+                f"### {_cell(entry.name)}",
+                "",
+                _cell(entry.definition) + ".",
+                "",
+                f"```text\n{entry.equation}\n```",
+                "",
+                _facts(entry),
+                "",
+            ]
+    return "\n".join(lines)
+
+
+def _facts(entry: Entry) -> str:
+    facts = [f"Unit `{entry.units}`", f"dimensions `({', '.join(entry.dimensions)})`"]
+    if entry.needs:
+        facts.append("needs " + ", ".join(f"`{key}`" for key in entry.needs))
+    if not entry.unasked:
+        facts.append("only where it is named")
+    if entry.flags:
+        facts.append("values " + ", ".join(f"{value} `{meaning}`" for value, meaning in enumerate(entry.flags)))
+    return "; ".join(facts) + "."
+
+
+def _symbols() -> list[str]:
+    from fingerflow.player.contract import equations
+
+    text = (equations.__doc__ or "").partition("\n\n")[2].strip().replace("\n", " ")
+    return ["## Symbols", "", _cell(text), ""]
+
+
+def keys_page() -> str:
+    """Every key of a scene file: type, range, default, who needs it."""
+    press = views_of(KINDS["press"])
+    tables: dict[str, Key | Table] = {"views": press, **SCENE}
+    lines = [
+        "# Keys of a scene file",
+        "",
+        "`fingerflow init scene.toml` writes a commented file. Both readers of scenes, `process` and the player of a "
+        "stream, refuse what is not listed here, in the same words. This page is written from "
+        "`fingerflow/player/contract/scene_keys.py` when the site is built. `kind` names the kind of scene: "
+        + ", ".join(f"`{kind}`" for kind in KINDS)
+        + ".",
+        "",
+    ]
+    for name, table in tables.items():
+        assert isinstance(table, Table)
+        lines += [f"## [{name}]", "", *_table(("key", "is", "default", "needed by"), _keys(table, ""))]
+    return "\n".join(lines)
+
+
+def _keys(table: Table, above: str) -> list[tuple[str, str, str, str]]:
+    rows = []
+    for name, key in table.keys.items():
+        if isinstance(key, Table):
+            rows += _keys(key, f"{above}{name}.")
+        else:
+            default = "" if key.default is None else json.dumps(key.default)
+            rows.append((above + name, _kind_of(key.type), default, ", ".join(sorted(key.needed_by))))
+    return rows
+
+
+_PLAIN: dict[type, str] = {
+    Switch: "true or false",
+    Text: "text",
+    TimeRange: "[t0, t1], s from the trigger",
+    PixelRange: "[first, end) px",
+    Corners: "[[x, y], ...], three or more, px of the view",
+    Transform: "[[a, b, x], [c, d, y]]",
+}
+
+
+def _kind_of(of: Any) -> str:
+    if type(of) in _PLAIN:
+        return _PLAIN[type(of)]
+    match of:
+        case Number():
+            limits = ((">", of.above), ("≥", of.least), ("≤", of.most), ("<", of.below))
+            said = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
+            odd = "odd " if isinstance(of, Whole) and of.odd else ""
+            return f"{odd}{'whole ' if isinstance(of, Whole) else ''}number {said}".strip()
+        case Choice():
+            words = [f'"{word}"' for word in of.words]
+            return " or ".join([*words, *([] if of.number is None else [_kind_of(of.number)])])
+        case Moment():
+            return " or ".join([*(f'"{word}"' for word in of.words), 'a frame, or a time such as "0.25 s"'])
+        case Column():
+            return "column" if of.several == 1 else f"column, or a list of up to {of.several}"
+        case Each():
+            values = " or ".join(f"{value:g}" for value in of.among) or _kind_of(of.number)
+            return f"{values}; or a list, one a force"
+        case Pair():
+            return f"[x, y], each a {_kind_of(of.each)}"
+        case File():
+            return "path"
+    raise TypeError(f"{of!r} has no words yet: add them here")
+
+
+def measurements_page() -> str:
+    """The rows of bench/results, with machine and command."""
+    lines = [
+        "# Measurements in full",
+        "",
+        "What `python -m bench <suite>` has written to `bench/results`, row by row; this page is made of these files "
+        "when the site is built. {doc}`/accuracy` says what they mean. Times in ms, lengths in px where the column "
+        "does not say.",
+        "",
+    ]
+    for path in sorted(RESULTS.glob("*.json"), reverse=True):
+        record = json.loads(path.read_text(encoding="utf-8"))
+        machine, versions = record["machine"], record["versions"]
+        lines += [
+            f"## {path.stem}",
+            "",
+            f"{_cell(machine['cpu'])}, {machine['cores']} cores, {machine['system']}; torch "
+            f"{versions['torch']}, OpenCV {versions['opencv-contrib-python-headless']}; {record['threads']['torch']} "
+            f"threads. {_cell(record['remark'])}",
+            "",
+        ]
+        for suite, found in record["suites"].items():
+            rows = _pooled(found["rows"])
+            columns = list(dict.fromkeys(name for row in rows for name in row))
+            about = found["about"].partition("\n\n")[0].replace("\n", " ")
+            lines += [f"### {path.stem}: {suite}", "", _cell(about), "", f"    python -m bench {suite}", ""]
+            lines += _table(
+                [_cell(name) for name in columns], ([_number(row.get(name)) for name in columns] for row in rows)
+            )
+    return "\n".join(lines)
+
+
+def _pooled(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Of a suite with a row for all shifts together, that one alone."""
+    pooled = [row for row in rows if row.get("shift") == "all"]
+    return pooled or rows
+
+
+def _number(cell: Any) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+PAGES = {"outputs": outputs_page, "keys": keys_page, "measurements": measurements_page}
+
+
+def write(folder: Path) -> None:
+    """Writes the pages; one that is as it was is not touched, so that Sphinx does not read it again."""
+    folder.mkdir(exist_ok=True)
+    for name, page in PAGES.items():
+        path, text = folder / f"{name}.md", page()
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("builder-inited", lambda app: write(Path(app.srcdir) / "generated"))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

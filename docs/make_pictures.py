@@ -1,0 +1,131 @@
+"""Makes the pictures of the documentation anew: `python docs/make_pictures.py`. A synthetic press, and a real Chromium.
+
+Needs the extras `view` and `dev`, and Chromium: the system's, or `python -m playwright install chromium`.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import xarray as xr
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+import fingerflow
+from fingerflow import plot
+from fingerflow.report import write_report
+from fingerflow.result import load_result
+from fingerflow.synthetic import FingerprintTexture, Press, write_recording
+from fingerflow.view.server import Served
+
+PICTURES = Path(__file__).resolve().parent / "pictures"
+FRAMES, SHOWN = 40, 30
+WIDTH = 1000  # px
+SLOW = 240_000  # ms
+
+
+def save(data: bytes, name: str) -> None:
+    """A PNG of 256 colours, fitted to the picture."""
+    picture = Image.open(BytesIO(data)).convert("RGB")
+    if picture.width > WIDTH:
+        picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
+    picture.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=4, dither=Image.Dither.NONE).save(
+        PICTURES / name, optimize=True
+    )
+
+
+def draw_press(result: xr.Dataset, folder: Path) -> None:
+    """Both views of one moment, and what was found."""
+    scene = fingerflow.load_scene(folder / "scene.toml")
+    figure = plt.figure(figsize=(11, 3.6), layout="constrained")
+    left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.1))
+    plot.picture(result, scene, SHOWN, left, view="topography")
+    plot.picture(result, scene, SHOWN, middle, view="contact")
+    plot.field_map(result, "divergence", SHOWN, right)
+    for axes, title in ((left, "topography view, points"), (middle, "contact view, outlines")):
+        axes.set_title(title)
+        axes.get_legend().remove()
+    held = BytesIO()
+    figure.savefig(held, dpi=130, bbox_inches="tight")
+    save(held.getvalue(), "press.png")
+
+
+def screenshot(page: Any, height: int) -> bytes:
+    """What is seen of it at this height."""
+    page.set_viewport_size({"width": 1280, "height": height})
+    page.wait_for_timeout(1500)  # what moves into place
+    return bytes(page.screenshot())
+
+
+def of_page(browser: Any, path: Path, height: int, prepare: Callable[[Any], None]) -> bytes:
+    """The page of `fingerflow view`."""
+    with Served(path) as served:
+        page = browser.new_page(viewport={"width": 1280, "height": height})
+        page.set_default_timeout(SLOW)
+        page.goto(served.address)
+        page.wait_for_selector("#picture[data-drawn]")
+        prepare(page)
+        held = screenshot(page, height)
+        page.close()
+    return held
+
+
+def show_frame(page: Any) -> None:
+    """Moves the slider to the moment that is shown."""
+    page.locator("#frame").evaluate(
+        f"element => {{ element.value = {SHOWN}; element.dispatchEvent(new Event('input')); }}"
+    )
+    page.wait_for_selector(f"#picture[data-frame='{SHOWN}']")
+
+
+def show_contact(page: Any) -> None:
+    """The same, with the contact and the forces."""
+    show_frame(page)
+    page.wait_for_selector("#picture[data-mask=true]")
+    page.wait_for_selector("#courses:not([hidden])")
+    page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
+
+
+def start(engine: Any) -> Any:
+    """Playwright's own Chromium, or the system's."""
+    own = Path(engine.chromium.executable_path)
+    system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
+
+
+def main() -> None:
+    """All of them, by way of a folder whose name is seen on them."""
+    folder = Path(tempfile.gettempdir()) / "trial-of-a-press"
+    if folder.exists():
+        raise SystemExit(f"{folder} exists: remove it, its name is seen on the pictures")
+    PICTURES.mkdir(exist_ok=True)
+    texture = FingerprintTexture(pattern="loop")
+    press = Press(n_frames=FRAMES, frame_rate=float(FRAMES), frames_before_trigger=1, texture=texture)
+    try:
+        write_recording(folder, press)
+        with sync_playwright() as engine:
+            browser = start(engine)
+            save(of_page(browser, folder / "scene.toml", 1050, show_contact), "view_setup.png")
+            fingerflow.process(folder / "scene.toml", to=folder / "result.h5").close()
+            save(of_page(browser, folder / "result.h5", 900, show_frame), "view_result.png")
+
+            result = load_result(folder / "result.h5")
+            draw_press(result, folder)
+            page = browser.new_page(viewport={"width": 1280, "height": 900})
+            page.goto(write_report(result, fingerflow.load_scene(folder / "scene.toml"), folder).as_uri())
+            save(screenshot(page, 1150), "report.png")
+            browser.close()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

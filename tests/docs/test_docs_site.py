@@ -1,0 +1,110 @@
+"""The site is built as `make docs` builds it, and needs nothing from anywhere else."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import pytest
+
+import fingerflow
+from fingerflow.dictionary import dictionary
+from fingerflow.player.contract.scene_keys import SCENE
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Page(HTMLParser):
+    """What a page loads, where it leads, and the anchors that it has."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.leads: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        if "id" in given:
+            self.anchors.add(given["id"])
+        if tag == "a" and "href" in given:
+            self.leads.append(given["href"])
+        elif tag == "link" and given.get("rel") not in ("canonical", "index", "search", "next", "prev"):
+            self.loads.append(given.get("href", ""))
+        elif "src" in given:
+            self.loads.append(given["src"])
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; notebooks are run by a test of their own."""
+    for module in ("sphinx", "furo", "myst_nb"):
+        pytest.importorskip(module, reason="the site is not built: pip install 'fingerflow-engine[docs]'")
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-D", "nb_execution_mode=off"]
+    built = subprocess.run([*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+def pages_of(site: Path) -> dict[Path, Page]:
+    return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+
+
+def test_every_link_within_the_site_leads_somewhere(site: Path) -> None:
+    pages = pages_of(site)
+    assert len(pages) > 25
+    wrong = []
+    for path, page in pages.items():
+        for link in page.leads:
+            parts = urlparse(link)
+            if parts.scheme:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.exists():
+                wrong.append(f"{path.name}: {link}")
+            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
+                wrong.append(f"{path.name}: {link} has no such anchor")
+    assert not wrong
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    for path, page in pages_of(site).items():
+        for source in page.loads:
+            parts = urlparse(source)
+            assert not parts.netloc, f"{path.name} loads {source}"
+            assert parts.scheme == "data" or (path.parent / unquote(parts.path)).exists(), f"{path.name}: {source}"
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
+
+
+def test_equations_are_mathml(site: Path) -> None:
+    text = (site / "methods" / "deformation.html").read_text(encoding="utf-8")
+    assert text.count("<math") > 10
+    assert "\\frac" not in re.sub(r"<annotation.*?</annotation>", "", text, flags=re.DOTALL)
+
+
+def test_every_variable_and_key_has_its_place(site: Path) -> None:
+    outputs = (site / "generated" / "outputs.html").read_text(encoding="utf-8")
+    assert not [entry.name for entry in dictionary() if f"{entry.name}<" not in outputs]
+    keys = (site / "generated" / "keys.html").read_text(encoding="utf-8")
+    assert not [name for name in SCENE if f"[{name}]<" not in keys]
+
+
+def test_the_methods_name_no_file_that_is_not_here(site: Path) -> None:
+    """The site is read by people who have nothing but the repository."""
+    for path in site.rglob("*.html"):
+        assert "../shared" not in re.sub(r"class=\"pre\">\.\./shared/data", "", path.read_text(encoding="utf-8")), path
+
+
+def test_versions_are_equal() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert project["version"] == fingerflow.__version__
+    assert re.search(rf"^version: {re.escape(fingerflow.__version__)}$", citation, re.MULTILINE)
+    assert f"## {fingerflow.__version__}" in changes
