@@ -1,6 +1,7 @@
 """What a bundle carries of the package: its readers, which give there what they give here, without the package."""
 
 import ast
+import struct
 import subprocess
 import sys
 import tomllib
@@ -28,12 +29,12 @@ from player.sources import open_recording
 
 try:
     source = open_recording(Path(sys.argv[1]), None, "uint8", 1)
+    frames = []
+    while (frame := source.read()) is not None:
+        frames.append(frame)
+    source.close()
 except PlayerError as error:
     sys.exit(f"said: {error}")
-frames = []
-while (frame := source.read()) is not None:
-    frames.append(frame)
-source.close()
 np.save(sys.argv[2], np.array(frames))
 assert not [name for name in sys.modules if name.startswith("fingerflow.")]
 """
@@ -83,6 +84,20 @@ def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
     assert ended.stderr.startswith("said: ")
     assert "a.cine: not a Phantom recording" in ended.stderr
     assert "Traceback" not in ended.stderr
+
+
+def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
+    """A stream would try again for half a minute."""
+    (tmp_path / "made").mkdir()
+    data = bytearray(next(iter(samples("cine", tmp_path / "made")[0].files.values())))
+    (table,) = struct.unpack_from("<I", data, 32)
+    (third,) = struct.unpack_from("<q", data, table + 2 * 8)
+    (annotation,) = struct.unpack_from("<I", data, third)
+    struct.pack_into("<I", data, third + annotation - 4, 5)
+    (tmp_path / "a.cine").write_bytes(data)
+    ended = _play(bundle, tmp_path / "a.cine", tmp_path / "played.npy")
+    assert ended.stderr.startswith("said: ")
+    assert "frame 2 has 5 bytes instead of 768" in ended.stderr
 
 
 def test_the_copies_import_nothing_that_a_bundle_has_not(bundle: Path) -> None:

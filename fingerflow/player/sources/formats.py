@@ -34,7 +34,7 @@ def open_frames(asked: Asked) -> Source:
         ) from None
     for sentence in recording.warnings:
         log.warning("%s: %s", asked.path, sentence)
-    return Recorded(recording, asked.first)
+    return Recorded(recording, asked.first, opening.FingerflowError)
 
 
 def _opening() -> Any:
@@ -50,14 +50,20 @@ class Recorded:
 
     live = False
 
-    def __init__(self, recording: Any, first: int) -> None:
-        self._recording, self._next = recording, first
+    def __init__(self, recording: Any, first: int, wrong: type[Exception]) -> None:
+        self._recording, self._next, self._wrong = recording, first, wrong
 
     def read(self) -> Array | None:
-        """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named."""
+        """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named.
+
+        Raises PlayerError for one that is of another size than the first.
+        """
         if self._next >= len(self._recording):
             return None
-        frame: Array = self._recording[self._next]
+        try:
+            frame: Array = self._recording[self._next]
+        except self._wrong as error:  # nothing that a second try would mend
+            raise PlayerError(str(error)) from None
         damage = self._recording.unreadable.get(self._next)
         if damage:
             log.warning("%s: frame %d %s", self._recording.path, self._next, damage)
