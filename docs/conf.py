@@ -42,6 +42,8 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["equations.css"]
 html_title = f"fingerflow {version}"
 html_show_sphinx = False
 html_copy_source = False
