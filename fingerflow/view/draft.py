@@ -45,7 +45,7 @@ class Draft:
     def of_recording(cls, recording: Recording) -> "Draft":
         """A scene of two views side by side, beside the recording; what nobody can know of it is left out."""
         height, width = recording.frame_shape
-        path = _free(recording.path.resolve().parent / "scene.toml")
+        path = _free(recording.path.absolute().parent / "scene.toml")
         text = scene_text(frames=recording.path.name, calibration="")
         draft = cls(path, text, None)
         draft.set(("views",), _views_of("press", height, width))

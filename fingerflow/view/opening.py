@@ -1,17 +1,14 @@
 """What a path is: a scene, a recording or a result."""
 
-import contextlib
-import json
 from pathlib import Path
 from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.result import is_result
-from fingerflow.untrusted import open_hdf5
+from fingerflow.result import is_result, scene_of
 from fingerflow.view.draft import Draft
 
-_RESULT = "result.h5"
+RESULT = "result.h5"  #: beside the scene, as `fingerflow process` names it
 
 
 class Opened(NamedTuple):
@@ -33,7 +30,7 @@ def open_path(path: Path | None) -> Opened:
     if not path.exists() and "::" not in str(path):
         raise FingerflowError(f"{path} does not exist; name a scene, a recording or a result")
     if path.suffix.lower() == ".toml":
-        beside = path.parent / _RESULT
+        beside = path.parent / RESULT
         return Opened(Draft.of_file(path), beside if beside.is_file() and is_result(beside) else None)
     if path.is_file() and is_result(path):
         return Opened(_draft_of(path), path)
@@ -43,10 +40,7 @@ def open_path(path: Path | None) -> Opened:
 
 def _draft_of(result: Path) -> Draft | None:
     """The scene file of a result, where it is still there and can be read."""
-    with open_hdf5(result) as file:
-        scene = Path(json.loads(file.attrs["settings"])["path"])
-    if not scene.is_file():
+    try:
+        return Draft.of_file(scene_of(result))
+    except FingerflowError:
         return None
-    with contextlib.suppress(FingerflowError):
-        return Draft.of_file(scene)
-    return None

@@ -56,25 +56,14 @@ class Previewer:
         Raises FingerflowError for what the user can put right.
         """
         self.scene = scene
-        self._of_files: list[str]  # what was warned of when these were opened
-        self._of_forces: list[str]
-        self._loading: LoadingStage
         if scene.soft_sensor:
             raise FingerflowError(_MARKERS)
         same = before if before is not None and _opened(before.scene) == _opened(scene) else None
-        if same is None:
-            self._inputs: Inputs = open_inputs(scene, "cpu")
-        else:
-            self._inputs = replace(same._inputs, scene=scene, warnings=list(same._of_files))
-        self._of_files = list(self._inputs.warnings)
+        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else replace(same._inputs, scene=scene)
         self._trial = self._begin_trial()
-        if same is not None and same.scene.forces == scene.forces:
-            # Forces are resampled once: they do not depend on what is moved on the page.
-            self._loading, self._of_forces = same._loading, same._of_forces
-            self._inputs.warnings.extend(self._of_forces)
-        else:
-            self._loading = self._begin(LoadingStage(self._trial))
-            self._of_forces = self._inputs.warnings[len(self._of_files) :]
+        # Forces are resampled once: they do not depend on what is moved on the page.
+        lent = same._loading if same is not None and same.scene.forces == scene.forces else None
+        self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
         check = FrameCheckStage(self._trial)
         check.usable = np.ones(len(self._trial), dtype=bool)
         stages: dict[Any, Any] = {LoadingStage: self._loading, FrameCheckStage: check}
@@ -97,7 +86,7 @@ class Previewer:
     @property
     def warnings(self) -> list[str]:
         """Sentences of the opened files and of the stages so far."""
-        return list(self._inputs.warnings)
+        return [*self._inputs.warnings, *self._loading.warnings, *self._contact.warnings]
 
     def forces(self) -> dict[str, NDArray[np.float64]]:
         """Forces at the frames that count, by the names of the results."""
@@ -125,7 +114,6 @@ class Previewer:
         """
         if self.scene.views.topography is None:
             raise FingerflowError("the scene has no topography view: no points are followed, areas are all it gives")
-        before = len(self._inputs.warnings)
         frame = len(self._trial) - 1 if self.scene.tracking.direction == "backward" else 0
         trial = self._begin_trial(frame + 1)
         trial.stages = {**self._trial.stages}
@@ -136,9 +124,7 @@ class Previewer:
             batch.keep(self._contact, self._contact.step(batch))
             tracking.step(batch)
         points = trial.results["position_px"][np.array([frame])][0]
-        said = self._inputs.warnings[before:]
-        del self._inputs.warnings[before:]
-        return Chosen(points, frame, said)
+        return Chosen(points, frame, list(tracking.warnings))
 
     def _begin_trial(self, stored: int = 1) -> Trial:
         """With room for the results of some frames: the stages write those of the ones that they step through."""

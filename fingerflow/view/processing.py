@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,17 @@ _READ = 256  # bytes at a time
 class Processing:
     """One run. Ending it leaves nothing half-written."""
 
-    def __init__(self, scene: Path, to: Path) -> None:
+    def __init__(self, scene: Path, to: Path, earlier: Path | None = None, variables: Sequence[str] = ()) -> None:
+        """`earlier` is a result of the same frames, of which what still holds is taken; no `variables` are all that
+        are computed by default.
+        """
         self.to = to
+        options = [] if earlier is None else ["--from", str(earlier)]
+        for name in variables:
+            options += ["--variable", name]
         self._said = ""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "fingerflow", "process", str(scene), "--to", str(to)],
+            [sys.executable, "-m", "fingerflow", "process", str(scene), "--output", str(to), *options],
             cwd=Path(fingerflow.__file__).resolve().parents[1],  # this package, not another that is installed
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -174,7 +174,7 @@ class Results:
             if variable.dims[: len(dims)] != dims or name in _PLACES or any(dim not in LABELS for dim in rest):
                 continue
             parts = [""] if not rest else list(LABELS[str(rest[0])])
-            if rest == ("xy",):
+            if rest == ("xy",) and name != "ellipse_center":  # a place has no length
                 parts.insert(0, "length")
             for part in parts:
                 key = f"{name}:{part}" if part else str(name)

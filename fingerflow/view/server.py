@@ -49,7 +49,9 @@ class Served:
         self.port: int = self._socket.getsockname()[1]
         guard = Guard(application(self.session), self.port)
         self.address = f"http://{_HOST}:{self.port}/?token={guard.token}"
-        config = uvicorn.Config(guard, log_level="warning", access_log=False, ws="none", lifespan="off")
+        config = uvicorn.Config(
+            guard, log_level="warning", access_log=False, ws="none", lifespan="off", proxy_headers=False
+        )
         self._server = uvicorn.Server(config)
 
     def run(self) -> None:

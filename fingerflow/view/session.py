@@ -1,6 +1,7 @@
 """What the page looks at: a draft of a scene, a result, and what is opened of them. One request at a time."""
 
 import contextlib
+import json
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,11 +14,11 @@ from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
-from fingerflow.result import is_result
+from fingerflow.result import is_result, open_result
 from fingerflow.scene import Scene, load_scene, scene_of_settings
 from fingerflow.view.draft import Draft, files_beside
 from fingerflow.view.keys import forms, kinds
-from fingerflow.view.opening import Opened
+from fingerflow.view.opening import RESULT, Opened
 from fingerflow.view.packing import packed
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.processing import Processing
@@ -140,14 +141,14 @@ class Session:
             return None if path is None else path.read_bytes()
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is read as TOML."""
+        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is what stands in a field."""
         with self._lock:
             draft = self._drafted()
             for key, value in asked["set"]:
                 if key == "kind":
                     draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
                 else:
-                    draft.set(tuple(str(key).split(".")), _value_of(str(key), value))
+                    draft.set(tuple(str(key).split(".")), _value_of(value))
             return self.setup()
 
     def write(self, asked: Mapping[str, Any]) -> Facts:
@@ -161,17 +162,24 @@ class Session:
     # Processing.
 
     def process(self, asked: Mapping[str, Any]) -> Facts:
-        """Starts `fingerflow process` of the stored scene; what it writes is `result.h5` beside the scene."""
-        del asked
+        """Starts `fingerflow process` of the stored scene; what it writes is `result.h5` beside the scene.
+
+        With `all`, also what is computed only where it is named: principal strains, shear.
+        """
         with self._lock:
             draft = self._drafted()
             if not draft.is_stored:
                 raise FingerflowError("the scene file differs from what is on this page; write it first")
             if self._processing is not None and self._processing.state()["running"]:
                 raise FingerflowError("a run is under way; wait for it, or end it")
-            load_scene(draft.path)
+            scene, to, variables = load_scene(draft.path), draft.path.parent / RESULT, list[str]()
+            if asked.get("all"):
+                from fingerflow.view.outputs import all_of_default_stages
+
+                variables = all_of_default_stages(scene)
             self._close_result()  # some systems do not let an open file be replaced
-            self._processing = Processing(draft.path, draft.path.parent / "result.h5")
+            earlier = to if is_result(to) and _same_frames(to, scene) else None
+            self._processing = Processing(draft.path, to, earlier, variables)
             return self.progress()
 
     def end(self, asked: Mapping[str, Any]) -> Facts:
@@ -349,13 +357,17 @@ def _calibration_picture(scene: Scene) -> Path | None:
     return picture if picture is not None and picture.is_file() else None
 
 
-def _value_of(key: str, value: Any) -> Any:
+def _same_frames(result: Path, scene: Scene) -> bool:
+    """Whether a result says that it is of the frames of a scene."""
+    with open_result(result) as earlier:
+        return bool(json.loads(earlier.attrs["settings"])["recording"] == json.loads(scene.as_json())["recording"])
+
+
+def _value_of(value: Any) -> Any:
     """A value of the page, or TOML of it."""
     if not isinstance(value, dict):
         return value
     try:
         return tomlkit.parse(f"value = {value['toml']}")["value"]
-    except TOMLKitError as error:
-        raise FingerflowError(
-            f"{key}: {value['toml']!r} is not TOML ({error}); write it as in the scene file"
-        ) from None
+    except TOMLKitError:
+        return str(value["toml"])

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fingerflow import process
+from fingerflow import load_scene, process
 from fingerflow.synthetic import Press, write_recording
+from fingerflow.view.outputs import all_of_default_stages
 
 PRESS = Press(
     n_frames=12,
@@ -20,10 +21,13 @@ PRESS = Press(
 
 @pytest.fixture(scope="session")
 def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with 12 frames of 96 x 240 px, a scene, everything it names, and `result.h5`; not to be written to."""
+    """A folder with 12 frames of 96 x 240 px, a scene, everything it names, and `result.h5`, of all variables that the
+    stages of a default run can give; not to be written to.
+    """
     folder = tmp_path_factory.mktemp("view") / "press"
     write_recording(folder, PRESS)
-    process(folder / "scene.toml", to=folder / "result.h5").close()
+    scene = folder / "scene.toml"
+    process(scene, all_of_default_stages(load_scene(scene)), to=folder / "result.h5").close()
     return folder
 
 

@@ -80,10 +80,17 @@ def orange(page: Any) -> int:
     )
 
 
+def area_of(page: Any) -> float:
+    """The real contact area that the page states, while a scene is set up."""
+    found = page.wait_for_function("() => document.querySelectorAll('#panel dd')[1]?.firstChild.data")
+    return float(found.json_value())
+
+
 def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
     written = load_scene(press / "scene.toml")
     (press / "scene.toml").rename(press / "kept.txt")
-    with opened(browser, press / "frames.npy") as (page, _):
+    # What is asked for while a file has no channel yet is refused.
+    with opened(browser, press / "frames.npy", refused="422 (") as (page, _):
         # Frames, before anything else is known.
         page.wait_for_selector("#problems")
         assert "background.frames" in text_of(page, "#problems")
@@ -120,9 +127,29 @@ def test_from_a_recording_to_its_result(browser: Any, press: Path) -> None:
         drag(page, (239, 50), (231, 50))
         page.wait_for_function("() => document.getElementById('text').textContent.includes('[120, 23')")
 
+        # Skin touches within a region, and everywhere again.
+        whole = area_of(page)
+        page.click("#region")
+        box = page.locator("#picture").bounding_box()
+        for k, (x, y) in enumerate([(150, 20), (178, 20), (178, 80), (150, 80), (150, 24)]):
+            page.mouse.move(box["x"] + (x + 0.5) * box["width"] / WIDTH, box["y"] + (y + 0.5) * box["width"] / WIDTH)
+            if k == 0:
+                page.mouse.down()
+        page.mouse.up()
+        page.wait_for_selector("#no-region", state="visible")
+        page.wait_for_function(
+            "whole => +document.querySelectorAll('#panel dd')[1]?.firstChild.data < whole", arg=whole
+        )
+        assert "[views.contact.region]" in page.text_content("#text")
+        page.click("#no-region")
+        page.wait_for_function(
+            "whole => +document.querySelectorAll('#panel dd')[1]?.firstChild.data == whole", arg=whole
+        )
+        assert "\n[views.contact.region]" not in page.text_content("#text")
+
         # It is written, and is what was seen.
         page.click("#write")
-        page.wait_for_selector(".good")
+        page.wait_for_selector(".good:has-text('has these settings')")
         scene = load_scene(press / "scene.toml")
         assert scene.views.contact.rows == (0, 96)
         assert scene.views.contact.columns == (120, pytest.approx(232, abs=1))

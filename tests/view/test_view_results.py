@@ -46,6 +46,7 @@ def test_everything_that_has_a_place_or_a_course_is_listed(results: Results, sto
     maps, curves = {one["key"] for one in facts["maps"]}, {one["key"] for one in facts["curves"]}
     assert {"divergence", "curl", "strain:exx", "displacement:length", "displacement:x", "divergence_std"} <= maps
     assert {"strain_energy_density", "status", "position_std_px", "strain_std:exy"} <= maps
+    assert {"principal_strains:major", "principal_angle", "shear:along_axes", "rigid_residual:length"} <= maps
     assert {"normal_force", "median_divergence", "median_strain:exx", "ellipse_semi_axes:major"} <= curves
     for key in maps:
         assert results.frame(5, key)[1]["shown"].shape in ((stored.sizes["point"],), (stored.sizes["triangle"],))

@@ -39,7 +39,11 @@ EQUATIONS: dict[str, str] = {
     "status": "first test that a point has not passed",
     "in_contact": "1[position inside the gross contact]",
     "tracked_share": "mean of 1[status = 0] over the points",
+    "window_differs_share": (
+        "mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows then and now"
+    ),
     "forward_backward_median": "median of forward_backward_error over the tracked points",
+    "entry": "by which of the two moved when the contact came to cover the point, its border or the skin",
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
     "entry": "covered where the border of the gross contact came over the point, moved_in where skin moved in over it",
     "reference_position": "X = position in the frame from which displacement counts",

@@ -35,8 +35,8 @@ export function makeForms(setup, changed) {
   return { elements: made, update };
 }
 
-const words = text => text.replace(/_px$/, " (px)").replace(/_mm$/, " (mm)").replace(/_mpa$/, " (MPa)").replace(/_s$/, " (s)")
-  .replace(/^mm_per_px$/, "scale (mm per px)").replace(/_/g, " ");
+const words = text => text.replace(/^mm_per_px$/, "scale (mm per px)").replace(/_px$/, " (px)").replace(/_mm$/, " (mm)").replace(/_mpa$/, " (MPa)").replace(/_s$/, " (s)")
+  .replace(/_/g, " ");
 
 function valueAt(values, key) {
   return key.split(".").reduce((place, name) => place?.[name], values);
@@ -47,7 +47,8 @@ function row(key, form, changed, updates) {
   const name = make("span", {}, words(form.name));
   const field = make("div", { className: "field" }, name);
   field.dataset.key = key;
-  const placeholder = form.default === null || form.default === undefined ? (form.needed ? "needed" : "none") : `${form.default}`;
+  const placeholder = form.default === null || form.default === undefined ? (form.needed ? "needed" : "none")
+    : typeof form.default === "string" ? form.default : JSON.stringify(form.default);
   const add = (input, read, write) => {
     input.setAttribute("aria-label", key);
     field.append(input);
@@ -96,7 +97,7 @@ function row(key, form, changed, updates) {
   } else if (form.input === "toml") {
     const input = make("input", { type: "text", placeholder });
     add(input, () => input.value === "" ? null : { toml: input.value },
-      value => { input.value = value === null ? "" : JSON.stringify(value); });
+      value => { input.value = value === null ? "" : typeof value === "string" ? value : JSON.stringify(value); });
   } else {
     const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });

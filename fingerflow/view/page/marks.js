@@ -2,6 +2,7 @@
 import { STATUS, UNKNOWN } from "./colours.js";
 
 export const VIEW = { contact: "#ffb000", camera: "#ffb000", topography: "#4cc9f0" };
+const LINE = 0.9;  // length of a direction, of the side of a square of the triangle's area
 const ELLIPSE = "#00d5ff", ARROW = "#ffd54f", STUCK = "#ff4fd8", LOST = "#d55e00";
 
 export function inverse([[a, b, x], [c, d, y]]) {
@@ -79,7 +80,7 @@ export function drawArrows(pen, at, of, positions, displacement, times) {
   }
 }
 
-export function drawTriangles(pen, at, of, positions, triangles, values, colour, angles, scaleOf) {
+export function drawTriangles(pen, at, of, positions, triangles, values, colour, angles) {
   for (let k = 0; k * 3 < triangles.length; k++) {
     const fill = colour(values[k]);
     if (!fill) continue;
@@ -87,10 +88,12 @@ export function drawTriangles(pen, at, of, positions, triangles, values, colour,
     if (!corners.flat().every(Number.isFinite)) continue;
     pen.line(corners, { fill, closed: true });
     if (angles && Number.isFinite(angles[k])) {
-      const x = (corners[0][0] + corners[1][0] + corners[2][0]) / 3, y = (corners[0][1] + corners[1][1] + corners[2][1]) / 3;
-      const half = scaleOf * Math.sqrt(Math.abs((corners[1][0] - corners[0][0]) * (corners[2][1] - corners[0][1]) -
-        (corners[2][0] - corners[0][0]) * (corners[1][1] - corners[0][1]))) / 2;
-      const u = half * Math.cos(angles[k]), v = half * Math.sin(angles[k]);
+      const mean = c => [0, 1, 2].reduce((sum, j) => sum + positions[2 * triangles[3 * k + j] + c], 0) / 3;
+      const [mx, my] = [mean(0), mean(1)], step = 0.01;  // mm, along the direction on the glass
+      const [x, y] = at(...of(mx, my)), [tx, ty] = at(...of(mx + step * Math.cos(angles[k]), my + step * Math.sin(angles[k])));
+      const area = Math.abs((corners[1][0] - corners[0][0]) * (corners[2][1] - corners[0][1]) -
+        (corners[2][0] - corners[0][0]) * (corners[1][1] - corners[0][1]));
+      const part = LINE * Math.sqrt(area) / 2 / Math.hypot(tx - x, ty - y), u = (tx - x) * part, v = (ty - y) * part;
       pen.line([[x - u, y - v], [x + u, y + v]], { stroke: "#111", width: 1.1 });
     }
   }

@@ -141,7 +141,7 @@ export class ResultsView {
     }
     if (of === "triangle" && position && this.triangles && found.shown) {
       const colour = scale(this.found.range), angles = found.principal_angle?.values;
-      for (const { of: to } of places) marks.drawTriangles(pen, at, to, position, this.triangles, found.shown.values, colour, angles, 0.9);
+      for (const { of: to } of places) marks.drawTriangles(pen, at, to, position, this.triangles, found.shown.values, colour, angles);
     }
     if (this.layer.regions) for (const name of this.facts.cells) if (found[name] && (name === "stuck_region" || !this.layer.ellipse)) {
       for (const { of: to } of places) marks.drawCells(pen, at, to, found[name].values, found[name].shape, numbers[name]);
@@ -191,6 +191,7 @@ export class ResultsView {
       entries.push(make("span", { className: "wide" }, limit(0), bar, limit(1), ` ${unitsOf(one.units)}  ${one.said}`));
       entries.push(make("span", {}, one.of === "point" ? ring : "", one.of === "point" ? "not known (NaN)" : "no colour: NaN"));
     }
+    if (this.shown.startsWith("principal_strains")) entries.push(make("span", {}, "— direction of the major principal strain"));
     if (this.layer.contact) entries.push(mark("mask", "real contact"));
     if (this.layer.ellipse && this.facts.curves.some(({ key }) => key.startsWith("ellipse"))) entries.push(mark("ellipse", "gross contact (ellipse)"));
     if (this.layer.arrows) entries.push(mark("arrow", `displacement × ${this.arrows}`));

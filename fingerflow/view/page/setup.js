@@ -4,6 +4,7 @@ import { $, digits, make, toggle } from "./elements.js";
 import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
 import { makeForms } from "./forms.js";
 
+const CORNERS = 40;  // of a region, at most
 const REACH = 9;  // screen px around an edge that take hold of it
 
 export class Setup {
@@ -26,18 +27,22 @@ export class Setup {
     const { app } = this;
     app.picture.layers = (pen, at, scale) => this.draw(pen, at, scale);
     app.picture.gestures = { down: (...a) => this.hold(...a), move: (...a) => this.drag(...a), up: () => this.drop(),
-      hover: (x, y) => this.cursor(x, y) };
+      hover: (x, y) => this.drawing ? "crosshair" : this.cursor(x, y) };
     $("layers").replaceChildren(
       toggle("contact", this.layer.contact, on => this.set("contact", on), "Where process will find real contact"),
       toggle("points", this.layer.points, on => this.set("points", on), "The points that process would follow"),
       toggle("topography on contact", this.layer.blend, on => this.set("blend", on),
-        "The topography view laid over the contact view by the calibration: ridges should fall on ridges"));
+        "The topography view laid over the contact view by the calibration: ridges should fall on ridges"),
+      make("button", { id: "region", title: "Where skin may touch (contact view), or where points are chosen (topography view)",
+        onclick: () => this.startRegion() }, "Draw region"),
+      make("button", { id: "no-region", hidden: true, onclick: () => this.noRegions() }, "No region"));
     $("hint").textContent = "Drag a view or its edges; wheel to zoom, double click for all.";
     $("save-csv").hidden = true;
     this.panel();
     app.chart.show({ label: "", values: [] }, []);
     $("courses").hidden = true;
     this.legend();
+    if (this.facts.draft) $("no-region").hidden = !this.regions().length;
   }
   set(name, on) {
     this.layer[name] = on;
@@ -55,8 +60,11 @@ export class Setup {
         make("div", { className: "bar" }, this.name,
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
+        toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
+      this.overlay = make("details", { className: "card", hidden: true }, make("summary", {}, "Picture of the calibration"),
+        make("img", { alt: "What the calibration found in its frames", loading: "lazy" })),
       make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
       make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
     this.update();
@@ -79,6 +87,7 @@ export class Setup {
       ...[...new Set(warned)].map(one => make("p", { className: "warned" }, one)),
     ].filter(Boolean));
     $("process").disabled = !facts.stored || other.length > 0;
+    if ($("no-region")) $("no-region").hidden = !this.regions().length;
   }
   edit(key, value) {
     this.pending.set(key, value);
@@ -92,7 +101,6 @@ export class Setup {
     this.take(await post("api/edit", { set }));
     say("");
     this.update();
-    this.found = null;
     if (kind !== this.facts.kind || set.some(([key]) => !key.startsWith("contact."))) await this.app.measure();
     await this.app.show();
     this.later();
@@ -121,6 +129,8 @@ export class Setup {
   });
   courses() {
     const found = this.forces?.arrays;
+    this.overlay.hidden = !this.forces?.calibration_picture;
+    if (!this.overlay.hidden) this.overlay.querySelector("img").src = "api/calibration.png";
     const names = Object.keys(found || {}).filter(name => name !== "time");
     $("courses").hidden = !names.length;
     if (!names.length) return;
@@ -173,6 +183,7 @@ export class Setup {
     if (points && view && this.layer.points) {
       drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: Math.max(1.2, Math.min(4, 3 * scale)) });
     }
+    this.drawRegions(pen, at);
     drawViews(pen, at, this.views, true);
   }
   blend(pen, at, scale, contact) {
@@ -203,6 +214,41 @@ export class Setup {
     else if (this.points?.why) entries.push(make("span", { className: "soft" }, `no points: ${this.points.why}`));
     $("legend").replaceChildren(...entries);
   }
+  // Regions of views: a polygon, in px of its view.
+  regions() {
+    return Object.entries(this.facts.values.views).filter(([name, view]) => name in VIEW && view?.region).map(([name]) => name);
+  }
+  startRegion() {
+    this.drawing = this.drawing ? null : [];
+    $("region").classList.toggle("on", Boolean(this.drawing));
+  }
+  closeRegion() {
+    const outline = this.drawing, [[x, y]] = outline, every = Math.ceil(outline.length / CORNERS);
+    this.drawing = null;
+    $("region").classList.remove("on");
+    const within = ({ rows, columns }) => x >= columns[0] && x < columns[1] && y >= rows[0] && y < rows[1];
+    const [name, view] = Object.entries(this.views).find(([, one]) => within(one)) || [];
+    if (!view) return say("begin within a view to draw its region");
+    const clamped = (value, [first, end]) => Math.max(0, Math.min(end - first - 1, Math.round(value - first)));
+    const corners = outline.filter((_, k) => k % every === 0).map(([px, py]) => [clamped(px, view.columns), clamped(py, view.rows)]);
+    for (const other of ["ellipse", "mask"]) this.pending.set(`views.${name}.region.${other}`, null);
+    this.edit(`views.${name}.region.polygon`, corners);
+  }
+  noRegions() {
+    for (const name of this.regions()) for (const key of ["polygon", "ellipse", "mask"]) this.edit(`views.${name}.region.${key}`, null);
+  }
+  drawRegions(pen, at) {
+    for (const name of this.regions()) {
+      const { polygon, ellipse } = this.facts.values.views[name].region, { rows, columns } = this.views[name];
+      const corners = polygon || (ellipse?.center && ellipse.semi_axes && Array.from({ length: 96 }, (_, k) => {
+        const turn = k / 48 * Math.PI, angle = ellipse.angle || 0, [a, b] = ellipse.semi_axes;
+        const [u, v] = [a * Math.cos(turn), b * Math.sin(turn)];
+        return [ellipse.center[0] + u * Math.cos(angle) - v * Math.sin(angle), ellipse.center[1] + u * Math.sin(angle) + v * Math.cos(angle)];
+      }));
+      if (Array.isArray(corners)) pen.line(corners.map(([x, y]) => at(x + columns[0], y + rows[0])), { stroke: VIEW[name], width: 2, dash: [6, 4], closed: true });
+    }
+    if (this.drawing?.length) pen.line(this.drawing.map(([x, y]) => at(x, y)), { stroke: "#fff", width: 2, dash: [5, 3] });
+  }
   // Dragging of views.
   edge(x, y) {
     const reach = REACH / this.app.picture.view.scale;
@@ -225,6 +271,10 @@ export class Setup {
     return across && down ? (found.left === found.top ? "nwse-resize" : "nesw-resize") : across ? "ew-resize" : "ns-resize";
   }
   hold(x, y, event) {
+    if (this.drawing) {
+      this.drawing = [[x, y]];
+      return true;
+    }
     const found = this.app.picture.zoom && !event.shiftKey && this.edge(x, y)?.whole ? null : this.edge(x, y);
     if (!found) return false;
     const view = this.views[found.name];
@@ -232,6 +282,10 @@ export class Setup {
     return true;
   }
   drag(x, y) {
+    if (this.drawing) {
+      this.drawing.push([x, y]);
+      return this.app.picture.redraw();
+    }
     const { name, whole, left, right, top, bottom, rows, columns } = this.held, [height, width] = this.app.picture.shape;
     const dx = Math.round(x - this.held.x), dy = Math.round(y - this.held.y), least = 16;
     const clamp = (value, low, high) => Math.max(low, Math.min(high, value));
@@ -249,6 +303,7 @@ export class Setup {
     this.app.picture.redraw();
   }
   drop() {
+    if (this.drawing) return this.closeRegion();
     const { name } = this.held, { rows, columns } = this.views[name];
     if (rows + "" === this.held.rows + "" && columns + "" === this.held.columns + "") return;
     this.pending.set(`views.${name}.rows`, rows);
@@ -270,7 +325,7 @@ export class Setup {
   }
   async process() {
     try {
-      this.follow(await post("api/process", {}));
+      this.follow(await post("api/process", { all: Boolean(this.all) }));
     } catch (error) { say(error.message); }
   }
   async follow(state) {
