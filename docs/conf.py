@@ -37,11 +37,14 @@ python_use_unqualified_type_names = True
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"  # a notebook is run again when its cells have changed
+nb_execution_in_temp = True
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["equations.css"]
 html_title = f"fingerflow {version}"
 html_show_sphinx = False
 html_copy_source = False
