@@ -66,8 +66,9 @@ ARROWS: dict[str, set[str]] = {
     "player": {
         "contract",
         "errors",
-        "export",
-    },  # only where `--provider compiled` asks for the package; a bundle does without
+        "export",  # only where `--provider compiled` asks for the package; a bundle does without
+        "recordings",  # a bundle carries copies of its readers
+    },
     "cluster": {"errors", "pipeline", "plan", "result", "scene", "atomic_write"},
     "stream_result": {"contract", "errors", "player"},
     "view": {

@@ -312,11 +312,20 @@ def _slip(folder: Path) -> tuple[Path, list[str] | None]:
     return folder / "scene.toml", None
 
 
+def _dense(folder: Path) -> tuple[Path, list[str] | None]:
+    path, _ = _slip(folder)
+    text = path.read_text(encoding="utf-8")
+    head, mark, rest = text.partition("[slip]")
+    assert mark
+    path.write_text(f'{head}[slip]\ndisplacement = "dense_flow"\n{rest.partition(chr(10))[2]}', encoding="utf-8")
+    return path, ["stuck_ratio", "median_divergence", "strain"]
+
+
 def _gel(folder: Path) -> tuple[Path, list[str] | None]:
     return write_gel_recording(folder, MarkerGel(n_frames=16), 0.06), None
 
 
-@pytest.mark.parametrize("make", [_press, _slip, _gel])
+@pytest.mark.parametrize("make", [_press, _slip, _dense, _gel])
 def test_stages_look_at_no_setting_that_they_do_not_name(
     make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
 ) -> None:

@@ -122,7 +122,7 @@ def rows_of(press: Press, disturbances: dict[str, Disturbance]) -> list[Row]:
         recording = Path(folder) / "press"
         write_quietly(recording, press)
         for name, disturbance in disturbances.items():
-            kept = _write(recording, Path(folder) / "disturbed", press, disturbance)
+            kept = write_disturbed(recording, Path(folder) / "disturbed", press, disturbance)
             try:
                 result = process(load_scene(Path(folder) / "disturbed" / "scene.toml"), OUTPUTS, device="cpu")
             except FingerflowError as error:
@@ -137,7 +137,7 @@ def rows_of(press: Press, disturbances: dict[str, Disturbance]) -> list[Row]:
     return rows
 
 
-def _write(recording: Path, folder: Path, press: Press, disturbance: Disturbance) -> NDArray[np.intp]:
+def write_disturbed(recording: Path, folder: Path, press: Press, disturbance: Disturbance) -> NDArray[np.intp]:
     """The press with a disturbance, and the numbers of its frames."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(recording, folder, ignore=shutil.ignore_patterns("frames.npy"))

@@ -8,9 +8,9 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
+import re
 import shutil
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import torch
@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
+from fingerflow.export.player_copy import copy_player
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, feed
@@ -29,7 +30,7 @@ COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"
 )
-_PLAYER_FILES = ("README.md", "requirements.txt", "scene.toml")
+_PLAYER_FILES = ("README.md", "requirements.txt")
 
 
 def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Difference]:
@@ -111,19 +112,24 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     about = {"format": FORMAT, "fingerflow": version(), "recipe": recipe.model_dump(), "graphs": models}
     (folder / "bundle.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
-    _copy(package / "player", folder / "player")
+    copy_player(folder)
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "bundle" / name).read_bytes())
+    scene = (package / "bundle" / "scene.toml").read_text(encoding="utf-8")
+    text = scene_for(scene, recipe.views.height, recipe.views.width)
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
 
 
-def _copy(source: Traversable, folder: Path) -> None:
-    """A folder with everything in it, but for what Python has compiled of it."""
-    folder.mkdir()
-    for one in source.iterdir():
-        if one.is_file():
-            (folder / one.name).write_bytes(one.read_bytes())
-        elif one.name != "__pycache__":
-            _copy(one, folder / one.name)
+def scene_for(template: str, height: int, width: int) -> str:
+    """The scene to fill in, for views of this size: in the template they are 512 x 640 px, side by side."""
+    places = {
+        "[0, 512]": (0, height),
+        "[0, 640]": (0, width),
+        "[640, 1280]": (width, 2 * width),
+        "[100, 400]": (height // 5, 4 * height // 5),
+        "[100, 540]": (width // 5, 4 * width // 5),
+    }
+    return re.sub("|".join(map(re.escape, places)), lambda found: str(list(places[found[0]])), template)
 
 
 def version() -> str:

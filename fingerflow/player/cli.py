@@ -104,7 +104,10 @@ def _stream(options: argparse.Namespace) -> int:
         raise
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
-    player = Player(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name)
+    player = Player(
+        *(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name),
+        played.expected,
+    )
     with _stopped_by_signals(player) as received:
         summary = player.run()
     text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)

@@ -7,7 +7,7 @@ import math
 import struct
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,10 @@ from .handover import Slot
 _PAGE_INTERVAL = 1 / 15  # s between pictures, made only while somebody looks
 _TRACE_LENGTH = 900  # 30 s, as the page shows, of a point every 1 / 30 s
 _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
+_TRACED = ("real_contact_area", "gross_contact_area", "median_divergence")
+_DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_semi_axes")
+
+Expected = Callable[[int, int], Mapping[str, float]]  # from the numbers of a frame and of the restart
 
 
 class LiveViews(NamedTuple):
@@ -29,20 +33,32 @@ class LiveViews(NamedTuple):
 
 
 class LiveData:
-    """The latest picture and the traces, written by the sink and read by the page."""
+    """The latest picture and the traces, written by the sink and read by the page.
 
-    def __init__(self, bundle: Bundle) -> None:
+    Args:
+        bundle: that is played.
+        expected: what is to be measured in a frame, by name, where that is known.
+    """
+
+    def __init__(self, bundle: Bundle, expected: Expected | None = None) -> None:
         self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
         self._shift = bundle.bit_depth - 8
+        self._expect = expected
         self._asked = self._drawn = -math.inf
         self._arrays: dict[str, Array] = {}
         self._scalars: dict[str, float] = {}
-        self._traces: deque[tuple[float, float, float, float]] = deque(maxlen=_TRACE_LENGTH)
+        self._expected: Mapping[str, float] = {}
+        self._columns = ["time", *_TRACED, *([f"expected_{name}" for name in _TRACED] if expected else [])]
+        self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
+
+    def is_watched(self) -> bool:
+        """Whether somebody has looked in the last two seconds."""
+        return time.perf_counter() - self._asked < 2
 
     def is_due(self) -> bool:
         """Whether somebody looks, and the last picture is old enough."""
         now = time.perf_counter()
-        if now - self._asked > 2 or now - self._drawn < _PAGE_INTERVAL:
+        if not self.is_watched() or now - self._drawn < _PAGE_INTERVAL:
             return False
         self._drawn = now
         return True
@@ -56,27 +72,33 @@ class LiveData:
         if views.real_contact_mask is not None:
             arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
-        arrays |= {
-            n: record[n].astype(np.float32)
-            for n in ("position_px", "divergence", "ellipse_center", "ellipse_semi_axes")
-            if n in names
-        }
+        arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
+        self._expected = self._expected_in(record)
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
         """Adds a frame to the traces; the oldest leaves."""
-        names = record.dtype.names or ()
-        wanted = ("time", "real_contact_area", "gross_contact_area", "median_divergence")
-        self._traces.append(tuple(float(record[n]) if n in names else math.nan for n in wanted))  # type: ignore[arg-type]
+        names, expected = record.dtype.names or (), self._expected_in(record)
+        row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
+        self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
+
+    def _expected_in(self, record: Array) -> Mapping[str, float]:
+        return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
         """Length of a JSON text (little-endian uint32), the text, and the arrays it lists, each padded to 4 bytes."""
         self._asked = time.perf_counter()
-        arrays = self._arrays | {"traces": np.array(list(self._traces), np.float32).reshape(-1, 4)}
-        listed = [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()]
-        scalars = {name: value if math.isfinite(value) else None for name, value in self._scalars.items()}
-        text = json.dumps({**facts, "every": self._every, "scalars": scalars, "arrays": listed}).encode()
+        traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
+        arrays = self._arrays | {"traces": traces}
+        said = {
+            "every": self._every,
+            "scalars": {name: value if math.isfinite(value) else None for name, value in self._scalars.items()},
+            "expected": dict(self._expected),
+            "trace_columns": self._columns,
+            "arrays": [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()],
+        }
+        text = json.dumps({**facts, **said}).encode()
         blocks = [struct.pack("<I", len(text)), text, b"\0" * (-len(text) % 4)]
         for array in arrays.values():
             blocks += [array.tobytes(), b"\0" * (-array.nbytes % 4)]

@@ -29,6 +29,7 @@ _LINGER, _MOST_BODY = 0.5, 1 << 20  # s and bytes of a body that is refused
 _CLIENTS = 16  # at once
 _NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _WAIT = 0.2  # s, where there is none left
+_LAST_LOOK = 1.2  # s; the page asks 15 times in one, or once where it is not in front
 _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
@@ -44,7 +45,7 @@ _HEADERS = {
 
 def serve_page(
     address: tuple[str, int], live: LiveData, facts: Callable[[], Mapping[str, Any]], restart: Callable[[], None]
-) -> ThreadingHTTPServer:
+) -> PageServer:
     """Starts the live page in a thread of its own.
 
     Args:
@@ -79,7 +80,7 @@ def serve_page(
                     self.answer(403, "text/plain", b"refused")
 
     try:
-        server = _Server(address, Handler)
+        server = PageServer(address, Handler, live)
     except OSError as error:
         raise PlayerError(
             f"live page: {address[0]}:{address[1]} cannot be served ({error.strerror}); give --page another port or off"
@@ -89,17 +90,25 @@ def serve_page(
     return server
 
 
-class _Server(ThreadingHTTPServer):
+class PageServer(ThreadingHTTPServer):
     """At most `_CLIENTS` at once, each with a time for its request."""
 
     daemon_threads = True
 
-    def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
+    def __init__(self, address: tuple[str, int], handler: type[_Handler], live: LiveData) -> None:
+        self._live = live
         self._room = threading.BoundedSemaphore(_CLIENTS)
         self.host = address[0]
         self.asking: dict[socket.socket, float] = {}  # clients whose request is not whole, and since when
         self._said = False
         super().__init__(address, handler)
+
+    def stop(self) -> None:
+        """Ends it; a page that is open is answered a little longer, so that it shows how the stream has ended."""
+        if self._live.is_watched():
+            time.sleep(_LAST_LOOK)
+        self.shutdown()
+        self.server_close()
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Raises OSError where no client can be taken, after a while where all descriptors are in use."""
@@ -156,7 +165,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "fingerflow", ""
     timeout = _TIMEOUT
-    server: _Server
+    server: PageServer
 
     def handle_one_request(self) -> None:
         """Counts the time from the first wait for it."""

@@ -12,6 +12,7 @@ from .arrays import Array
 from .background import mean_view
 from .bundle import Bundle
 from .errors import PlayerError
+from .live import Expected
 from .scene import Scene, check_scene, load_scene
 from .sources import open_recording
 from .sources.camera import open_camera
@@ -20,7 +21,10 @@ from .sources.synthetic import Synthetic, side_by_side
 
 
 class Played(NamedTuple):
-    """What is played: a source by name, which of its frames count, the contact views of empty glass and darkness."""
+    """What is played: a source by name, which of its frames count, the contact views of empty glass and darkness.
+
+    ``expected`` gives what is to be measured in a frame, by its number and that of the restart, where that is known.
+    """
 
     scene: Scene
     name: str
@@ -29,6 +33,7 @@ class Played(NamedTuple):
     dark: Array
     first: int = 0
     frames: int | None = None
+    expected: Expected | None = None
 
 
 def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
@@ -44,12 +49,23 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
     check_scene(scene, bundle)
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
-        drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth)
-        return Played(scene, "synthetic", drawn.from_frame, scene.contact.crop(drawn.background), black)
+        gauge = bundle.recipe.get("fields", {}).get("gauge_length_mm") if path is None else None
+        drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
+        glass = scene.contact.crop(drawn.background)
+        # Views that a scene maps to each other otherwise are not drawn so.
+        known = drawn.expected_in if path is None else None
+        return Played(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
     if scene.background is None:
         raise PlayerError(
             f"{path}: background.frames is missing; give a file of the empty glass, of one or more frames"
         )
+    for key, picture in (("frames", scene.background), ("dark", scene.dark)):
+        if picture is not None and not picture.exists():
+            raise PlayerError(
+                f"{path}: {key} of [background] is {picture}, which is not there; record the glass "
+                f"{'without light' if key == 'dark' else 'with no finger on it'} and save it under that name, or name "
+                "the file that you have"
+            )
     glass, dark = (
         black if file is None else mean_view(file, scene.contact, bundle, shape, options.dtype)
         for file in (scene.background, scene.dark)

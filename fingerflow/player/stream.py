@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 import threading
 import time
 from collections import deque
@@ -20,7 +21,7 @@ from .findings import Findings
 from .frame_check import USABLE, FrameCheck
 from .handover import Channel, InOrder, Slot
 from .latency import Latencies
-from .live import LiveData, LiveViews
+from .live import Expected, LiveData, LiveViews
 from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
@@ -65,6 +66,7 @@ class Player:
         layout: RecordLayout,
         settings: Settings,
         source_name: str = "source",
+        expected: Expected | None = None,
     ) -> None:
         self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
         self.provider = provider
@@ -84,7 +86,8 @@ class Player:
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
-        self.live = LiveData(bundle)
+        self.live = LiveData(bundle, expected)
+        self._state, self._said = "waiting", ""  # for the page
         self.restart_wanted = threading.Event()
         self._stop = threading.Event()
         self._finished = threading.Event()
@@ -131,9 +134,6 @@ class Player:
                 thread.join()
         finally:
             self._seconds = time.perf_counter() - self._started
-            if page:
-                page.shutdown()
-                page.server_close()
             if threads[0].ident is None:
                 close_within(_HANGING, self._source)
             try:
@@ -142,6 +142,10 @@ class Player:
                 self._failure = self._failure or error
             if not self.processed:
                 self._sink.discard()
+            if page:
+                failure = self._failure or sys.exc_info()[1]
+                self._state, self._said = "failed" if failure else "ended", first_line(failure) if failure else ""
+                page.stop()
         if self._failure is not None:
             raise self._failure
         missing = self._findings.missing(math.isfinite(self._stepper.threshold))
@@ -182,6 +186,10 @@ class Player:
             "bundle": self.bundle.folder.resolve().name,
             "provider": PROVIDERS[self.provider],
             "mm_per_px": self.scene.mm_per_px,
+            "topography_mm_per_px": self._topography_mm_per_px,
+            "state": "running" if self._state == "waiting" and self.processed else self._state,
+            "said": self._said,
+            "fields": list(self._fields),
             "source": self.source_name,
             "rate": None if math.isnan(self.rate) else self.rate,
             "recent_ms": self.recent,

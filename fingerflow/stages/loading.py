@@ -102,8 +102,9 @@ class LoadingStage(Stage):
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
-        found = {name: earlier[name].values for name in ("normal_force", "tangential_force") if name in earlier}
-        self.normal, self.tangential = found.get("normal_force"), found.get("tangential_force")
+        names = ("normal_force", "tangential_force", "tangential_direction")
+        found = {name: earlier[name].values for name in names if name in earlier}
+        self.normal, self.tangential, self.direction = map(found.get, names)
 
     @property
     def ratio(self) -> Series | None:

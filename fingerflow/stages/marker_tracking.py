@@ -59,6 +59,7 @@ class MarkerTrackingStage(TrackingStage):
 
     def finish(self) -> None:
         self.results.put("tracked_share", self._share)
+        self.results.put("window_differs_share", np.zeros(len(self._share)))  # a marker has no window
         self.results.put("forward_backward_median", np.full(len(self._share), np.nan))
 
 

@@ -82,6 +82,18 @@ def of_tracking(share: Series, first_frame: int) -> list[str]:
     ]
 
 
+def of_windows(share: Series, first_frame: int) -> list[str]:
+    """Of the share of points whose window is no longer the one that was chosen (frames,), NaN where there is none."""
+    some = np.flatnonzero(share > 0)
+    if not len(some):
+        return []
+    return [
+        f"points were followed to where their window differs from that in which they were chosen, in {len(some)} "
+        f"frames, the first is {some[0] + first_frame}, up to {np.max(share[some]):.1%} of them: their positions are "
+        f"NaN there (status window_differs)"
+    ]
+
+
 def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
     """Of the gauge length, the points (N, 2) mm where they touched first, NaN for those that never did, and the least
     diameter of the largest contact.

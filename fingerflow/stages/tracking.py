@@ -36,6 +36,7 @@ from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.regions import region_mask
+from fingerflow.stages.second_look import SecondLook
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -92,7 +93,8 @@ class TrackingStage(Stage):
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
         self._skipped: list[int] = []  # frames before the points were chosen
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
-        self._share, self._error = np.full((2, len(trial)), np.nan)
+        self._second: SecondLook | None = None
+        self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -151,12 +153,19 @@ class TrackingStage(Stage):
             steps.append(step)
             done += len(step.status)
         found = Found.joined(steps)
+        assert self._second is not None
+        differs = (found.status == TrackStatus.TRACKED) & self._second.failed(images, found.points, found.status)
+        variance = torch.where(differs, torch.nan, self._since_start(found.variance))
+        found = found._replace(
+            points=torch.where(differs[..., None], torch.nan, found.points),
+            status=torch.where(differs, int(TrackStatus.WINDOW_DIFFERS), found.status).to(found.status.dtype),
+        )
         pixels, error, status = (one.cpu().numpy() for one in (found.points, found.error, found.status))
         in_contact = self._inside(margin, found.estimate)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
-            "position_std_px": self._since_start(found.variance).sqrt().cpu().numpy(),
+            "position_std_px": variance.sqrt().cpu().numpy(),
             "forward_backward_error": error,
             "status": status,
             "in_contact": in_contact.cpu().numpy(),
@@ -164,12 +173,15 @@ class TrackingStage(Stage):
             self.results[name][indices] = values
         tracked = status == TrackStatus.TRACKED
         self._share[indices] = tracked.mean(1)
+        self._differs[indices] = differs.double().mean(1).cpu()
         self._error[indices] = nanmedian(np.where(tracked, error, np.nan))
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
+        self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
         self.results.put("tracked_share", self._share)
+        self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)
 
     def _create(self, points: int) -> None:
@@ -287,6 +299,7 @@ class TrackingStage(Stage):
         asked, apart = self._settings.points, self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart, int(where.sum())))
         self._create(points.shape[1])
+        self._second = SecondLook(image, points[0], self._settings.window_px)
         self._noise = estimate_noise(image)
         self._place, self._speed = points, torch.zeros_like(points)
         unchanged = torch.eye(2, dtype=points.dtype, device=image.device)

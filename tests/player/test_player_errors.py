@@ -37,7 +37,7 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
         ("threshold = 0.5", "threshold = 35", "contact.threshold is 35: it should be 'reference_frame' or"),
         ("threshold = 0.5", 'threshold = "auto"', "contact.threshold is 'auto'"),
         ('frames = "empty.npy"', "", "background.frames is missing"),
-        ('frames = "empty.npy"', 'frames = "nothing.npy"', "nothing.npy: is no file"),
+        ('frames = "empty.npy"', 'frames = "nothing.npy"', "scene.toml: frames of [background] is"),
         ('frames = "empty.npy"', "frames = 3", "background.frames is 3: that is no path"),
         ("[contact]", "[recording]\nfirst_frame = 3\nlast_frame = 2\n[contact]", "that is before first_frame, 3"),
         ("[contact]", "[recording]\nfirst_frame = -1\n[contact]", "recording.first_frame is -1"),
@@ -139,7 +139,7 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     [
         (np.full((HEIGHT, 2 * WIDTH), 200, np.uint16), "empty.npy: a frame is uint16, the bundle takes uint8"),
         (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "needs (H, W) of at least (24, 64)"),
-        (np.zeros((0, HEIGHT, WIDTH), np.uint8), "at least one is needed"),
+        (np.zeros((0, HEIGHT, WIDTH), np.uint8), "frames are (N, H, W), or (H, W) for one"),
     ],
 )
 def test_a_wrong_background_is_named(stream: Stream, pictures: Any, said: str) -> None:
@@ -314,7 +314,7 @@ def test_compiled_kernels_need_a_bundle_of_the_package(stream: Stream) -> None:
 
 def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:
     for name, content, said in (
-        ("frames.npy", b"no array", "cannot be read as frames"),
+        ("frames.npy", b"no array", "not a NumPy file of plain numbers"),
         ("frames.raw", b"12345", "needs --shape HEIGHT WIDTH"),
         ("frames.avi", b"no video", "OpenCV"),
     ):

@@ -5,6 +5,7 @@
 
 import http.client
 import json
+import re
 import socket
 import struct
 import threading
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Ended, Stream
-from tiny_bundle import HEIGHT, POINTS, WIDTH
+from tiny_bundle import HEIGHT, POINTS, WIDTH, frame
 
 from fingerflow.player.sources.synthetic import Synthetic
 from fingerflow.player.stream import Player
@@ -29,15 +30,17 @@ class Served:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self._stopping = threading.Event()
+        self.running: list[Player] = []
         self._ended: list[Ended] = []
         self._stream, self._arguments = stream, arguments
+        self.source: tuple[str, ...] = ("--source", "synthetic", "--rate", "100", "--frames", "3000")
         self._thread = threading.Thread(target=self._play)
+
+    def start(self) -> None:
         self._thread.start()
 
     def _play(self) -> None:
-        source = ("--source", "synthetic", "--rate", "100", "--frames", "3000")
-        self._ended.append(self._stream.run(*source, "--page", str(self.port), *self._arguments))
+        self._ended.append(self._stream.run(*self.source, "--page", str(self.port), *self._arguments))
 
     def ask(self, method: str, path: str, **headers: str) -> tuple[int, bytes]:
         for _ in range(200):
@@ -68,18 +71,25 @@ class Served:
             threading.Event().wait(0.05)
         raise AssertionError("no picture came")
 
+    def join(self) -> Ended:
+        self._thread.join(30)
+        return self._ended[0]
+
+    def stop(self) -> None:
+        """Ends the stream as its last frame would."""
+        self.running[0].stop()
+
     def restarts(self) -> int:
         return int(self.live()[0]["restarts"])
 
 
 @pytest.fixture
 def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-
-    running: list[Player] = []
     run = Player.run
+    found: Served
 
     def remember(one: Player) -> dict[str, Any]:
-        running.append(one)
+        found.running.append(one)
         return run(one)
 
     monkeypatch.setattr(Player, "run", remember)
@@ -91,10 +101,10 @@ def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 
     monkeypatch.setattr(Synthetic, "read", read_with_dark_frames)
     found = Served(stream)
+    found.start()
     yield found
-    running[0].stop()
-    found._thread.join(30)
-    assert found._ended[0].code == 0
+    found.stop()
+    assert found.join().code == 0
 
 
 def test_what_is_served(served: Served) -> None:
@@ -107,6 +117,15 @@ def test_what_is_served(served: Served) -> None:
     assert arrays["position_px"].shape == (POINTS, 2)
     assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
     assert facts["provider"] == "CPUExecutionProvider"
+    assert facts["state"] == "running"
+    assert facts["scalars"]["real_contact_area"] == pytest.approx(facts["expected"]["real_contact_area"], rel=0.02)
+    assert facts["trace_columns"][0] == "time"
+    measured, expected = (
+        arrays["traces"][:, facts["trace_columns"].index(name)]
+        for name in ("real_contact_area", "expected_real_contact_area")
+    )
+    usable = np.isfinite(measured)
+    np.testing.assert_allclose(measured[usable], expected[usable], rtol=0.02)
     assert np.nanmax(arrays["traces"][:, 1]) > 0
     assert served.ask("GET", "/etc/passwd")[0] == 404
     status, page = served.ask("GET", "/")
@@ -153,13 +172,47 @@ def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
     page.wait_for_function(f"({COLOURS})('topography') > 20")
     assert page.evaluate(COLOURS, "contact") > 2  # grey, and what touches in another colour
     assert page.evaluate(COLOURS, "areas") > 5
-    assert page.evaluate(NUMBER, "Points") == f"{POINTS} of {POINTS}"
-    assert page.evaluate(NUMBER, "Dropped") == "0"
+    assert page.evaluate(NUMBER, "Points tracked") == f"{POINTS} of {POINTS}"
+    assert page.evaluate(NUMBER, "Dropped") == "0 frames"
     page.wait_for_function(f"/^[1-9][0-9]* [1-9][0-9]* dark$/.test(({NUMBER})('Not counted'))")
     before = page.evaluate(NUMBER, "Frames")
     page.wait_for_function(f"({NUMBER})('Frames') != {before!r}")
+    assert page.inner_text("#contactLegend") == "real contact"  # this bundle gives no ellipse
+    assert re.fullmatch(rf"{POINTS} points with divergence: \u2212(\S+ %)\1", page.inner_text("#pointLegend"))
+    assert page.is_hidden("#divergenceCard")  # nor a median of divergence
+    assert "Real contact area, mm\u00b2" in page.inner_text("#truth")
     page.click("#restart")
     page.wait_for_timeout(300)
     assert served.restarts() == 2
+    for width in (390, 1300):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    served.stop()
+    page.wait_for_selector("#state:text-is('ended')")
+    assert re.match(r"The stream has ended after \d+ frames, [\d.]+ s. Results: ", page.inner_text("#said"))
+    assert page.get_attribute("#state", "class") == ""  # no alarm
     page.close()
     assert not wrong
+
+
+def test_a_page_shows_why_a_stream_has_failed(stream: Stream, browser: Any) -> None:
+    seen = threading.Event()
+
+    def frames() -> Iterator[Any]:
+        while not seen.wait(0.01):
+            yield frame(contact_px=50)
+        yield frame()[:3]
+
+    failing = Served(stream)
+    failing.source = stream.frames(frames())
+    failing.start()
+    failing.live()
+    page = browser.new_page()
+    page.goto(f"http://127.0.0.1:{failing.port}/")
+    page.wait_for_selector("#state:text-is('running')")
+    seen.set()
+    page.wait_for_selector("#state:text-is('stopped by an error')")
+    assert re.match(r"The stream was stopped after \d+ frames, [\d.]+ s: .* \(3, ", page.inner_text("#said"))
+    assert page.get_attribute("#state", "class") == "gone"
+    page.close()
+    assert failing.join().code == 2

@@ -6,6 +6,7 @@ import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fingerflow.player import page
@@ -60,7 +61,10 @@ def test_every_element_is_closed_and_every_id_is_one(parsed: Page) -> None:
 def test_ids_of_the_script_are_in_the_page(parsed: Page) -> None:
     """Those that it asks for by `$("id")`, the only way that it finds elements."""
     asked = set(re.findall(r'\$\("([^"]+)"\)', JS))
-    assert {"contact", "topography", "areas", "divergence", "numbers", "state", "restart"} <= asked
+    assert {"contact", "topography", "numbers", "state", "said", "restart", "truth"} <= asked
+    drawn = re.findall(r'trace\(live, "(\w+)"', JS)  # which has a card and a legend of its name
+    assert drawn == ["areas", "divergence"]
+    asked |= {name + part for name in drawn for part in ("", "Card", "Legend")}
     assert asked <= set(parsed.ids)
     assert JS.count("getElementById") == 1
     assert "querySelector" not in JS
@@ -68,7 +72,9 @@ def test_ids_of_the_script_are_in_the_page(parsed: Page) -> None:
 
 def test_what_the_styles_name_is_in_the_page(parsed: Page) -> None:
     selectors = re.sub(r"\{[^{}]*\}", " ", re.sub(r"@media[^{]*", "", CSS))
-    given = set(re.findall(r'class="(\w+)"', JS)) | set(re.findall(r'className = "(\w+)"', JS))
+    given = set(re.findall(r'class="(\w+)"', JS)) | set(
+        re.findall(r'"(\w+)"', " ".join(re.findall(r"className = (.*);", JS)))
+    )
     assert set(re.findall(r"\.([a-z]\w*)", selectors)) <= parsed.classes | given
     assert set(re.findall(r"#([a-z]\w*)", selectors)) <= set(parsed.ids)
     assert CSS.count("{") == CSS.count("}")
@@ -100,8 +106,21 @@ def test_the_script_reads_what_the_stream_sends() -> None:
     assert taken
     assert taken <= known
     scalars = set(re.findall(r"\b(?:s|live\.scalars)\.(\w+)", JS))
-    assert scalars == {"real_contact_area", "gross_contact_area", "median_divergence", "ellipse_angle", "slip_flag"}
-    assert scalars <= known
+    assert scalars == {"ellipse_angle", "slip_flag"}
+    table = re.search(r"const CELLS = \{(.*?)\n\};", JS, re.DOTALL)
+    cells = set(re.findall(r"^  (\w+): \[", table[1] if table else "", re.MULTILINE))
+    assert cells == {"real_contact_area", "gross_contact_area", "median_divergence"}
+    traced = set(re.findall(r'\["(\w+)", "#', JS))
+    assert traced == cells
+    assert scalars | cells <= known
+
+
+def test_what_is_expected_has_a_name_on_the_page() -> None:
+    from fingerflow.player.sources.synthetic import Synthetic, side_by_side
+
+    expected = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4).expected_in(0, 1)
+    named = set(re.findall(r"^  (\w+): \[", JS, re.MULTILINE))
+    assert set(expected) <= named
 
 
 def test_the_script_is_javascript() -> None:

@@ -14,7 +14,6 @@ from .scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
-    Instead,
     Key,
     NotBefore,
     NotBoth,
@@ -31,7 +30,7 @@ from .scene_kinds import KINDS, default_kind
 from .scene_values import WrongValue, either, value_of
 
 Keys = tuple[str, ...]
-_MISSING = "is missing; add it, `fingerflow init` shows how"
+_MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
 
 
 @dataclass(frozen=True)
@@ -194,9 +193,6 @@ class _Check:
                 self._inside(rule)
             case OneOf():
                 self._one_of(rule)
-            case Instead():
-                if rule.key in self.given and self._at(rule.other) is not None:
-                    self._blame(rule.key, f"{rule.other} says the same, and is there too; keep one of them")
             case FitsTheViews():
                 self._fits_the_views(rule)
 

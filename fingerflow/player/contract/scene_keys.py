@@ -123,9 +123,9 @@ Type = (
     | Moment
     | File
     | PixelRange
-    | Transform
     | Corners
     | Pair
+    | Transform
 )
 
 
@@ -334,14 +334,6 @@ class OneOf:
 
 
 @dataclass(frozen=True)
-class Instead:
-    """A key that says the same as another one: only one of them is given."""
-
-    key: str
-    other: str
-
-
-@dataclass(frozen=True)
 class FitsTheViews:
     """A calibration that says where the pixels of a view are in the other one, and was made with these views."""
 
@@ -352,7 +344,7 @@ class FitsTheViews:
     into: str
 
 
-Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | FitsTheViews | OneOf | Instead
+Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | OneOf | FitsTheViews
 _TRIGGER = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
 RULES: tuple[Rule, ...] = (
     NotBefore("recording.last_frame", "recording.first_frame"),
@@ -363,7 +355,10 @@ RULES: tuple[Rule, ...] = (
     InPlaceOf("calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"),
     Inside("stream.region", "views.topography"),
     *(OneOf(f"views.{view}.region") for view in ("contact", "topography", "camera")),
-    *(Instead("stream.region", f"views.{view}.region") for view in ("topography", "camera")),
+    *(
+        NotBoth("stream.region", f"views.{view}.region", "both say where points are chosen")
+        for view in ("topography", "camera")
+    ),
     FitsTheViews(
         "calibration.file",
         "calibration.mm_per_px",

@@ -140,6 +140,7 @@ TRACK_STATUS = (
     "uncertain",
     "off_neighbours",
     "frame_not_usable",
+    "window_differs",
 )
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
@@ -149,6 +150,12 @@ TRACKING = (
     Variable("status", FRAME_POINT, "1", "why a point has a position, or none", "u1", flags=TRACK_STATUS),
     Variable("in_contact", FRAME_POINT, "1", "1 where the gross contact covers the point, or its last place", "u1"),
     Variable("tracked_share", FRAME, "1", "share of the points that are tracked"),
+    Variable(
+        "window_differs_share",
+        FRAME,
+        "1",
+        "share of the points that were followed to where their window differs from that in which they were chosen",
+    ),
     Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
 )
 

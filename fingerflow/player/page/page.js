@@ -1,7 +1,9 @@
 "use strict";
 const $ = id => document.getElementById(id);
 const TYPES = { uint8: Uint8Array, float32: Float32Array };
-let range = 0.02;
+const LEAST_RANGE = 0.001;  // of divergence: below it, noise would be coloured
+const POINTS = { tracked: "#ffd54f", outside: "#ffd54f", lacking: "#111" };
+let range = LEAST_RANGE;
 
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
@@ -40,52 +42,109 @@ function colour(value) {  // blue, light grey, red over -1 to 1
   return `rgb(${end.map(c => Math.round(238 + (c - 238) * a)).join()})`;
 }
 
+function rounded(value) {  // up to 1, 2 or 5 times a power of ten
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * [1, 2, 5, 10].find(step => step * power >= value * 0.999);
+}
+
+// The ends of the colour scale: nineteen of twenty points lie between them. They give way at once where points lie
+// beyond, and come closer only where all points would do with two fifths: no flicker.
+function scaleTo(values) {
+  const sizes = values.filter(Number.isFinite).map(Math.abs).sort((a, b) => a - b);
+  const most = sizes[Math.floor(0.95 * (sizes.length - 1))];
+  if (sizes.length && (most > range || most < 0.4 * range)) range = rounded(Math.max(LEAST_RANGE, most));
+}
+
+function scaleBar(context, mm_per_px) {
+  const { width, height } = context.canvas, mm = rounded(0.1 * width * mm_per_px), length = mm / mm_per_px;
+  const size = Math.round(height / 24), y = height - size;
+  context.font = `${size}px system-ui, sans-serif`;
+  context.textAlign = "center"; context.lineCap = "butt";
+  for (const [style, extra] of [["#000b", 4], ["#fff", 0]]) {
+    context.strokeStyle = context.fillStyle = style; context.lineWidth = 3 + extra;
+    context.beginPath(); context.moveTo(size - extra / 2, y); context.lineTo(size + length + extra / 2, y);
+    context.stroke();
+    context.lineWidth = extra;
+    if (extra) context.strokeText(`${mm} mm`, size + length / 2, y - size / 2);
+    else context.fillText(`${mm} mm`, size + length / 2, y - size / 2);
+  }
+}
+
+const swatch = (style, name) => `<span><i style="background:${style}"></i>${name}</span>`;
+
 function drawTopography(live) {
-  const { topography_view, position_px, divergence } = live.data;
+  const { topography_view, position_px, divergence, in_contact } = live.data;
   const context = picture($("topography"), topography_view), k = 2 / live.every;
-  const known = Array.from(divergence ? divergence.values : []).filter(Number.isFinite).map(Math.abs);
-  known.sort((a, b) => a - b);
-  if (known.length) range += 0.1 * (Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) - range);
-  $("low").textContent = $("high").textContent = (100 * range).toFixed(1) + " %";
-  if (!position_px) return;
+  scaleBar(context, live.topography_mm_per_px / k);
+  if (!position_px) { $("pointLegend").innerHTML = ""; return; }
+  if (divergence) scaleTo(Array.from(divergence.values));
+  const counts = { known: 0, lacking: 0, outside: 0 };
   for (let i = 0; i < position_px.shape[0]; i++) {
     const [x, y] = position_px.values.subarray(2 * i, 2 * i + 2), d = divergence ? divergence.values[i] : NaN;
     if (!Number.isFinite(x)) continue;
+    const touches = !in_contact || in_contact.values[i];
+    const kind = !divergence || Number.isFinite(d) ? "known" : touches ? "lacking" : "outside";
+    counts[kind]++;
     context.beginPath();
-    context.arc((x + 0.5) * k, (y + 0.5) * k, 3, 0, 7);
-    context.fillStyle = Number.isFinite(d) ? colour(d / range) : "#ffd54f";
+    context.arc((x + 0.5) * k, (y + 0.5) * k, 3.5, 0, 7);
+    context.fillStyle = kind != "known" ? POINTS[kind] : divergence ? colour(d / range) : POINTS.tracked;
     context.fill();
     context.lineWidth = 0.8; context.strokeStyle = "#0009"; context.stroke();
   }
+  const percent = `${+(100 * range).toPrecision(1)} %`;
+  const scale = counts.known ? `: \u2212${percent}<i class="bar"></i>${percent}` : "";
+  $("pointLegend").innerHTML = !divergence ? swatch(POINTS.tracked, `${counts.known} points`) : [
+    `<span>${counts.known} points with divergence${scale}</span>`,
+    ...(in_contact ? [swatch(POINTS.outside, `${counts.outside} not in contact`)] : []),
+    ...(counts.lacking ? [swatch(POINTS.lacking, `${counts.lacking} ${in_contact ? "in contact, " : ""}without it`)] : []),
+  ].join("");
 }
 
 function drawContact(live) {
   const { contact_view, real_contact_mask, ellipse_center, ellipse_semi_axes } = live.data;
   const context = picture($("contact"), contact_view, real_contact_mask), k = 2 / live.every;
-  const angle = live.scalars.ellipse_angle;
-  if (!ellipse_center || !ellipse_semi_axes || angle == null || !Number.isFinite(ellipse_center.values[0])) return;
+  scaleBar(context, live.mm_per_px / k);
+  const angle = live.scalars.ellipse_angle, has = ellipse_center && ellipse_semi_axes && angle !== undefined;
+  const known = has && angle != null && Number.isFinite(ellipse_center.values[0]) && ellipse_semi_axes.values[1] > 0;
+  $("contactLegend").innerHTML = live.threshold == null ? "no contact yet" : [
+    ...(real_contact_mask ? [swatch("#ffa726", "real contact")] : []),
+    ...(has ? [known ? swatch("#00acc1", "ellipse of the gross contact") : "<span>no gross contact</span>"] : []),
+  ].join("");
+  if (!known) return;
   const [x, y] = Array.from(ellipse_center.values, v => v / live.mm_per_px);
   const [a, b] = Array.from(ellipse_semi_axes.values, v => v / live.mm_per_px * k);
-  if (!(a > 0 && b > 0)) return;
   context.beginPath();
   context.ellipse((x + 0.5) * k, (y + 0.5) * k, a, b, angle, 0, 7);
   context.lineWidth = 3; context.strokeStyle = "#00acc1"; context.stroke();
 }
 
-function trace(canvas, rows, columns, scale) {
+function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in the legend]
+  const canvas = $(name), rows = live.data.traces, names = live.trace_columns, wide = names.length;
+  const here = drawn.filter(([variable]) => live.fields.includes(variable));
+  $(name + "Card").hidden = !here.length;
+  if (!here.length) return;
+  const columns = here.map(([variable, style]) => [names.indexOf(variable), style, []]);
+  for (const [variable] of here) {
+    const place = names.indexOf("expected_" + variable);
+    if (place >= 0) columns.push([place, "#c0392b", [3, 4]]);
+  }
+  const expected = columns.length > here.length;
+  const legend = here.map(([, style, said]) => swatch(style, said));
+  if (expected) legend.push(swatch("#c0392b", "expected"));
+  $(name + "Legend").innerHTML = legend.length > 1 ? legend.join("") : "";
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = width * ratio; canvas.height = height * ratio;
   const context = canvas.getContext("2d");
   context.scale(ratio, ratio);
   context.font = "11px system-ui, sans-serif";
-  const count = rows.shape[0], at = (i, c) => rows.values[4 * i + c] * scale;
+  const count = rows.shape[0], at = (i, c) => rows.values[wide * i + c] * scale;
   let low = 0, high = 0;
   for (const [c] of columns) for (let i = 0; i < count; i++) if (Number.isFinite(at(i, c))) {
     low = Math.min(low, at(i, c)); high = Math.max(high, at(i, c));
   }
   const span = high - low || 1, step = 10 ** Math.floor(Math.log10(span));
   const tick = step * (span / step > 5 ? 2 : span / step > 2 ? 1 : 0.5);
-  const end = count ? rows.values[4 * (count - 1)] : 0, left = 40;
+  const end = count ? rows.values[wide * (count - 1)] : 0, left = 40;
   const X = t => left + (width - left - 6) * (1 + (t - end) / 30);
   low = Math.floor(low / tick + 1e-6) * tick; high = Math.max(Math.ceil(high / tick - 1e-6) * tick, low + tick);
   const Y = v => 8 + (height - 30) * (1 - (v - low) / (high - low));
@@ -97,14 +156,15 @@ function trace(canvas, rows, columns, scale) {
   }
   context.textAlign = "center";
   for (let s = 30; s >= 0; s -= 10) {
-    context.fillText(s ? `\u2212${s} s` : "now", Math.min(X(end - s), width - 16), height - 6);
+    const said = s ? `\u2212${s} s` : live.state == "running" ? "now" : "end";
+    context.fillText(said, Math.min(X(end - s), width - 16), height - 6);
   }
   context.lineWidth = 1.8; context.lineJoin = "round";
-  for (const [c, style] of columns) {
-    context.beginPath(); context.strokeStyle = style;
+  for (const [c, style, dashes] of columns) {
+    context.beginPath(); context.strokeStyle = style; context.setLineDash(dashes);
     let open = false;
     for (let i = 0; i < count; i++) {
-      const t = rows.values[4 * i], v = at(i, c);
+      const t = rows.values[wide * i], v = at(i, c);
       if (!Number.isFinite(v) || t < end - 30) { open = false; continue; }
       if (open) context.lineTo(X(t), Y(v)); else context.moveTo(X(t), Y(v));
       open = true;
@@ -115,29 +175,72 @@ function trace(canvas, rows, columns, scale) {
 
 const text = (value, digits) => value == null || !Number.isFinite(value) ? "\u2013" : value.toFixed(digits);
 
+const CELLS = {  // of the last frame: name, unit, digits, factor
+  real_contact_area: ["Real contact area", "mm\u00b2", 2, 1],
+  gross_contact_area: ["Gross contact area", "mm\u00b2", 2, 1],
+  median_divergence: ["Median divergence", "%", 2, 100],
+};
+const EXPECTED = {
+  ...CELLS,
+  ellipse_major: ["Semi-major axis", "mm", 3, 1],
+  ellipse_minor: ["Semi-minor axis", "mm", 3, 1],
+};
+
 function numbers(live) {
-  const s = live.scalars, ms = live.recent_ms;
-  const left = Object.values(live.not_usable).reduce((sum, count) => sum + count, 0);
-  const why = Object.entries(live.not_usable).map(([name, count]) => `${count} ${name.replaceAll("_", " ")}`).join(", ");
+  const s = live.scalars, over = live.state == "ended" || live.state == "failed";
+  const ms = over ? live.latency_ms : live.recent_ms;
+  const kinds = Object.entries(live.not_usable);
+  const left = kinds.reduce((sum, [, count]) => sum + count, 0);
+  const why = kinds.map(([name, count]) => `${count} ${name.replaceAll("_", " ")}`).join(", ");
   const cells = [
-    ["Rate", text(live.rate, 1), "frames/s"],
+    [over ? "Rate, whole stream" : "Rate", text(over ? live.rate_hz : live.rate, 1), "frames/s"],
     ["Latency, median", text(ms.median, 2), "ms"],
     ["Latency, 99 %", text(ms.p99, 2), "ms"],
-    ["Worst so far", text(live.latency_ms.worst, 1), "ms"],
+    ["Latency, worst", text(live.latency_ms.worst, 1), "ms"],
     ["Frames", live.processed, `of ${live.frames_in}`],
-    ["Not counted", left, why, left > 0],
-    ["Dropped", live.dropped, "", live.dropped > 0],
-    ["Overruns", live.overruns, "", live.overruns > 0],
+    ["Not counted", left, why || "frames", left > 0],
+    ["Dropped", live.dropped, "frames", live.dropped > 0],
+    ["Overruns", live.overruns, "frames", live.overruns > 0],
     ["Reconnects", live.reconnects, "", live.reconnects > 0],
-    ["Points", live.tracked, `of ${live.found}`],
-    ["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0],
-    ["Threshold", live.threshold == null ? "no contact yet" : text(100 * live.threshold, 1), "%"],
-    ["Real area", text(s.real_contact_area, 1), "mm\u00b2"],
-    ["Gross area", text(s.gross_contact_area, 1), "mm\u00b2"],
-    ["Median divergence", text(s.median_divergence == null ? null : 100 * s.median_divergence, 2), "%"],
+    ["Points tracked", live.tracked, `of ${live.found}`],
+    ["Contact threshold", live.threshold == null ? "none yet" : text(100 * live.threshold, 1),
+      live.threshold == null ? "" : "% of light lost"],
+    ...Object.entries(CELLS).filter(([name]) => live.fields.includes(name)).map(
+      // Before there is a threshold nothing counts as contact, which is no area that was measured.
+      ([name, [said, unit, digits, factor]]) =>
+        [said, text(s[name] == null || live.threshold == null ? null : factor * s[name], digits), unit]),
   ];
+  if (live.fields.includes("slip_flag")) {
+    cells.push(["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0]);
+  }
   $("numbers").innerHTML = cells.map(([name, value, unit, bad]) =>
     `<div><dt>${name}</dt><dd${bad ? ' class="bad"' : ""}>${value} <small>${unit}</small></dd></div>`).join("");
+}
+
+const signed = (value, digits) => (value < 0 ? "\u2212" : "+") + text(Math.abs(value), digits);
+
+function truth(live) {
+  const axes = live.data.ellipse_semi_axes, s = live.scalars;
+  const measured = { ...s, ...(axes && { ellipse_major: axes.values[0], ellipse_minor: axes.values[1] }) };
+  const rows = Object.entries(live.expected).filter(([name]) => measured[name] !== undefined);
+  $("truthCard").hidden = !rows.length;
+  $("truth").innerHTML = rows.map(([name, value]) => {
+    const [said, unit, digits, factor] = EXPECTED[name], found = measured[name];
+    const known = found != null && Number.isFinite(found);
+    const share = unit == "%" ? "" : ` (${signed(100 * (found / value - 1), 1)} %)`;
+    const cells = [known ? text(factor * found, digits) : "\u2013", text(factor * value, digits),
+      known ? signed(factor * (found - value), digits) + share : "\u2013"];
+    return `<tr><th>${said}, ${unit}</th>${cells.map(cell => `<td>${cell}</td>`).join("")}</tr>`;
+  }).join("");
+}
+
+const STATES = { waiting: "waiting for frames", running: "running", ended: "ended", failed: "stopped by an error" };
+
+function say(state, sentence) {
+  $("state").textContent = STATES[state] || state;
+  $("state").className = state == "running" ? "good" : state == "failed" || state == "no answer" ? "gone" : "";
+  $("said").textContent = sentence; $("said").hidden = !sentence;
+  $("restart").disabled = state != "running";
 }
 
 async function refresh() {
@@ -146,14 +249,19 @@ async function refresh() {
     if (!answer.ok) throw new Error(answer.status);
     const live = unpack(await answer.arrayBuffer());
     $("about").textContent = `${live.bundle} \u00b7 ${live.provider} \u00b7 ${live.source}`;
-    $("state").textContent = "running"; $("state").className = "";
     numbers(live);
+    truth(live);
     if (live.data.topography_view) { drawTopography(live); drawContact(live); }
-    trace($("areas"), live.data.traces, [[2, "#8fb8dc"], [1, "#1668b0"]], 1);
-    trace($("divergence"), live.data.traces, [[3, "#1668b0"]], 100);
+    trace(live, "areas", [["gross_contact_area", "#8fb8dc", "gross"], ["real_contact_area", "#1668b0", "real"]], 1);
+    trace(live, "divergence", [["median_divergence", "#1668b0", "measured"]], 100);
+    const frames = `after ${live.processed} frames, ${live.seconds.toFixed(1)} s`;
+    const where = live.results ? ` Results: ${live.results}` : "";
+    say(live.state, live.state == "ended" ? `The stream has ended ${frames}.${where}`
+      : live.state == "failed" ? `The stream was stopped ${frames}: ${live.said}${where}` : "");
+    if (live.state == "ended" || live.state == "failed") return;
   } catch (error) {
     console.info(error);
-    $("state").textContent = "no stream"; $("state").className = "gone";
+    say("no answer", "Nothing answers here: the stream has ended, or the connection to its computer is lost.");
   }
   setTimeout(refresh, 66);
 }

@@ -13,9 +13,9 @@ READS = "a raw file"
 
 
 def reads(asked: Asked) -> bool:
-    """Whatever is given a shape, but for files that have one."""
+    """Whatever is given a shape; files that have one are taken by `formats` before."""
     named = asked.path.suffix in (".raw", ".bin")
-    return asked.path.is_file() and asked.path.suffix != ".npy" and (named or asked.shape is not None)
+    return asked.path.is_file() and (named or asked.shape is not None)
 
 
 def open_frames(asked: Asked) -> Source:

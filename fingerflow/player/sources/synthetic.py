@@ -9,6 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..scene import Scene, View
+from .synthetic_truth import Pose, expected, median_divergence
 
 
 def side_by_side(height: int, width: int) -> Scene:
@@ -28,23 +29,36 @@ class Synthetic:
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
     The divergence of a stream is another one, even negative: each point's counts from when the contact reaches it.
     Of one period only half is kept, played forwards and backwards.
+
+    Attributes:
+        background: (H, W), the glass without a finger.
     """
 
     live = False
     half_period = 60  # frames
 
-    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int) -> None:
+    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
+        """`gauge_mm` is the gauge length of the divergence that is expected; without one, none is."""
         self._next = 0
         views = (scene.topography, scene.contact)
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
         self._ring = np.zeros((self.half_period, *shape), dtype)
         gain = 2.0 ** (bit_depth - 8)
+        self._expected: list[dict[str, float]] = []
+        self._growing: list[float] = []  # divergence in the first half period, and in those after it
+        self._grown: list[float] = []
         for number, frame in enumerate(self._ring):
             progress = (1 - math.cos(math.pi * number / (self.half_period - 1))) / 2
             skin, _ = _draw_finger(scene.topography.shape, progress)
             scene.topography.crop(frame)[...] = (90 + 70 * skin) * gain
             _, lost = _draw_finger(scene.contact.shape, progress)
             scene.contact.crop(frame)[...] = 200 * (1 - 0.7 * lost) * gain
+            touching = int((lost > 0.5).sum())
+            self._expected.append(expected(progress, scene.contact.shape, scene.mm_per_px, touching))
+            if gauge_mm is not None:
+                gauge, seen = gauge_mm / scene.mm_per_px, scene.topography.shape
+                self._growing.append(median_divergence(progress, progress, seen, gauge))
+                self._grown.append(median_divergence(progress, 1, seen, gauge))
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
@@ -54,10 +68,22 @@ class Synthetic:
 
     def read(self) -> Array:
         """The next frame (H, W)."""
-        place = self._next % (2 * self.half_period - 2)
+        frame: Array = self._ring[self._place(self._next)]
         self._next += 1
-        frame: Array = self._ring[min(place, 2 * self.half_period - 2 - place)]
         return frame
+
+    def expected_in(self, number: int, restart: int) -> dict[str, float]:
+        """What is to be measured in a frame; divergence only after the first choice of points, in frame 0."""
+        place = self._place(number)
+        known = self._growing if number < self.half_period else self._grown
+        if restart != 1 or not known or math.isnan(known[place]):
+            return self._expected[place]
+        return self._expected[place] | {"median_divergence": known[place]}
+
+    def _place(self, number: int) -> int:
+        """In the ring."""
+        place = number % (2 * self.half_period - 2)
+        return min(place, 2 * self.half_period - 2 - place)
 
     def close(self) -> None:
         """Nothing is open."""
@@ -66,19 +92,20 @@ class Synthetic:
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
     """Brightness of the skin, about -1 to 1, and share 0 to 1 of intensity lost to contact, both (H, W) float32."""
     height, width = shape
-    turn, spread = 0.01 * progress, 1 + 0.04 * progress
+    pose = Pose.at(progress, shape)
+    (shift_x, shift_y), turn, spread = pose.shift, float(pose.turn), pose.spread
     y, x = np.meshgrid(
         np.arange(height, dtype=np.float32) - height / 2,
         np.arange(width, dtype=np.float32) - width / 2,
         indexing="ij",
         sparse=True,
     )
-    moved_x, moved_y = x - 4 * progress, y + 2 * progress
+    moved_x, moved_y = x - shift_x, y - shift_y
     # Where the skin that is seen at a pixel was at the start.
     u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread
     v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
     ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))
     pores = np.cos(0.31 * u + 0.17 * v) * np.cos(0.13 * u - 0.37 * v) + np.cos(0.21 * u - 0.11 * v + 1) / 2
-    semi_x, semi_y = (0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height
+    semi_x, semi_y = pose.semi
     inside = np.clip((1 - np.hypot(moved_x / semi_x, moved_y / semi_y)) * min(semi_x, semi_y), 0, 1)
     return 0.55 * ridges + 0.3 * pores, np.clip(0.5 + 4 * (ridges + 0.2), 0, 1) * inside

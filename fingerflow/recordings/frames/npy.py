@@ -17,7 +17,7 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
-from fingerflow.untrusted import first_line
+from fingerflow.untrusted.files import first_line
 
 
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:

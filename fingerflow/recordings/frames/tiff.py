@@ -14,7 +14,7 @@ import tifffile
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
-from fingerflow.untrusted import first_line, plausible_size, reading
+from fingerflow.untrusted.files import first_line, plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # of tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)

@@ -1,0 +1,129 @@
+"""The second look at tracked points: how many of those that are beside their skin it finds, and how many it drops.
+
+Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
+ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;
+and presses that are disturbed from the middle on, as in the suite `disturbances`: the finger jumps by 5 px, the lens is
+out of focus, the light flickers, frames went through a lossy codec.
+
+In the last frames one point in twenty at a time is put beside its place, in any direction, by 1 to 2, 2 to 4, 4 to 8
+and 8 to 16 px; `found_1_2` ... is the share of them that fails. Beside it what `process` gives: `wrong` positions more
+than 1 px from the truth, in all frames, `wrong_found` how many of them fail, of `right` others `right_dropped`. look_ms
+is the median processor time of a look, one thread, for eight frames.
+"""
+
+import math
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.rows import Row
+from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
+from bench.suites.pipeline import write_quietly
+from fingerflow import load_scene, process
+from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.stages.second_look import SecondLook
+from fingerflow.synthetic import FingerprintTexture, Press, Scene, Slide
+
+SMALL: dict[str, Any] = {"frame_shape": (320, 800), "finger": (5.0, 4.2), "semi_axes": (3.6, 3.1)}
+QUICK: dict[str, Any] = {"frame_shape": (160, 400), "finger": (2.7, 2.3), "semi_axes": (2.0, 1.7)}
+BESIDE = {"found_1_2": (1, 2), "found_2_4": (2, 4), "found_4_8": (4, 8), "found_8_16": (8, 16)}
+WRONG_PX = 1.0
+_ONE_IN = 20
+_DISTURBED = ("jump", "defocus", "flicker of both", "lossy codec")
+
+Look = tuple[SecondLook, Tensor, Tensor, Tensor]
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a recording."""
+    size = QUICK if quick else SMALL
+    frames = 16 if quick else 48
+    usual: dict[str, Any] = {"n_frames": frames, "frame_rate": float(frames), "frames_before_trigger": 2, **size}
+    press = Press(**usual)
+    recordings: dict[str, Scene] = {
+        "press": press,
+        "press of a fingerprint": Press(texture=FingerprintTexture(pattern="loop"), **usual),
+        "press in eight frames": Press(**{**usual, "n_frames": 8, "frame_rate": 8.0, "frames_before_trigger": 1}),
+        "slide": Slide(**usual),
+    }
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, scene in recordings.items():
+            write_quietly(Path(folder) / name, scene)
+            rows.append({"recording": name, **_measured(Path(folder) / name, scene, jump=False)})
+        for name in _DISTURBED:
+            write_disturbed(Path(folder) / "press", Path(folder) / "disturbed", press, DISTURBANCES[name])
+            jump = DISTURBANCES[name].jump
+            rows.append({"recording": f"press, {name}", **_measured(Path(folder) / "disturbed", press, jump)})
+    return rows
+
+
+def _measured(folder: Path, scene: Scene, jump: bool) -> dict[str, float | None]:
+    """The cells of a row; positions that the look takes away are those of a run without it."""
+    loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Look]()
+    judge = SecondLook.failed
+
+    def timed(look: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> Tensor:
+        start = time.process_time()
+        failed = judge(look, images, points, status)
+        seconds.append(time.process_time() - start)
+        last[:] = [(look, images.clone(), points.clone(), status.clone())]
+        return failed
+
+    def trusting(_: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> Tensor:
+        return torch.zeros(points.shape[1], dtype=torch.bool)
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with patch.object(SecondLook, "failed", timed):
+            status = process(loaded, ["status"])["status"].values
+        with patch.object(SecondLook, "failed", trusting):
+            position = process(loaded, ["position_px"])["position_px"].values
+        found = _put_beside(*last[0])
+    finally:
+        torch.set_num_threads(threads)
+    truth = scene.truth
+    material = truth.material(truth.topography_positions(position[0]), 0)
+    true = np.stack([truth.topography_pixels(truth.positions(material, frame)) for frame in range(len(position))])
+    if jump:
+        true[scene.n_frames // 2 :, :, 0] += JUMP_PX
+    error = np.linalg.norm(position - true, axis=-1)
+    known, fails = np.isfinite(error), status == TrackStatus.WINDOW_DIFFERS
+    wrong = known & (error > WRONG_PX)
+    return {
+        "right": float((known & ~wrong).sum()),
+        "right_dropped": float((known & ~wrong & fails).sum()),
+        "wrong": float(wrong.sum()),
+        "wrong_found": float((wrong & fails).sum()),
+        **found,
+        "look_ms": 1e3 * statistics.median(seconds),
+    }
+
+
+def _put_beside(look: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> dict[str, float | None]:
+    """Share of points beside their place that fail."""
+    generator, cells = torch.Generator().manual_seed(5), dict[str, float | None]()
+    tracked = status[-1] == TrackStatus.TRACKED
+    with torch.inference_mode():
+        for name, (least, most) in BESIDE.items():
+            failed = count = 0
+            for first in range(_ONE_IN):
+                chosen = torch.zeros_like(tracked)
+                chosen[first::_ONE_IN] = True
+                chosen &= tracked
+                angle = 2 * math.pi * torch.rand(len(chosen), generator=generator)
+                away = least + (most - least) * torch.rand(len(chosen), generator=generator)
+                shift = away[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
+                look.forget()
+                fails = look.failed(images, points + shift * chosen[:, None], status)
+                failed, count = failed + int((fails & chosen).sum()), count + int(chosen.sum())
+            cells[name] = failed / count if count else None
+    return cells

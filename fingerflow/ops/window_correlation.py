@@ -1,0 +1,88 @@
+"""How alike the windows around points are in two pictures, one of them deformed: a second opinion on tracked points.
+
+Nothing of it is the tracker's: samples are Keys' cubic convolution of the recorded pixels (1981), not a spline's, the
+deformation is given, and nothing is searched for.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_LEAST_VARIANCE = 1e-12
+_ROUNDS = 4
+_BESIDE = 0.5  # px, over which a slope is taken
+_FARTHEST = 0.15  # by which a round may change a number of a deformation
+
+
+def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
+    """Grey levels in deformed windows.
+
+    Args:
+        images: (n, 1, H, W).
+        number: (N,) int64, in which of them each window lies.
+        places: (N, 2) px, middles.
+        warp: (N, 2, 2), by which the steps of the grid of a window are deformed.
+        window, step: px, side of a window and steps of its grid.
+
+    Returns:
+        (N, m) of the dtype of the places; NaN where a window does not lie in the image.
+    """
+    steps = _steps(window, step, places)
+    grid = torch.baddbmm(places[:, None], steps.expand(len(places), -1, -1), warp.transpose(1, 2))
+    height, width = images.shape[-2:]
+    size = torch.tensor([width - 1, height - 1], dtype=places.dtype, device=places.device)
+    found = grid.new_full(grid.shape[:2], torch.nan)
+    # A deformed square lies in the image where its corners do; false where a place is NaN.
+    side = math.isqrt(len(steps))
+    corners = grid[:, [0, side - 1, side * (side - 1), side * side - 1]]
+    whole = ((corners >= 1) & (corners <= size - 1)).flatten(1).all(1)
+    for frame in number[whole].unique():
+        chosen = (whole & (number == frame)).nonzero().squeeze(1)
+        where = (2 * grid[chosen] / size - 1)[None]
+        image = images[frame : frame + 1].to(places.dtype)
+        found[chosen] = functional.grid_sample(image, where, mode="bicubic", align_corners=True)[0, 0]
+    return found
+
+
+def _steps(window: int, step: int, like: Tensor) -> Tensor:
+    """(m, 2) px of a window's grid from its middle, of the dtype and device of `like`."""
+    reach = window // 2
+    offsets = torch.arange(-reach, reach + 1, step, dtype=like.dtype, device=like.device)
+    y, x = torch.meshgrid(offsets, offsets, indexing="ij")
+    return torch.stack((x.flatten(), y.flatten()), -1)
+
+
+def deformed_alike(
+    first: Tensor, images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int
+) -> Tensor:
+    """The deformation (N, 2, 2), near `warp`, by which windows come nearest to what they were, their middles held.
+
+    Gauss-Newton for a T + b = I(place + F w) in gain, offset and the four numbers of F: what remains of a window whose
+    middle is elsewhere is not explained by it. Arguments as for `sample_windows`, `first` (N, m) the windows then.
+    """
+    steps = _steps(window, step, places)
+    for _ in range(_ROUNDS):
+        here = sample_windows(images, number, places, warp, window, step)
+        slopes = []
+        for along in places.new_tensor([[_BESIDE, 0.0], [0.0, _BESIDE]]):
+            sides = (sample_windows(images, number, places + one, warp, window, step) for one in (along, -along))
+            slopes.append((next(sides) - next(sides)) / (2 * _BESIDE))
+        by_warp = torch.cat([slope[..., None] * steps for slope in slopes], -1)
+        unknown = torch.cat((by_warp, -first[..., None], -torch.ones_like(first)[..., None]), -1)
+        known = unknown.isfinite().all(-1).all(-1) & here.isfinite().all(-1)
+        if not known.any():
+            break
+        solved = torch.linalg.lstsq(unknown[known], -here[known][..., None]).solution[:, :4, 0]
+        warp = warp.clone()
+        warp[known] += solved.unflatten(1, (2, 2)).clamp(-_FARTHEST, _FARTHEST)
+    return warp
+
+
+def correlation(one: Tensor, other: Tensor) -> Tensor:
+    """Normalised correlation (N,) of windows (N, m): whatever gain and offset of the light; NaN where one is blank."""
+    first, second = (part - part.mean(1, keepdim=True) for part in (one, other))
+    variances = first.square().mean(1) * second.square().mean(1)
+    found = (first * second).mean(1) / variances.clamp_min(_LEAST_VARIANCE).sqrt()
+    return torch.where(variances > _LEAST_VARIANCE, found, torch.nan)

@@ -1,0 +1,69 @@
+"""Recordings in the formats that the package's own readers know and that need NumPy alone, or tifffile."""
+
+from __future__ import annotations
+
+import logging
+from importlib import import_module
+from typing import Any
+
+from ..arrays import Array
+from ..errors import PlayerError
+from .source import Asked, Source
+
+READS = "a recording (.cine, .mraw, .tif or .npy)"
+_SUFFIXES = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
+log = logging.getLogger("fingerflow.player")
+
+
+def reads(asked: Asked) -> bool:
+    """By the name's end."""
+    return asked.path.is_file() and asked.path.suffix.lower() in _SUFFIXES
+
+
+def open_frames(asked: Asked) -> Source:
+    """Raises PlayerError with what the reader says, or with the library that it lacks."""
+    opening = _opening()
+    try:
+        recording = opening.open_recording(asked.path)
+    except opening.FingerflowError as error:
+        raise PlayerError(str(error)) from None
+    except ImportError as error:
+        raise PlayerError(
+            f"{asked.path}: its format needs the library {error.name}: `pip install {error.name}`, or give frames as "
+            ".npy"
+        ) from None
+    for sentence in recording.warnings:
+        log.warning("%s: %s", asked.path, sentence)
+    return Recorded(recording, asked.first)
+
+
+def _opening() -> Any:
+    """The package has its readers in a room of their own, a bundle carries copies in the player."""
+    home = __name__.removesuffix(".sources.formats")
+    if home == "fingerflow.player":
+        return import_module("fingerflow.recordings.frames.opening")
+    return import_module(f"{home}.readers.recordings.frames.opening")
+
+
+class Recorded:
+    """Frames of such a recording from a number on."""
+
+    live = False
+
+    def __init__(self, recording: Any, first: int) -> None:
+        self._recording, self._next = recording, first
+
+    def read(self) -> Array | None:
+        """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named."""
+        if self._next >= len(self._recording):
+            return None
+        frame: Array = self._recording[self._next]
+        damage = self._recording.unreadable.get(self._next)
+        if damage:
+            log.warning("%s: frame %d %s", self._recording.path, self._next, damage)
+        self._next += 1
+        return frame
+
+    def close(self) -> None:
+        """Lets go of the file."""
+        self._recording.close()

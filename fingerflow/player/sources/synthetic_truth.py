@@ -1,0 +1,122 @@
+"""What is to be measured in the synthetic finger: areas, axes and divergence, by its formulas."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Array
+
+_SKIN, _QUERIES = 500, 200  # places, at least; twice as many of both move the median by less than 2e-3
+_IN_A_FIT, _MOST_SKIN = 20, 2000  # places
+_HALVINGS = 30
+
+
+class Pose(NamedTuple):
+    """The skin and the contact at a progress 0 to 1 of the press, in px; arrays where progress is one.
+
+    Skin that lies at u from the middle of the view when progress is 0 lies at ``shift + spread R(turn) u``, and the
+    contact is an ellipse about ``shift`` with the axes ``semi`` along x and y.
+    """
+
+    shift: tuple[Array | float, Array | float]
+    turn: Array | float
+    spread: Array | float
+    semi: tuple[Array | float, Array | float]
+
+    @classmethod
+    def at(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
+        """Of views of (height, width) px."""
+        height, width = shape
+        return cls(
+            shift=(4 * progress, -2 * progress),
+            turn=0.01 * progress,
+            spread=1 + 0.04 * progress,
+            semi=((0.18 + 0.14 * progress) * width, (0.18 + 0.18 * progress) * height),
+        )
+
+    def deformation(self) -> Array:
+        """(..., 2, 2), of the skin since progress 0."""
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        turned: Array = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+        turned *= np.asarray(self.spread)[..., None, None]
+        return turned
+
+    def place(self, skin: Array) -> Array:
+        """Where skin (..., 2) lies, from the middle of the view."""
+        moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
+        moved += np.stack(np.broadcast_arrays(*self.shift), -1)
+        return np.asarray(moved)
+
+    def seen_axes(self) -> tuple[Array | float, Array | float]:
+        """Half a pixel shorter on the shorter axis: there the border of the contact has lost half of its light."""
+        share = 1 - 0.5 / np.minimum(*self.semi)
+        return self.semi[0] * share, self.semi[1] * share
+
+    def reach(self, skin: Array) -> Array:
+        """Of skin (..., 2): below 1 in contact, above 1 not."""
+        moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
+        a, b = self.seen_axes()
+        return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
+
+
+def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
+    """Areas and the two semi-axes of the ellipse in a frame, by name, mm² and mm.
+
+    Args:
+        touching_px: pixels that are drawn darker than half of what contact takes from the light.
+    """
+    axes = sorted((float(one) * mm_per_px for one in Pose.at(progress, shape).seen_axes()), reverse=True)
+    return {
+        "real_contact_area": touching_px * mm_per_px**2,
+        "gross_contact_area": math.pi * axes[0] * axes[1],
+        "ellipse_major": axes[0],
+        "ellipse_minor": axes[1],
+    }
+
+
+def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
+    """Median over the contact of the divergence since the onset of each point, of points chosen at progress 0.
+
+    Skin u is touched at the progress p0(u) at which the growing contact reaches it: its displacement is x(u, p) -
+    x(u, p0(u)). That is known without error here, and of skin everywhere; from it the gradient G is fitted as a stream
+    does (`ops.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 by reference
+    coordinates. What is left between this and a measurement is due to points: their errors, and how few they are.
+
+    Args:
+        progress: of the frame.
+        reached: the largest progress until then: the skin that was in contact is known.
+        gauge_px: gauge length. NaN for one that is so short beside the contact that the places for it would take long.
+    """
+    now, widest = Pose.at(progress, shape), Pose.at(reached, shape)
+    a, b = widest.seen_axes()
+    count = max(_SKIN, math.ceil(_IN_A_FIT * float(a * b) / (gauge_px / 2) ** 2))
+    if count > max(_SKIN, _MOST_SKIN):
+        return math.nan
+    skin = (_lattice(count) * np.array([a, b])) @ np.linalg.inv(widest.deformation()).T
+    low, high = np.zeros(len(skin)), np.full(len(skin), reached)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        touched = Pose.at(middle, shape).reach(skin) < 1
+        low, high = np.where(touched, low, middle), np.where(touched, middle, high)
+    places = now.place(skin)
+    moved = places - Pose.at(high, shape).place(skin)
+
+    queries = _lattice(_QUERIES) * np.array(now.seen_axes()) + np.array(now.shift)
+    away = (places[None] - queries[:, None]) / (gauge_px / 2)
+    weights = np.clip(1 - (away**2).sum(-1), 0, None) ** 2
+    design = np.concatenate([np.ones((*away.shape[:2], 1)), away], -1)
+    weighted = design * weights[..., None]
+    slopes = np.linalg.solve(weighted.swapaxes(1, 2) @ design, weighted.swapaxes(1, 2) @ moved)[:, 1:]
+    gradient = slopes.swapaxes(1, 2) / (gauge_px / 2)
+    divergence = np.einsum("nij,nji->n", gradient, np.linalg.inv(np.eye(2) - gradient))
+    return float(np.median(divergence))
+
+
+def _lattice(count: int) -> Array:
+    """Points (count, 2) spread evenly over the unit disc (Vogel 1979)."""
+    number = np.arange(count) + 0.5
+    radius, turn = np.sqrt(number / count), number * (math.pi * (3 - 5**0.5))
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], -1)

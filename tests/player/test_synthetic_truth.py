@@ -1,0 +1,79 @@
+"""What is expected of the synthetic finger, against its drawing and against the closed form of its divergence."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fingerflow.player.sources import synthetic_truth
+from fingerflow.player.sources.synthetic import Synthetic, _draw_finger, side_by_side
+from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
+
+SHAPE = (192, 240)
+Values = NDArray[np.float64]
+
+
+@pytest.mark.parametrize("progress", [0.0, 0.4, 1.0])
+def test_areas_and_axes_are_those_that_are_drawn(progress: float) -> None:
+    """Ridges touch in the share of the contact in which a cosine is above -0.2: 0.564 and part of a ridge."""
+    _, lost = _draw_finger(SHAPE, progress)
+    found = expected(progress, SHAPE, 0.025, int((lost > 0.5).sum()))
+    rows, columns = np.nonzero(lost > 0.5)
+    assert found["real_contact_area"] == pytest.approx(0.564 * found["gross_contact_area"], rel=0.05)
+    widths = sorted((np.ptp(columns) + 1, np.ptp(rows) + 1), reverse=True)
+    # Where a valley of 7 px lies at an end of the ellipse, it ends before.
+    assert 2 * found["ellipse_major"] / 0.025 == pytest.approx(widths[0], abs=1.5)
+    assert -1.5 <= 2 * found["ellipse_minor"] / 0.025 - widths[1] < 14
+
+
+@pytest.mark.parametrize(("progress", "tolerance"), [(0.3, 2e-4), (0.6, 2e-4), (0.9, 5e-3)])
+def test_the_divergence_is_that_of_the_closed_form(
+    progress: float, tolerance: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over a gauge length of 8 px, of dense skin. When most of the contact is skin that came later, its divergence
+    changes over a few px at the border of what was touched from the start: 5 px come closer, to 1.3e-3.
+    """
+    monkeypatch.setattr(synthetic_truth, "_SKIN", 6000)
+    monkeypatch.setattr(synthetic_truth, "_MOST_SKIN", 8000)
+    fitted = median_divergence(progress, 1.0, SHAPE, 8.0)
+    assert fitted == pytest.approx(_closed_form(progress), abs=tolerance)
+
+
+def test_before_anything_has_moved_it_is_0() -> None:
+    assert median_divergence(0.0, 0.0, SHAPE, 64.0) == pytest.approx(0, abs=1e-12)
+
+
+def test_a_gauge_length_for_which_it_would_take_long_has_none() -> None:
+    assert np.isnan(median_divergence(0.5, 1.0, (512, 640), 8.0))
+    assert np.isfinite(median_divergence(0.5, 1.0, (512, 640), 64.0))
+    source = Synthetic(side_by_side(64, 80), np.dtype(np.uint8), 8, 0.03)
+    assert "median_divergence" not in source.expected_in(30, 1)
+
+
+def test_divergence_is_expected_only_of_points_chosen_at_the_start() -> None:
+    source = Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8, 0.4)
+    period = 2 * source.half_period - 2
+    assert "median_divergence" in source.expected_in(30, 1)
+    assert "median_divergence" not in source.expected_in(30, 2)
+    assert source.expected_in(period + 30, 1)["real_contact_area"] == source.expected_in(30, 1)["real_contact_area"]
+    assert "median_divergence" not in Synthetic(side_by_side(32, 40), np.dtype(np.uint8), 8).expected_in(30, 1)
+
+
+def _closed_form(progress: float) -> float:
+    """The median of tr(F(p) G^-1) - 2 with G = F(p0) + (dx/dp) (grad p0)^T, p0 the progress of the onset."""
+    now, step = Pose.at(progress, SHAPE), 1e-5
+    places = synthetic_truth._lattice(2000) * np.array(now.seen_axes())
+    skin = places @ np.linalg.inv(now.deformation()).T
+
+    low, high = np.zeros(len(skin)), np.full(len(skin), 1.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        touched = Pose.at(middle, SHAPE).reach(skin) < 1
+        low, high = np.where(touched, low, middle), np.where(touched, middle, high)
+    onset: Values = high
+    then, later, before = (Pose.at(onset + change, SHAPE) for change in (0, step, -step))
+    slope = np.stack([(then.reach(skin + one) - then.reach(skin - one)) / (2 * step) for one in step * np.eye(2)], -1)
+    growth = (later.reach(skin) - before.reach(skin)) / (2 * step)
+    gradient = np.where(onset[:, None] > 1e-6, -slope / growth[:, None], 0)
+    speed = (later.place(skin) - before.place(skin)) / (2 * step)
+    reference = then.deformation() + speed[:, :, None] * gradient[:, None, :]
+    return float(np.median(np.einsum("ij,nji->n", now.deformation(), np.linalg.inv(reference)) - 2))
