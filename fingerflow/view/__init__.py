@@ -1,5 +1,14 @@
 """A page, served to this computer alone, to set up a scene and to look at results: `fingerflow view`."""
 
-from fingerflow.view.server import serve
+from fingerflow.errors import FingerflowError
+
+try:
+    from fingerflow.view.server import serve
+except ModuleNotFoundError as error:
+    if error.name not in ("starlette", "uvicorn", "tomlkit"):
+        raise
+    raise FingerflowError(
+        f"the page needs {error.name}, which is not installed: pip install 'fingerflow-engine[view]'"
+    ) from None
 
 __all__ = ["serve"]
