@@ -167,7 +167,8 @@ def test_forces_alone_decode_no_frame(scene: Scene, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(NpyRecording, "_read_frame", None)
     monkeypatch.setattr(NpyRecording, "mapped", None)
     forces = process(scene, ["normal_force"])
-    assert set(forces.data_vars) == {"normal_force", "tangential_force", "load_ratio"}
+    made = {"load_ratio", "force_angle", "tangential_direction"}
+    assert set(forces.data_vars) == {"normal_force", "tangential_force"} | made
 
 
 def test_results_survive_the_disk(result: xr.Dataset, tmp_path: Path) -> None:

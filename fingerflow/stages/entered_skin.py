@@ -46,7 +46,8 @@ def moved_in(position: Values, places: Points, onset: Numbers, reference: Points
         return np.zeros(len(onset), dtype=bool)
     shift = np.where(counts[:, None], reference - places, np.nan)
     fit = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(shift)[None], gauge_length=gauge_mm)
-    area = torch.linalg.det(torch.eye(2) + fit.gradient[0]).numpy()
+    identity = torch.eye(2, dtype=fit.gradient.dtype, device=fit.gradient.device)
+    area = torch.linalg.det(identity + fit.gradient[0]).numpy()
     moved = _neighbours_moved(position, places, onset, reference, gauge_mm, counts)
     result: NDArray[np.bool_] = counts & ((area < LEAST_AREA) | (moved > gauge_mm / 8))
     return result
@@ -92,8 +93,8 @@ class EntryGradients:
         apart, _ = cKDTree(places[entered]).query(places[known])
         self._near = known[apart <= gauge_mm / 2]  # all that say something of their surroundings
         self._places, self._queries = (torch.from_numpy(places[some])[None] for some in (self._near, entered))
-        self._begun = torch.full((len(entered), 2, 2), torch.nan, dtype=torch.float64)
-        self._begun_covariance = torch.full((len(entered), 2, 2, 2, 2), torch.nan, dtype=torch.float64)
+        self._begun = self._places.new_full((len(entered), 2, 2), torch.nan)
+        self._begun_covariance = self._places.new_full((len(entered), 2, 2, 2, 2), torch.nan)
 
     def at(self, frames: Numbers, position: Points, variance: NDArray[np.floating]) -> SinceEntry:
         """In these frames (n,), from positions (n, N, 2) mm and the variance (n, N) mm^2 of a component against the
@@ -103,7 +104,7 @@ class EntryGradients:
         noise = torch.from_numpy(variance[:, self._near].astype(np.float64) / 2)
         fit = local_gradients(self._places, moved, self._queries, gauge_length=self._gauge, variance=noise)
         assert fit.covariance is not None
-        identity = torch.eye(2, dtype=torch.float64)
+        identity = torch.eye(2, dtype=torch.float64, device=self._places.device)
         now = identity + fit.gradient
         for k, frame in enumerate(frames):
             enter = np.flatnonzero(self._onset == frame)
