@@ -45,11 +45,12 @@ def _rows(values: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
         if value is None or name == "topography_to_contact":  # told in words beside the scale
             continue
         if isinstance(value, Mapping):
-            if set(value) == {"rows", "columns"}:
-                ranges = (f"{side} {first} to {end - 1}" for side, (first, end) in value.items())
+            sides = ("rows", "columns")
+            if set(sides) <= set(value):
+                ranges = (f"{side} {value[side][0]} to {value[side][1] - 1}" for side in sides)
                 rows.append((f"{above}{_said(name)}", ", ".join(ranges)))
-            else:
-                rows += _rows(value, f"{above}{_said(name)}: ")
+                value = {key: one for key, one in value.items() if key not in sides}
+            rows += _rows(value, f"{above}{_said(name)}: ")
             continue
         unit = _OF_KEYS.get(name) or (_UNITS.get(name.rpartition("_")[2], "") if name != "mm_per_px" else "")
         text = _value(value).replace("_", " ") if name in _CHOICES else _value(value)
