@@ -3,8 +3,6 @@
 import base64
 import json
 import re
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,19 +40,6 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
 def page(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene, result = trial
     return write_report(result, scene, tmp_path_factory.mktemp("page"))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as engine:
-        own = Path(engine.chromium.executable_path)
-        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-        if not own.exists() and system is None:
-            pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
-        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 def told(page: Path) -> str:
