@@ -1,6 +1,7 @@
 """One trial's result as a row of numbers, and as curves against force on a grid that all trials share."""
 
 import json
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -156,10 +157,14 @@ class _Trial:
         share = (force - values[above[0] - 1]) / (values[above[0]] - values[above[0] - 1])
         return before, after, float(share)
 
+    @cached_property
+    def _grid(self) -> list[Moment | None]:
+        """The crossings of `FORCE_GRID`, which all curves share."""
+        return [self.crossing(float(force)) for force in FORCE_GRID]
+
     def curve(self, series: Series) -> list[float | None] | None:
         """Values on `FORCE_GRID`, None where the force does not come to; None where nothing is known."""
-        places = [self.crossing(float(force)) for force in FORCE_GRID]
-        values = [np.nan if where is None else _at(series, where) for where in places]
+        values = [np.nan if where is None else _at(series, where) for where in self._grid]
         return [float(value) if np.isfinite(value) else None for value in values] if np.isfinite(values).any() else None
 
     def largest(self, series: Series) -> float:
