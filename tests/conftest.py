@@ -1,6 +1,5 @@
 """Fixtures that more than one room of tests uses."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 
+from bench.chromium import launch
 from fingerflow import kernels
 from fingerflow.synthetic import PartialSlip, write_recording
 
@@ -73,10 +73,8 @@ def browser() -> Iterator[Any]:
     """Playwright's own Chromium, or the system's."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as engine:
-        own = Path(engine.chromium.executable_path)
-        system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-        if not own.exists() and system is None:
+        started = launch(engine)
+        if started is None:
             pytest.skip("no Chromium here: `apt-get install chromium` or `python -m playwright install chromium`")
-        started = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
         yield started
         started.close()

@@ -3,7 +3,6 @@ many frames a second follow the slider. Two views of 512 x 640 px with mask, ell
 their divergence, drawn in software; in full of 3,000 frames. By the clock, and in CPU time of server and browser,
 which says what an idle computer can do: divided by its cores it is the time that a frame takes at least."""
 
-import shutil
 import tempfile
 import time
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from bench.chromium import launch
 from bench.rows import Row, Skipped
 from fingerflow import process
 from fingerflow.synthetic import Press, write_recording
@@ -38,13 +38,11 @@ def run(quick: bool = False) -> Sequence[Row]:
     except ImportError:
         raise Skipped("playwright is not installed: pip install playwright") from None
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as engine:
-        own = Path(engine.chromium.executable_path)
-        system = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-        if not own.exists() and system is None:
+        browser = launch(engine)
+        if browser is None:
             raise Skipped("no Chromium here: python -m playwright install chromium")
         scene, frames = _recorded(Path(folder), 24 if quick else _LONG)
         process(scene, to=scene.parent / "result.h5").close()
-        browser = engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
         with Served(scene.parent / "result.h5") as served:
             rows = _measured(browser, served.address, frames, 10 if quick else _SCRUBBED)
         browser.close()

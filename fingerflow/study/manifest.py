@@ -269,11 +269,7 @@ def _check_key(dotted: str, place: str) -> None:
         if part == "views" and number == 0:
             return
         if part not in known:
-            close = difflib.get_close_matches(part, known, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise FingerflowError(
-                f"{place}: the column {dotted!r} is no key of a scene; {hint}known here: {', '.join(known)}"
-            )
+            raise FingerflowError(f"{place}: the column {dotted!r} is no key of a scene; {_known_here(part, known)}")
         table = known[part]
         known = table.keys if isinstance(table, Table) else {}
 
@@ -302,6 +298,10 @@ def _merged(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]
 def _refuse_unknown(path: Path, written: Mapping[str, Any], known: tuple[str, ...], table: str = "") -> None:
     for name in written:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
-            raise FingerflowError(f"{path}: {table}{name} is not a key; {hint}known here: {', '.join(known)}")
+            raise FingerflowError(f"{path}: {table}{name} is not a key; {_known_here(name, known)}")
+
+
+def _known_here(name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}known here: {', '.join(known)}"
