@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Stream
 
 from fingerflow.player import patient_file, read_results
 from fingerflow.player.errors import PlayerError
 from fingerflow.player.patient_file import PatientFile
 from fingerflow.player.results import Sink
-from tests.player.conftest import Stream
 
 DTYPE = np.dtype([("frame", "<i8"), ("time", "<f8"), ("value", "<f4", (1000,))])
 FIELDS = [
