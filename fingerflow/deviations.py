@@ -32,7 +32,7 @@ def stated(known: Mapping[str, Variable], codec: str | None) -> dict[str, Variab
         for name in _withheld(known)
     }
     position = known[_OF_POSITIONS]
-    too_small = f"{position.long_name} by the noise of the pictures alone: 2 to 10 times too small for frames in {codec}"
+    too_small = f"{position.long_name} by noise alone: 2 to 10 times too small for frames in {codec}"
     return {**known, **said, _OF_POSITIONS: replace(position, long_name=too_small)}
 
 

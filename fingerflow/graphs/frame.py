@@ -182,8 +182,8 @@ class SinceOnset(NamedTuple):
     """Fields of B frames since the onset of contact of each point, and what the next frame needs to know.
 
     `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known; of points
-    out of contact, where they are now; `next_reached` (B, N) uint8, for how many frames in a row the contact has covered it; `LASTING` once it did for so
-    many.
+    out of contact, where they are now; `next_reached` (B, N) uint8, for how many frames in a row the contact has covered
+    it; `LASTING` once it did for so many.
     """
 
     next_reference: Tensor

@@ -56,7 +56,9 @@ def encoded(press: Path, name: str, codec: str, quality: int | None, options: di
 
 
 OUTPUTS = ["position_px", "position_std_px", "median_divergence", "strain_energy", "field_coverage", "displacement"]
-DEVIATIONS = ("displacement_std", "divergence_std", "curl_std", "median_divergence_std", "strain_std", "strain_energy_std")
+DEVIATIONS = (
+    *("displacement_std", "divergence_std", "curl_std", "median_divergence_std", "strain_std", "strain_energy_std"),
+)
 
 
 def coverage(scene: Path) -> tuple[float, float, xr.Dataset]:
