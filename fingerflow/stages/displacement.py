@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.onset import place_of_onset, touch_length
-from fingerflow.player.contract.variables import DISPLACEMENT
+from fingerflow.player.contract.variables import DISPLACEMENT, ENTRY
+from fingerflow.stages.common_frame import common_frame
 from fingerflow.stages.entered_skin import moved_in
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.reference import Reference, reference_of
@@ -53,7 +54,7 @@ class DisplacementStage(Stage):
         since: that.
         entered: (E,) numbers of the points that came into contact by moving into it (`entered_skin`), by onsets.
         by_onsets: whether points count from their own onsets; `places` and `last` are there where they do.
-        places: (N, 2) mm, where points were chosen.
+        places: (N, 2) mm, where points were chosen; of those that were chosen later, `CommonFrame.places`.
         last: the last usable frame.
         begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
         onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
@@ -105,6 +106,10 @@ class DisplacementStage(Stage):
         self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
         self._attributes = self.since.attributes(first_frame)
         points = self.results["position"].shape[1]
+        # Where points were chosen all of them are known.
+        usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
+        chosen, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
+        self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
         self._find_onsets()
@@ -112,11 +117,7 @@ class DisplacementStage(Stage):
         if self.by_onsets:
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
-            # Where points were chosen all of them are known.
-            usable = np.flatnonzero(self._usable)
-            chosen = int(usable[-1 if self.trial.stage(TrackingStage).backward else 0])
-            self.last = int(usable[-1])
-            self.places = self.results["position"][slice(chosen, chosen + 1)][0]
+            self.places = self._common.places
             moves_in = moved_in(self.results["position"], self.places, self.onset, self.reference, gauge)
         else:
             self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
@@ -124,7 +125,8 @@ class DisplacementStage(Stage):
         self.entered = np.flatnonzero(moves_in)
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
         covered = np.isfinite(self.reference).all(1)
-        self.results.put("entry", np.where(moves_in, 2, covered).astype(np.uint8))
+        entry = np.where(moves_in, ENTRY.index("moved_in"), covered)
+        self.results.put("entry", np.where(self._inside, ENTRY.index("chosen_inside"), entry).astype(np.uint8))
         self.results.put("reference_position", self.reference, self._attributes)
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)
@@ -134,6 +136,7 @@ class DisplacementStage(Stage):
 
     def step(self, batch: Batch) -> Moved:
         moved = self._since_touch(self._touch, batch.indices)
+        moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
         self.results["displacement"][batch.indices] = moved.displacement
         # Root mean square error of a component.
         self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
@@ -144,6 +147,11 @@ class DisplacementStage(Stage):
     def finish(self) -> None:
         self.results.put("global_displacement_vector", self._vector, self._attributes)
         self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
+
+    @property
+    def chosen_later(self) -> NDArray[np.bool_]:
+        """(N,) which points were chosen where skin came into contact, not in the first choice."""
+        return self._common.later
 
     @property
     def mm_per_px(self) -> float:
@@ -173,8 +181,12 @@ class DisplacementStage(Stage):
         # A touch that lasts to the end may be one that stays.
         stays = touch.length > 0
         came = np.where(stays, touch.start, touch.first)
+        # Of a point that is in contact when it is chosen, later than the first, nobody knows since when.
+        self._inside = self._common.later & (touch.first == self._common.chosen)
+        stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.place, touch.first_place)
+        self.reference[self._inside] = np.nan
         before = np.where(stays, touch.before, touch.first_before)
         pixels = [at_frames(self.results["position_px"], np.maximum(frames, 0)) for frames in (came, before)]
         self.reference_px = np.mean(pixels, axis=0)
