@@ -185,7 +185,7 @@ CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calib
         (PROCESS, "fingerflow.stages.contact.ContactStage.step", 0),
         (PROCESS, "fingerflow.stages.tracking.TrackingStage.step", 0),
         (PROCESS, "fingerflow.stages.strain.StrainStage.step", 0),
-        (PROCESS, "h5netcdf.File.close", 0),
+        (PROCESS, "h5py.File.close", 0),
         (PROCESS, "pathlib.Path.replace", 0),
         ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),
         ((*TABLE, "{new}/table.csv"), "pathlib.Path.replace", 0),
