@@ -14,6 +14,7 @@ export class Setup {
     this.points = null;
     this.forces = null;
     this.found = null;
+    this.question = null;  // { text, to }: whether a file may be replaced
     this.edited = newest(async () => this.send());
     this.pending = new Map();
   }
@@ -52,6 +53,7 @@ export class Setup {
     if (!this.facts.draft) return $("panel").replaceChildren(make("p", {}, "A result was opened. Name its scene to set it up."));
     this.form = makeForms(this.facts, (key, value) => this.edit(key, value));
     this.status = make("div", { id: "setup-status" });
+    this.asking = make("div");
     this.numbers = make("dl", { className: "numbers" });
     this.name = make("input", { type: "text", id: "scene-name", value: this.facts.draft.split(/[\\/]/).pop() });
     this.name.setAttribute("aria-label", "Scene file");
@@ -60,6 +62,7 @@ export class Setup {
         make("div", { className: "bar" }, this.name,
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
+        this.asking,
         toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
@@ -68,6 +71,7 @@ export class Setup {
       make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
       make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
     this.update();
+    this.ask(this.question);
   }
   take(facts) {
     this.facts = facts;
@@ -309,19 +313,23 @@ export class Setup {
     this.pending.set(`views.${name}.rows`, rows);
     this.edit(`views.${name}.columns`, columns);
   }
-  async write(replace) {
+  async write(replace, to = this.name.value) {
+    this.ask(null);
     try {
-      this.take(await post("api/write", { to: this.name.value, replace }));
+      this.take(await post("api/write", { to, replace }));
       say("");
       this.update();
     } catch (error) {
-      if (!error.asks) return say(error.message);
-      const ask = make("div", { className: "ask", id: "ask" }, make("p", {}, `${error.message}. Replace it?`),
-        make("button", { id: "replace", onclick: () => { ask.remove(); this.write(true); } }, "Replace"),
-        make("button", { onclick: () => ask.remove() }, "Keep it"));
-      $("ask")?.remove();
-      this.status.append(ask);
+      if (error.asks) this.ask({ text: `${error.message}. Replace it?`, to });
+      else say(error.message);
     }
+  }
+  // In a place of its own, drawn once: what else is updated meanwhile does not take it away under the pointer.
+  ask(question) {
+    this.question = question;
+    this.asking.replaceChildren(...(question ? [make("div", { className: "ask", id: "ask" }, make("p", {}, question.text),
+      make("button", { id: "replace", onclick: () => this.write(true, question.to) }, "Replace"),
+      make("button", { id: "keep", onclick: () => this.ask(null) }, "Keep it"))] : []));
   }
   async process() {
     try {
