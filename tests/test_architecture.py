@@ -23,7 +23,7 @@ ARROWS: dict[str, set[str]] = {
     "graphs": {"ops"},
     "models": {"errors", "kernels"},
     "recordings": {"contract", "errors", "untrusted"},
-    "calibration": {"contract", "errors", "toml_string", "views"},
+    "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
     "store": {"contract", "room"},
@@ -90,6 +90,7 @@ ARROWS: dict[str, set[str]] = {
     "view": {
         "__init__",
         "atomic_write",
+        "calibration",
         "contract",
         "errors",
         "plan",
