@@ -36,7 +36,7 @@ PRINT = Path(__file__).resolve().parents[2] / "shared" / "data" / "fingers" / "1
 HEIGHTS = {"opened": 820, "views": 820, "overlay": 600, "result": 1000, "report": 1100}  # px
 FRAMES, SHOWN = 40, 30
 WIDTH = 1000  # px
-SLOW = 240_000  # ms
+SLOW = 600_000  # ms
 
 
 def save(data: bytes, name: str) -> None:

@@ -26,6 +26,7 @@ class SensorPreviewer(Previewer):
     it the threshold of its light, is told from these few frames, so that the contact is nearly that of `process`.
     """
 
+    _still: MarkerContactStage  # begun with those few frames
     _markers: MarkerStage  # begun with the whole recording: knows the look of its markers
 
     def _begin_contact(self, before: Previewer | None) -> None:
@@ -38,8 +39,9 @@ class SensorPreviewer(Previewer):
         count = len(self._trial)
         self._looks = np.unique(np.linspace(0, count - 1, min(count, _LOOKS)).round().astype(int))
         with torch.inference_mode():
-            self._contact = self._followed(self._looks)
-            self._contact.begin()
+            self._still = self._followed(self._looks)
+            self._still.begin()
+        self._contact = self._still
 
     def contact(self, frame: int) -> Preview:
         """Of a frame, from 0 for the first one that counts."""
@@ -48,7 +50,7 @@ class SensorPreviewer(Previewer):
             place = int(np.searchsorted(frames, frame))
             with torch.inference_mode():
                 contact = self._followed(frames)
-                contact.begin_as(self._contact)
+                contact.begin_as(self._still)
                 pictures = contact.inputs.recording[[place]].read()
                 cells: NDArray[np.bool_] = contact.step(Batch(np.array([place]), pictures))[0]
             height, width = self.scene.views["camera"].shape
