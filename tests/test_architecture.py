@@ -100,6 +100,7 @@ ARROWS: dict[str, set[str]] = {
         "stages",
         "store",
         "untrusted",
+        "views",
     },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }
