@@ -45,7 +45,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     figure.set_dpi(_RASTER_DPI)
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         # `savefig` draws twice, first to settle the layout.
-        FigureCanvasSVG(figure).print_svg(data, metadata=_NO_METADATA)
+        FigureCanvasSVG(figure).print_svg(data, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     text = data.getvalue()
     text = text[text.index("<svg") :]
     head, _, rest = text.partition(">")
@@ -68,7 +68,7 @@ def _laid_out(figure: Figure) -> bool:
     if len(bars) > 1:
         return False
     axes.set_title(axes.get_title(), y=1.0)  # else matplotlib looks, whenever it draws, for ticks to be avoided
-    renderer = FigureCanvasAgg(figure).get_renderer()
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
     width, height = figure.bbox.width, figure.bbox.height
     around = []
     for one in figure.axes:
