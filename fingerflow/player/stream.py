@@ -371,6 +371,7 @@ class Player:
         """Takes new points where they are more than those that are followed."""
         points = self._stepper.choose(change.key)
         if count_known(points) > (0 if change.cause == _PAGE else count_known(change.points)):
+            self._slip.follow_others(change.points[0], points[0])
             self._restart(index, change.key, points, change.cause)
         else:
             self._upkeep.kept(index)
@@ -394,8 +395,9 @@ class Player:
         slot, side = computed
         index = self.processed
         place = index % len(self._room)
+        elsewhere = self._stepper.look_again(slot, side).refound if slot.status == USABLE else False
         found = self._stepper.found_in(side)
-        status = self._check.see(slot.number, slot.blocks, slot.status, found)
+        status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
         self._unlooked += 1
         if status != USABLE:
             return self._skip(slot, side, place, status)
@@ -472,7 +474,7 @@ class Player:
     def _fill_slip(self, outputs: dict[str, Array], place: int) -> None:
         if self._layout.tells_slip:
             points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
-            slip = self._slip.see(points, std, covered, self.restarts)
+            slip = self._slip.see(points, std, covered)
             self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
             self._fields["slip_flag"][place] = slip.slipping
 
