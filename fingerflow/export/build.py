@@ -34,7 +34,8 @@ SEARCHED = 64  # points that `search` looks for in a call: the motion of the oth
 UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "key_view", "background", "dark"), "counts"),
     **dict.fromkeys(("light", "black"), "counts"),
-    **dict.fromkeys(("points", "prediction", "reference", "next_reference", "by_neighbours", "found"), "px"),
+    **dict.fromkeys(("points", "prediction", "reference", "next_reference", "by_neighbours"), "px"),
+    **dict.fromkeys(("estimate", "found"), "px"),
     **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),

@@ -27,8 +27,8 @@ class FrameCheck:
     """Tells frames that cannot be from their own light, and from the last usable frame.
 
     A dark or saturated frame is known by itself, with the limits of `process`. A frame far from the last usable one
-    has come from another moment, is torn or shifted, where points are lost with it and a search does not find them
-    elsewhere, as it does after a jump of the skin; where nine tenths of the contact
+    has come from another moment, is torn or shifted, where points are lost with it and are not to be
+    found elsewhere, as after a jump of the skin; where nine tenths of the contact
     view become lighter or darker at once, it is the lamp: a contact never covers all of it. One that flickers does so
     again and again, and its frames count. `process` knows the frames behind a frame too, a stream does not: what stays
     for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
@@ -69,7 +69,7 @@ class FrameCheck:
             number: of the frame.
             blocks, status: of `look`.
             tracked: points found in it.
-            elsewhere: whether a search had to find them, and found most.
+            elsewhere: whether many were found far from where their motion leads (`SecondLook`).
         """
         if status != USABLE:
             return status

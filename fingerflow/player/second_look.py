@@ -7,11 +7,15 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from .arrays import Array
+from .contract.variables import TRACK_STATUS
 from .motion import TRUSTED, Motion
 
+_NOT_CONVERGED = TRACK_STATUS.index("not_converged")
 _MANY, _FEWEST = 0.1, 8  # share of the points that were found in the last frames, of so many at least
 _NEARER = 0.5  # px from where it was looked for before, below which nothing else would be found
-_SEARCHES, _YIELD = 4, 0.25  # at most; share of the points searched for that is found, below which no other follows
+_REACH, _ROUNDS = 1.0, 5  # `ops.tracking_limits.REACH`, `ops.tracking.ROUNDS`
+_ELSEWHERE = 0.3  # share of those that are not where the motion leads
+_SEARCHES, _YIELD = 3, 0.25  # at most; share of the points searched for that is found, below which no other follows
 
 
 class SecondLook:
@@ -19,12 +23,14 @@ class SecondLook:
 
     A frame finds a point within a pixel, in x and y, of the whole pixel nearest to where it is expected: within 0.5 px
     for sure, 1.5 px at best. Frames that run side by side expect points from `Stepper.lag` frames before: with a lag of
-    two a speed that changes by v px a frame leaves up to 2 v. As long as many are missing, they are expected
+    two a speed that changes by v px a frame leaves up to 2 v. As long as many are missing, they are looked for
 
     1. where the motion up to the frame before leads, which is known by now: v is left;
     2. where the neighbours that were found say (a plane through their displacements);
-    3. where a search finds them, of some of them at a time, as `process` has it for a jolt, and then again where the
-       neighbours that this has found say.
+    3. where a search finds them, of some of them at a time, and then again where the neighbours that this has found
+       say;
+
+    and from each of these on to where the look has led, up to five times: what `process` does with points that it loses.
 
     A point that stays lost is not looked for so any more after `TRUSTED` frames: what is gone costs nothing.
 
@@ -36,14 +42,15 @@ class SecondLook:
 
     Attributes:
         jolted: (1, N) points that were not found before a search had begun; none where there was none.
-        refound: whether a search has found half of the points that were missing before it.
+        elsewhere: whether many of the points that were not where the motion leads were found elsewhere.
     """
 
     def __init__(self, before: Motion, number: int, prediction: Array, results: Mapping[str, Array]) -> None:
         self._before, self._number, self._prediction, self._results = before, number, prediction, results
         self._wanted = before.missing < TRUSTED
         self.jolted = np.zeros_like(self._wanted)
-        self.refound = False
+        self._other = np.zeros_like(self._wanted)
+        self.elsewhere = False
 
     def take(
         self, run: Callable[[Array], Mapping[str, Array]], search: Callable[[Array, Array], Array], together: int
@@ -56,7 +63,9 @@ class SecondLook:
                 to where they are; NaN where that is not to be said.
             together: n.
         """
-        self._look(self._before.expect(self._number), run)
+        self._try(self._before.expect(self._number), run)
+        missing = int(self._lost().sum())
+        self._go_on(run)
         self._look(self._results["by_neighbours"], run)
         left = self._lost()
         for _ in range(_SEARCHES):
@@ -74,14 +83,28 @@ class SecondLook:
             if self._is_found()[0, rows].mean() < _YIELD:
                 break
             self._look(self._results["by_neighbours"], run)
-        missed = self.jolted & self._wanted
-        self.refound = bool(missed.any()) and 2 * int((missed & self._is_found()).sum()) >= int(missed.sum())
+        self.elsewhere = missing - int(self._lost().sum()) > max(_ELSEWHERE * missing, _FEWEST)
 
     def _look(self, places: Array, run: Callable[[Array], Mapping[str, Array]]) -> None:
-        off = np.abs(places - self._prediction).max(-1)
-        other = self._lost() & (off > _NEARER)
-        if self._many() and other.any():
-            self._prediction = np.where(other[..., None], places, self._prediction)
+        self._try(places, run)
+        self._go_on(run)
+
+    def _try(self, places: Array, run: Callable[[Array], Mapping[str, Array]]) -> None:
+        """Those that are lost and would be somewhere else."""
+        self._other = self._lost() & (np.abs(places - self._prediction).max(-1) > _NEARER)
+        if self._many() and self._other.any():
+            self._prediction = np.where(self._other[..., None], places, self._prediction)
+            self._results = run(self._prediction)
+
+    def _go_on(self, run: Callable[[Array], Mapping[str, Array]]) -> None:
+        """Those of the last try that lie further off than a look reaches, where it has led."""
+        for _ in range(_ROUNDS - 1):
+            places = self._results["estimate"]
+            beyond = np.abs(places - np.round(self._prediction)).max(-1) >= _REACH
+            self._other &= beyond & (self._results["status"] == _NOT_CONVERGED)
+            if not self._many() or not self._other.any():
+                break
+            self._prediction = np.where(self._other[..., None], places, self._prediction)
             self._results = run(self._prediction)
 
     def _is_found(self) -> Array:

@@ -24,7 +24,7 @@ from .second_look import SecondLook
 
 _EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
 # Outputs of `frame` that say which templates to renew, and how; and where to look for a point that is lost.
-_FOR_FRAMES_TO_COME = ("stale", "warp", "by_neighbours")
+_FOR_FRAMES_TO_COME = ("stale", "warp", "estimate", "by_neighbours")
 LAG = 2  # frames: each begins from what the one before the last has found, whether or not a newer one has ended
 
 

@@ -395,7 +395,7 @@ class Player:
         slot, side = computed
         index = self.processed
         place = index % len(self._room)
-        elsewhere = self._stepper.look_again(slot, side).refound if slot.status == USABLE else False
+        elsewhere = self._stepper.look_again(slot, side).elsewhere if slot.status == USABLE else False
         found = self._stepper.found_in(side)
         status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
         self._unlooked += 1
