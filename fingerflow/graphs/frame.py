@@ -126,9 +126,7 @@ class FollowGraph(nn.Module):
         stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)
         found = deformed.found
         whither = (found.estimate, deformed.expected)
-        return Followed(
-            found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale, *whither
-        )
+        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale, *whither)
 
 
 class FrameResult(NamedTuple):

@@ -64,8 +64,8 @@ def load_bundle(folder: Path) -> Bundle:
     if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
         found = facts.get("format") if isinstance(facts, dict) else facts
         raise PlayerError(
-            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle, or "
-            "export the bundle again"
+            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle, "
+            "or export it again"
         )
     try:
         graphs = facts["graphs"]

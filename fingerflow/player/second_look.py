@@ -30,7 +30,7 @@ class SecondLook:
     3. where a search finds them, of some of them at a time, and then again where the neighbours that this has found
        say;
 
-    and from each of these on to where the look has led, up to five times: what `process` does with points that it loses.
+    and from each of these on to where the look has led, up to five times: what `process` does with what it loses.
 
     A point that stays lost is not looked for so any more after `TRUSTED` frames: what is gone costs nothing.
 

@@ -34,9 +34,9 @@ class SlipFlag:
     not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
     of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
     full slip; on a contact 4 mm long that is seen by windows of 15 px at 22 %. Skin that slides as a whole is rigid;
-    what it was stretched by before stays, and with it the flag. Where other points are chosen meanwhile, each takes over
-    the displacement of the old ones nearest to it. Where nothing tells it, as those are lost, nothing takes the flag
-    back before the contact ends.
+    what it was stretched by before stays, and with it the flag. Where other points are chosen meanwhile, each takes
+    over the displacement of the old ones nearest to it. Where nothing tells it, as those are lost, nothing takes the
+    flag back before the contact ends.
 
     Attributes:
         slipping: what the last frame said.

@@ -64,7 +64,9 @@ class Stepper:
             self._sessions[MEASURING] = self._open_measuring()
         states = [name for name in inputs["fields"] if f"next_{name}" in outputs["fields"]]
         results = {name: tensor for name, tensor in outputs["fields"].items() if name.removeprefix("next_") == name}
-        self.outputs = {name: one for name, one in (outputs["frame"] | results).items() if name not in _FOR_FRAMES_TO_COME}
+        self.outputs = {
+            name: one for name, one in (outputs["frame"] | results).items() if name not in _FOR_FRAMES_TO_COME
+        }
         self.found = self.keyed = 0
         self._of_scene: dict[str, Array] = {
             "topography_to_contact": scene.topography_to_contact,

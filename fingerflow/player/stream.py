@@ -43,6 +43,7 @@ _HANGING = 2.0  # s that a stopped stream waits for its source before it is left
 _REKEY_SHARE = 0.8
 _PAGE = "page"  # somebody asked for other points
 _RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after which what is renewed counts
+_RENEWAL_SOON = 2  # the same, where more than half of the points have templates that are stale
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -97,7 +98,10 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._unlooked = 0  # frames since templates were looked at
+        self._unlooked, self._look_after = (
+            0,
+            _RENEWAL_FRAMES,
+        )  # frames since templates were looked at, and until they are
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -410,7 +414,7 @@ class Player:
         self._findings.count(found, area)
         if self._stepper.measures:
             self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= _RENEWAL_FRAMES:
+        if self._unlooked >= self._look_after:
             self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
@@ -444,8 +448,10 @@ class Player:
         key = self.restarts + self.keys
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
+        soon = work is not None and 2 * len(work.rows) > self.tracked
+        self._look_after = _RENEWAL_SOON if soon else _RENEWAL_FRAMES
         if work is not None:
-            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + self._look_after, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
