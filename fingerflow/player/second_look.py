@@ -49,7 +49,6 @@ class SecondLook:
         self._before, self._number, self._prediction, self._results = before, number, prediction, results
         self._wanted = before.missing < TRUSTED
         self.jolted = np.zeros_like(self._wanted)
-        self._other = np.zeros_like(self._wanted)
         self.elsewhere = False
 
     def take(
@@ -91,20 +90,21 @@ class SecondLook:
 
     def _try(self, places: Array, run: Callable[[Array], Mapping[str, Array]]) -> None:
         """Those that are lost and would be somewhere else."""
-        self._other = self._lost() & (np.abs(places - self._prediction).max(-1) > _NEARER)
-        if self._many() and self._other.any():
-            self._prediction = np.where(self._other[..., None], places, self._prediction)
+        other = self._lost() & (np.abs(places - self._prediction).max(-1) > _NEARER)
+        if self._many() and other.any():
+            self._prediction = np.where(other[..., None], places, self._prediction)
             self._results = run(self._prediction)
 
     def _go_on(self, run: Callable[[Array], Mapping[str, Array]]) -> None:
-        """Those of the last try that lie further off than a look reaches, where it has led."""
+        """Those that lie further off than the look reaches, where it has led."""
+        other = self._lost()
         for _ in range(_ROUNDS - 1):
             places = self._results["estimate"]
             beyond = np.abs(places - np.round(self._prediction)).max(-1) >= _REACH
-            self._other &= beyond & (self._results["status"] == _NOT_CONVERGED)
-            if not self._many() or not self._other.any():
+            other &= beyond & (self._results["status"] == _NOT_CONVERGED)
+            if not self._many() or not other.any():
                 break
-            self._prediction = np.where(self._other[..., None], places, self._prediction)
+            self._prediction = np.where(other[..., None], places, self._prediction)
             self._results = run(self._prediction)
 
     def _is_found(self) -> Array:

@@ -43,7 +43,6 @@ _HANGING = 2.0  # s that a stopped stream waits for its source before it is left
 _REKEY_SHARE = 0.8
 _PAGE = "page"  # somebody asked for other points
 _RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after which what is renewed counts
-_RENEWAL_SOON = 2  # the same, where more than half of the points have templates that are stale
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -449,7 +448,8 @@ class Player:
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         soon = work is not None and 2 * len(work.rows) > self.tracked
-        self._look_after = _RENEWAL_SOON if soon else _RENEWAL_FRAMES
+        # No frame that could have begun already.
+        self._look_after = self._stepper.lag if soon else _RENEWAL_FRAMES
         if work is not None:
             self._renewals.append(Renewing(index + 1 + self._look_after, key, work))
 

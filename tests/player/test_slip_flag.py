@@ -48,6 +48,7 @@ def test_other_points_and_points_that_leave_start_anew() -> None:
     flag = SlipFlag()
     flag.see(POINTS, STD, COVERED)
     elsewhere = POINTS[:, ::-1].copy()
+    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # of which nothing tells how far they came
     states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
     assert states[-1].residual == 0
     assert not states[-1].slipping
