@@ -37,7 +37,6 @@ from .upkeep import REKEY, Change, Renewing, ThresholdSearch, Upkeep
 
 log = logging.getLogger("fingerflow.player")
 
-
 _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
 _REKEY_SHARE = 0.8
@@ -97,10 +96,7 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._unlooked, self._look_after = (
-            0,
-            _RENEWAL_FRAMES,
-        )  # frames since templates were looked at, and until they are
+        self._unlooked, self._look_after = 0, _RENEWAL_FRAMES  # frames since templates were looked at, until they are
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -398,7 +394,7 @@ class Player:
         slot, side = computed
         index = self.processed
         place = index % len(self._room)
-        elsewhere = self._stepper.look_again(slot, side).elsewhere if slot.status == USABLE else False
+        elsewhere = slot.status == USABLE and self._stepper.look_again(slot, side).elsewhere
         found = self._stepper.found_in(side)
         status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
         self._unlooked += 1
@@ -448,8 +444,7 @@ class Player:
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         soon = work is not None and 2 * len(work.rows) > self.tracked
-        # No frame that could have begun already.
-        self._look_after = self._stepper.lag if soon else _RENEWAL_FRAMES
+        self._look_after = self._stepper.lag if soon else _RENEWAL_FRAMES  # no frame that may have begun
         if work is not None:
             self._renewals.append(Renewing(index + 1 + self._look_after, key, work))
 
