@@ -94,7 +94,8 @@ class Followed(NamedTuple):
     """Positions `points` (B, N, 2) px of the topography view and their standard deviation a component (B, N) px, NaN
     where lost; forward-backward `error` (B, N) px; `status` (B, N) uint8 (`TrackStatus`). `warp` (B, N, 2, 2) is the
     deformation gradient since the key frame, and `stale` (B, N) uint8 says which templates are to be prepared anew with
-    it.
+    it. Where to look for a point that is lost: `estimate` (B, N, 2) px is where the look at it has led, `by_neighbours`
+    (B, N, 2) px where its neighbours expect it, NaN where too few are known.
     """
 
     points: Tensor
@@ -103,6 +104,8 @@ class Followed(NamedTuple):
     status: Tensor
     warp: Tensor
     stale: Tensor
+    estimate: Tensor
+    by_neighbours: Tensor
 
 
 class FollowGraph(nn.Module):
@@ -122,7 +125,8 @@ class FollowGraph(nn.Module):
         deformed = self.deformation(templates.start, found, templates.numbers, inverse_warp, support)
         stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)
         found = deformed.found
-        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale)
+        whither = (found.estimate, deformed.expected)
+        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale, *whither)
 
 
 class FrameResult(NamedTuple):
@@ -143,6 +147,8 @@ class FrameResult(NamedTuple):
     status: Tensor
     warp: Tensor
     stale: Tensor
+    estimate: Tensor
+    by_neighbours: Tensor
     covered: Tensor
 
 

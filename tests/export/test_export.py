@@ -228,7 +228,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         results |= run("fields")
         known |= {name.removeprefix("next_"): value for name, value in results.items() if name.startswith("next_")}
         tracks.append(results["points"])
-        motions = [*motions[1:], motions[-1].see(results["points"].numpy(), number)]
+        motions = [*motions[1:], motions[-1].see(results["points"].numpy(), number, results["by_neighbours"].numpy())]
         np.testing.assert_array_equal(record["status"], results["status"][0])
         np.testing.assert_allclose(record["position_px"], results["points"][0], rtol=0, atol=1e-3)
         for name in ("real", "gross"):
