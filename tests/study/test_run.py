@@ -17,10 +17,12 @@ import xarray as xr
 
 from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.result import load_result, read_own
 from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.report import write_study_report
+from fingerflow.study.row import READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 
@@ -76,6 +78,17 @@ def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> Non
     assert row.made["versions"]["torch"]
 
 
+def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) -> None:
+    _run(study, scheduler, only="01_0_1")
+    made = read_row(study.results / "01_0_1")
+    assert made is not None
+    assert made.result is not None
+    path = study.results / "01_0_1" / made.result
+    row, curves = measure(read_own(path, READ))
+    assert (row, curves) == measure(load_result(path))
+    assert (row, curves) == (made.row, made.curves)
+
+
 def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
     broken = [lab / place / "frames.npy" for place in ("p01/0um/trial1", "p01/0um/trial2", "p01/2um/trial3")]
     whole = [path.read_bytes() for path in broken]
@@ -122,7 +135,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         raise NoRoomError("the disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(worker, "process", full)
+        patched.setattr(worker, "process_to", full)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert {one.entry.name for one in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 
