@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
@@ -17,8 +17,10 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.atomic_write import keep_others, spare, write_atomically
+from fingerflow.deviations import stated, withhold
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
+from fingerflow.player.contract.variables import Variable
 from fingerflow.recordings.identity import identity_of
 from fingerflow.result import is_result, open_own, open_result
 from fingerflow.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
@@ -75,7 +77,7 @@ def process(
         return open_own(Path(to))
     with _prepared(scene, outputs, device, engine) as ready:
         check_memory(ready.size)
-        store = MemoryStore(VARIABLES, len(ready.inputs.times))
+        store = MemoryStore(ready.known, len(ready.inputs.times))
         _run(ready, store, progress, earlier)
         return store.dataset
 
@@ -98,7 +100,7 @@ def process_to(
         check_disk(to, ready.size)
 
         def write(part: Path) -> None:
-            with FileStore(VARIABLES, len(ready.inputs.times), part) as file:
+            with FileStore(ready.known, len(ready.inputs.times), part) as file:
                 _run(ready, file, progress, earlier)
 
         write_atomically(to, write)
@@ -106,11 +108,12 @@ def process_to(
 
 @dataclass(frozen=True)
 class _Ready:
-    """An opened scene, what is to be computed of it, by what, and how many bytes that gives."""
+    """An opened scene, what is to be computed of it, by what, the variables as it has them, and the bytes they take."""
 
     plan: Plan
     inputs: Inputs
     runtime: "OnnxRuntime | None"
+    known: Mapping[str, Variable]
     size: float
 
 
@@ -125,7 +128,8 @@ def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: 
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        yield _Ready(wanted, inputs, runtime, size)
+        known = stated(VARIABLES, inputs.recording.takes_from_other_frames)
+        yield _Ready(wanted, inputs, runtime, known, size)
 
 
 def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:
@@ -151,6 +155,8 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
                             known.restore(stage)
                 running = [stage for stage in running if type(stage).place() not in known.stages]
             _pass(running, trial, seconds, progress)
+    if inputs.recording.takes_from_other_frames is not None:
+        withhold(store, VARIABLES)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     scene = inputs.scene

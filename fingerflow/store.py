@@ -11,13 +11,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.player.contract.variables import LABELS, TIME, Variable
-from fingerflow.room import check_write
+from fingerflow.room import check_disk, check_memory, check_write
 
+_GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
 _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
+_CHUNK_GROWING = 256  # along a dimension that may grow: of the last chunk as much is empty at most
 
 
 class Values(Protocol):
@@ -56,6 +58,13 @@ class Store(ABC):
         """A variable as a whole."""
         self.create(name, attributes, **sizes)[:] = values
 
+    def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
+        """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
+        before, self._sizes[dim] = self._sizes[dim], size
+        for name in self._values:
+            if dim in self._known[name].dims:
+                self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
+
     def __getitem__(self, name: str) -> Values:
         return self._values[name]
 
@@ -64,6 +73,13 @@ class Store(ABC):
 
     @abstractmethod
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values: ...
+
+    @abstractmethod
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None: ...
+
+    @abstractmethod
+    def check_room(self, needed: float) -> None:
+        """Raises NoRoomError where results that need so many bytes more do not fit."""
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
@@ -83,6 +99,17 @@ class MemoryStore(Store):
         values = np.full(shape, *_fill(variable))
         self._arrays[variable.name] = (variable.dims, values, attributes)
         return values
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        dims, values, attributes = self._arrays[name]
+        empty, kind = _fill(self._known[name])
+        shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
+        more = np.full(shape, empty if fill is None else fill, kind)
+        self._values[name] = longer = np.concatenate((values, more), axis=axis)
+        self._arrays[name] = (dims, longer, attributes)
+
+    def check_room(self, needed: float) -> None:
+        check_memory(needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
@@ -114,10 +141,13 @@ class FileStore(Store):
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         fill, kind = _fill(variable)
         layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
+        sides = [(size, dim in _GROWING) for dim, size in zip(variable.dims, shape, strict=True)]
+        if any(grows for _, grows in sides):
+            layout |= {"maxshape": tuple(None if grows else size for size, grows in sides), "chunks": True}
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
-            layout["chunks"] = (frames, *shape[1:])
+            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if grows else n for n, grows in sides[1:]))
             if np.dtype(kind).kind != "f":
                 layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
         stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
@@ -127,6 +157,19 @@ class FileStore(Store):
             attributes = {**attributes, "coordinates": "time"}
         _describe(stored, attributes)
         return _Stored(stored, self._path)
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        self._file[name].resize(size, axis)
+        if fill is not None:
+            values = self._values[name]
+            for first in range(0, values.shape[0], _CHUNK_FRAMES):
+                some = slice(first, first + _CHUNK_FRAMES)
+                rows = values[some]
+                rows[(slice(None),) * axis + (slice(before, None),)] = fill
+                values[some] = rows
+
+    def check_room(self, needed: float) -> None:
+        check_disk(self._path, needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         self._add("frame", ("frame",), data=frame)
@@ -153,7 +196,8 @@ class FileStore(Store):
             if dim in self._dims:
                 said = dim
             else:
-                self._file.create_dataset(dim, (size,), ">f4", track_order=True)
+                most = (None,) if dim in _GROWING else None
+                self._file.create_dataset(dim, (size,), ">f4", maxshape=most, track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
             scales[dim] = self._file[dim]
             scales[dim].make_scale(said)
