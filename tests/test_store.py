@@ -53,6 +53,24 @@ def test_a_file_holds_what_memory_does(points: int, tmp_path: Path) -> None:
     assert {name: stored.attrs[name] for name in expected.attrs} == expected.attrs
 
 
+def test_points_may_be_added(tmp_path: Path) -> None:
+    """Also to what was written before: empty, or with what stands for it."""
+    memory, path = MemoryStore(VARIABLES, FRAMES), tmp_path / "result.h5"
+    with FileStore(VARIABLES, FRAMES, path) as file:
+        for store in (memory, file):
+            store.create("position", point=300)
+            store.create("status")
+            first, last = np.arange(8), np.arange(8, FRAMES)
+            store["position"][first] = np.ones((8, 300, 2))
+            store.grow("point", 310, {"status": 3})
+            store["position"][last] = np.full((len(last), 310, 2), 2.0)
+            store.finish(np.arange(FRAMES) / 10, np.arange(FRAMES), {"fingerflow_version": "0"})
+    stored = load_result(path)
+    xr.testing.assert_identical(stored.drop_attrs(), memory.dataset.drop_attrs())
+    assert (stored["status"].values[:, 300:] == 3).all()
+    assert np.isnan(stored["position"].values[:8, 300:]).all()
+
+
 def test_the_file_is_netcdf4(tmp_path: Path) -> None:
     """By a reader that knows dimensions by their scales alone."""
     _, path = _both(tmp_path, 300)

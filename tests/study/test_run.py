@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -246,6 +247,39 @@ def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, sche
             }
     left = [path for path in study.results.rglob("*") if path.name.startswith(".")]
     assert not left, "a run removes what killed ones have left"
+
+
+_SCHEDULER = """
+import sys
+from distributed import LocalCluster
+with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://") as one:
+    print(one.scheduler_address, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+    """In a process of its own, with its worker: the run ends and says so; the rest is done by the next one."""
+    undisturbed = replace(study, results=lab / "undisturbed")
+    _run(undisturbed, scheduler)
+    command, pipe = [sys.executable, "-c", _SCHEDULER], subprocess.PIPE
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    with (
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment, text=True) as other,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        assert other.stdout is not None
+        running = pool.submit(run_study, study, other.stdout.readline().strip(), progress=False)
+        _until(lambda: any(study.results.glob("*/row.json")), other)
+        other.kill()
+        summary = running.result(timeout=300)
+    assert "scheduler was lost" in summary.interrupted
+    done = {one.name for one in summary.outcomes}
+    assert len(done) < len(study.trials)
+    again = _run(study, scheduler)
+    assert set(again.values()) == {MEASURED}
+    assert not done & set(again)
+    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
 
 
 def _until(done: Any, process: subprocess.Popen[bytes]) -> None:
