@@ -142,6 +142,7 @@ TRACK_STATUS = (
     "frame_not_usable",
     "window_differs",
     "not_chosen_yet",
+    "dust_rests",
 )
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
