@@ -12,8 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.player.contract.variables import LABELS, TIME, Variable
-from fingerflow.room import check_write
+from fingerflow.room import check_disk, check_memory, check_write
 
+_GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
 _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is compressed once
 _FEWEST_BYTES = 256  # a frame, below which compression is not worth its bookkeeping
@@ -55,6 +56,13 @@ class Store(ABC):
         """A variable as a whole."""
         self.create(name, attributes, **sizes)[:] = values
 
+    def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
+        """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
+        before, self._sizes[dim] = self._sizes[dim], size
+        for name, values in self._values.items():
+            if dim in self._known[name].dims:
+                self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
+
     def __getitem__(self, name: str) -> Values:
         return self._values[name]
 
@@ -63,6 +71,13 @@ class Store(ABC):
 
     @abstractmethod
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values: ...
+
+    @abstractmethod
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None: ...
+
+    @abstractmethod
+    def check_room(self, needed: float) -> None:
+        """Raises NoRoomError where results that need so many bytes more do not fit."""
 
     @abstractmethod
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
@@ -82,6 +97,17 @@ class MemoryStore(Store):
         values = np.full(shape, *_fill(variable))
         self._arrays[variable.name] = (variable.dims, values, attributes)
         return values
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        dims, values, attributes = self._arrays[name]
+        empty, kind = _fill(self._known[name])
+        shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
+        more = np.full(shape, empty if fill is None else fill, kind)
+        self._values[name] = longer = np.concatenate((values, more), axis=axis)
+        self._arrays[name] = (dims, longer, attributes)
+
+    def check_room(self, needed: float) -> None:
+        check_memory(needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
@@ -108,7 +134,9 @@ class FileStore(Store):
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         for dim, size in zip(variable.dims, shape, strict=True):
             if dim not in self._file.dimensions:
-                self._file.dimensions[dim] = size
+                self._file.dimensions[dim] = None if dim in _GROWING else size
+                if dim in _GROWING:
+                    self._file.resize_dimension(dim, size)
         fill, kind = _fill(variable)
         layout: dict[str, Any] = {"fillvalue": fill if np.dtype(kind).kind == "f" else None}
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
@@ -121,6 +149,20 @@ class FileStore(Store):
         stored.attrs.update(attributes)
         # The data set itself: h5netcdf looks it up by its name at every access, which takes as long as the writing.
         return _Stored(stored._h5ds, self._path)
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        if self._file.dimensions[self._known[name].dims[axis]].size != size:
+            self._file.resize_dimension(self._known[name].dims[axis], size)  # of all variables that have it
+        if fill is not None:
+            values = self._values[name]
+            for first in range(0, values.shape[0], _CHUNK_FRAMES):
+                some = slice(first, first + _CHUNK_FRAMES)
+                rows = values[some]
+                rows[(slice(None),) * axis + (slice(before, None),)] = fill
+                values[some] = rows
+
+    def check_room(self, needed: float) -> None:
+        check_disk(self._path, needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
         file = self._file

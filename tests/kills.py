@@ -38,6 +38,7 @@ from fingerflow import report as reporting
 from fingerflow import result as results
 from fingerflow.atomic_write import is_marked
 from fingerflow.errors import FingerflowError
+from fingerflow.player import patient_file
 from fingerflow.player.bundle import load_bundle
 from fingerflow.player.errors import PlayerError
 from fingerflow.report import supplement
@@ -177,6 +178,7 @@ def _make_small() -> None:
     synthetic.Press = lambda: press  # type: ignore[misc, assignment]
     supplement.FIGURES = {"S4": supplement.FIGURES["S4"]}
     sources.simulate_presses = functools.partial(sources.simulate_presses, times=6, elements=101)  # type: ignore[attr-defined]
+    patient_file._PATIENCE = 1.0  # s, not half a minute
     exporting.bundle.verify = lambda *_: []  # type: ignore[attr-defined]  # which tests/export has
     _ = playing, reporting, load_scene, load_bundle  # loaded here, once
 

@@ -273,6 +273,40 @@ def test_calibration_of_one_view(trial: Path, tmp_path: Path, monkeypatch: pytes
     assert main_with(monkeypatch, *arguments, "--contact", "0", "999", "0", "1") == 2
 
 
+@pytest.mark.parametrize(
+    ("foreign", "arguments"),
+    [
+        ("calibration.png", CALIBRATE),
+        ("calibration.toml", CALIBRATE),
+        ("overlay.mp4", ("report", "{new}/scene.toml", "--result", "{trial}/result.h5")),
+        ("report.html", ("report", "{new}/scene.toml", "--result", "{trial}/result.h5")),
+    ],
+)
+def test_a_file_of_somebody_else_is_refused(
+    foreign: str,
+    arguments: tuple[str, ...],
+    trial: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Before anything is computed or written; `--overwrite` replaces it."""
+    new = tmp_path / "new"
+    shutil.copytree(trial, new)
+    (new / foreign).write_bytes(b"years of work")
+    before = sorted(new.iterdir())
+    filled = [part.format(trial=trial, new=new) for part in arguments]
+    assert main_with(monkeypatch, *filled) == 2
+    said = capsys.readouterr().err
+    assert foreign in said
+    assert "--overwrite" in said
+    assert (new / foreign).read_bytes() == b"years of work"
+    assert sorted(new.iterdir()) == before
+    monkeypatch.setattr("fingerflow.report.page._sections", lambda *_: [])  # figures take long, and are drawn elsewhere
+    assert main_with(monkeypatch, *filled, "--overwrite") == 0
+    assert (new / foreign).read_bytes() != b"years of work"
+
+
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
     from fingerflow.atomic_write import spare

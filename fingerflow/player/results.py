@@ -7,12 +7,11 @@ import errno
 import itertools
 import json
 import os
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TextIO
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,10 @@ from .arrays import Array
 from .contract.unfinished import remove, unfinished
 from .contract.variables import FRAME, LABELS
 from .errors import PlayerError, first_line
+from .patient_file import PatientFile
 
 RESULTS_FORMAT = 2
+_AT_ONCE = 1 << 20  # bytes of records that are written together
 
 
 class StreamResults(NamedTuple):
@@ -96,7 +97,8 @@ def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) 
 class Sink:
     """Appends records to a new folder; a kill loses at most what came since the last second.
 
-    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when.
+    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when. Where
+    the disk is full, records wait in memory for half a minute (`PatientFile`); the event `disk_full` says how long.
 
     Args:
         folder: a new one.
@@ -106,10 +108,9 @@ class Sink:
 
     def __init__(self, folder: Path, header: Mapping[str, Any], numbered: bool = False) -> None:
         self.folder, self._header, self._numbered = folder, header, numbered
-        self._records: BinaryIO | None = None
-        self._events: TextIO | None = None
-        self._made, self._synced = False, 0.0
-        self._lock = threading.Lock()
+        self._records: PatientFile | None = None
+        self._events: PatientFile | None = None
+        self._made, self._synced, self._frame = False, 0.0, 0
 
     def open(self) -> None:
         """Makes the folder; raises PlayerError where it is there already or cannot be made, and leaves nothing then."""
@@ -163,30 +164,32 @@ class Sink:
             (folder / name).touch()
 
     def _open_files(self) -> None:
-        self._events = open(self.folder / "events.jsonl", "a", encoding="utf-8")  # noqa: SIM115
-        self._records = open(self.folder / "records.bin", "ab")  # noqa: SIM115
+        self._events = PatientFile(self.folder / "events.jsonl")
+        self._records = PatientFile(self.folder / "records.bin")
 
-    def write(self, record: Array) -> None:
-        """A record as bytes; once a second all of them go to the disk."""
+    def write(self, record: Array, frame: int) -> None:
+        """The record of a frame as bytes; once a second all of them go to the disk."""
         assert self._records is not None
-        with self._said():
-            self._records.write(record.data)
-            if time.perf_counter() - self._synced >= 1:
-                self.sync()
+        self._frame = frame
+        self._records.write(record.data)
+        due = time.perf_counter() - self._synced >= 1
+        if due or len(self._records) >= _AT_ONCE:
+            with self._said():
+                self._flush(self._records)
+                if due:
+                    self._synced = time.perf_counter()
+                    self._records.sync()
 
-    def sync(self) -> None:
-        """Waits until the disk has all records."""
-        assert self._records is not None
-        self._synced = time.perf_counter()
-        self._records.flush()
-        os.fsync(self._records.fileno())
+    def _flush(self, records: PatientFile, wait: bool = False) -> None:
+        if (refusal := records.flush(wait)) is not None:
+            self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
 
     def event(self, event: str, frame: int, **facts: Any) -> None:
         """One line; may come from any thread."""
         assert self._events is not None
-        with self._said(), self._lock:
-            line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
-            self._events.write(json.dumps(line) + "\n")
+        line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
+        with self._said():
+            self._events.write((json.dumps(line) + "\n").encode())
             self._events.flush()
 
     def close(self) -> None:
@@ -195,12 +198,12 @@ class Sink:
             return
         with self._said():
             try:
-                self.sync()
+                self._flush(self._records, wait=True)
+                self._events.flush(wait=True)
+                self._records.sync()
             finally:
-                for file in (self._records, self._events):
-                    # After a full disk the rest cannot be written at the second try either.
-                    with contextlib.suppress(OSError):
-                        file.close()
+                self._records.close()
+                self._events.close()
 
     @contextlib.contextmanager
     def _said(self) -> Iterator[None]:

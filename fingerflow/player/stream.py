@@ -491,6 +491,6 @@ class Player:
             if record["time"] - traced >= _TRACE_INTERVAL:
                 traced = float(record["time"])
                 self.live.trace(record)
-            self._sink.write(as_bytes[place])
+            self._sink.write(as_bytes[place], int(record["frame"]))
             if self._records.is_empty():  # to be woken for several records instead of for each
                 time.sleep(_STORE_INTERVAL)

@@ -135,6 +135,13 @@ class ContactStage(Stage):
         """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
         return self._region_of(self.reference_frame)
 
+    def largest_and_first(self, window_px: int) -> Tensor:
+        """(1, 1, h, w) bool, the gross region of the reference frame, and that of the first frame where this one covers
+        more than a window besides: a contact that has left it, whose skin has no onset to wait for.
+        """
+        largest, first = self.largest(), self._region_of(int(np.argmax(self._usable)))
+        return largest | first if (first & ~largest).sum() > window_px**2 else largest
+
     def first_and_largest(self, margin_px: int) -> Tensor:
         """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
         margin, so that there are points on both sides of the border of the contact.

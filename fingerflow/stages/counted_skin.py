@@ -63,7 +63,9 @@ class CountedSkin:
         stage = self._stage
         if not len(stage.entered):
             return EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
-        places = self._position[slice(stage.last, stage.last + 1)][0]
+        # Skin that came later may have left again: the last frame does not show all of it.
+        some_later = stage.chosen_later.any()
+        places = stage.places if some_later else self._position[slice(stage.last, stage.last + 1)][0]
         return entry_triangles(stage.entered, places, stage.onset)
 
     def _collapsed(

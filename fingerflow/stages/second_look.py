@@ -30,16 +30,18 @@ class SecondLook:
     of 21 wrong positions are found, and 106 of 1637 right ones are lost.
     """
 
-    def __init__(self, image: Tensor, points: Tensor, window: int) -> None:
-        """`image` (1, 1, h, w) in which the points (N, 2) px were chosen."""
-        self._start, self._window = points, window
+    def __init__(self, image: Tensor, points: Tensor, window: int, around: Tensor | None = None) -> None:
+        """`image` (1, 1, h, w) in which the points (N, 2) px were chosen, and other points (A, 2) px were `around`."""
+        self._window, self._points = window, len(points)
+        self._start = points if around is None else torch.cat((points, around))
         straight = torch.eye(2, dtype=points.dtype, device=points.device).expand(len(points), 2, 2)
         number = torch.zeros(len(points), dtype=torch.int64, device=points.device)
         self._first = sample_windows(image, number, points, straight, window, _STEP)
         self._failed = torch.zeros(len(points), dtype=torch.bool, device=points.device)
 
-    def failed(self, images: Tensor, points: Tensor, status: Tensor) -> Tensor:
-        """(N,) points that are not to be trusted in these images (n, 1, h, w), where they are at (n, N, 2) px.
+    def failed(self, images: Tensor, points: Tensor, status: Tensor, around: Tensor | None = None) -> Tensor:
+        """(N,) points that are not to be trusted in these images (n, 1, h, w), where they are at (n, N, 2) px, and those
+        `around` at (A, 2) px in the last one.
 
         Looked at once, in the last image in which it is tracked: a point that fails there, or failed in the images
         before, may have been beside its skin in any of these. A look costs 5 to 15 ms of 500 to 700 points on one
@@ -51,8 +53,9 @@ class SecondLook:
         number = (last - 1).clamp_min(0)
         places = points[number, torch.arange(len(number), device=status.device)]
         places = torch.where((last > 0)[:, None], places, torch.nan)
-        gradient, _ = point_gradients(self._start[None], (places - self._start)[None], WARP_GAUGE_PX)
-        warp = torch.eye(2, dtype=places.dtype, device=places.device) + gradient[0]
+        every = places if around is None else torch.cat((places, around))
+        gradient, _ = point_gradients(self._start[None], (every - self._start)[None], WARP_GAUGE_PX)
+        warp = torch.eye(2, dtype=places.dtype, device=places.device) + gradient[0, : self._points]
         apart = self._apart(images, number, places, warp)
         noise = estimate_noise(images[-1:]) ** 2 / self._first.var(1)
         usual = (_USUAL * apart.nanmedian()).nan_to_num(0.0).clamp(_ALIKE, _MOST)

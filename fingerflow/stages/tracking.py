@@ -1,49 +1,36 @@
 """Points of the skin through all frames of the topography view."""
 
-import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.key import KeyGraph
-from fingerflow.graphs.track import (
-    RENEWAL_PX,
-    WARP_GAUGE_PX,
-    AgreementGraph,
-    DeformationGraph,
-    TrackGraph,
-    merged,
-)
+from fingerflow.graphs.track import WARP_GAUGE_PX
 from fingerflow.ops.apparent_contact import cell_of
 from fingerflow.ops.cells import covered
 from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
-from fingerflow.ops.following import Followed, expected, follow_templates
-from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.outliers import Neighbours, find_neighbours
-from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
-from fingerflow.ops.tracking import ROUNDS, search_lost
+from fingerflow.ops.templates import Found
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import TRACKING
+from fingerflow.room import size_of_results
 from fingerflow.stages import plausibility
+from fingerflow.stages.chosen_points import ChosenPoints, Graphs, beside, part_of
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
+from fingerflow.stages.new_skin import Known, NewSkin
 from fingerflow.stages.regions import region_mask
-from fingerflow.stages.second_look import SecondLook
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
-_FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 _SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
-MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
-_FASTEST_PX = 0.2  # that the edges of windows may change by until then
+MOST_CHOSEN = 3  # times `tracking.points`, of points that are chosen in a recording altogether
 
 
 class TrackingStage(Stage):
@@ -51,6 +38,10 @@ class TrackingStage(Stage):
 
     With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
     so far: errors do not add up. From frame to frame they do.
+
+    Where skin comes into contact that lay outside the region of that choice (`NewSkin`), points are chosen there too,
+    in the last frame of a batch, which is their key frame; in the frames before they have the status NOT_CHOSEN_YET.
+    Of a press there are none.
     """
 
     name = "tracking"
@@ -71,29 +62,16 @@ class TrackingStage(Stage):
         assert view is not None
         self._view = view
         self._settings = inputs.scene.tracking
-        self._detect = inputs.engine(
-            DetectGraph(self._settings.points, self._settings.min_distance_px, self._settings.window_px)
-        )
-        self._keys = inputs.engine(KeyGraph(self._settings.window_px, self._settings.gain_offset))
-        self._track = inputs.engine(TrackGraph(self._settings.forward_backward_limit_px))
-        self._agreement = inputs.engine(AgreementGraph())
-        self._deformation = inputs.engine(DeformationGraph(self._settings.window_px))
+        self._detect = inputs.engine(self._detector(self._settings.points))
+        self._graphs = Graphs.of(inputs, self._settings)
         self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
-        self._key: Tensor | None = None  # the image that the templates are from
-        self._noise = torch.empty(0)
-        self._templates: Templates | None = None
-        self._place = self._speed = torch.empty(0)
-        self._warp = self._inverse_warp = torch.empty(0)  # as the templates have it, (1, N, 2, 2)
-        self._neighbours: Neighbours | None = None
-        self._to_renew: tuple[Tensor, Tensor] | None = (
-            None  # numbers (L,) of templates, and for which warp (1, L, 2, 2)
-        )
-        self._at_once = MOST_AT_ONCE if self._settings.template == "keyframe" else 1  # frames
-        self._followed = self._looked = 1  # frames since the points were chosen, and when templates were looked at
-        self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
+        self._chosen: list[ChosenPoints] = []
+        self._around: list[Tensor] = []  # numbers (A,) of the points before that each of these goes by
+        self._density = 0.0  # points a px of the region of the first choice
+        self._new_skin: NewSkin | None = None
+        self._full = False  # whether no more points may be chosen
         self._skipped: list[int] = []  # frames before the points were chosen
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
-        self._second: SecondLook | None = None
         self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
 
     @classmethod
@@ -109,7 +87,8 @@ class TrackingStage(Stage):
         contact = self.trial.stage(ContactStage)
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
-        self._region = contact.first_and_largest(self._settings.window_px) if border else contact.largest()
+        window = self._settings.window_px
+        self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
         if not self._region.any():
             self.warnings.append(
                 f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
@@ -134,47 +113,52 @@ class TrackingStage(Stage):
 
     def _pass_over(self, indices: NDArray[np.intp]) -> None:
         """Frames that tell nothing: points are expected on where their speed leads."""
-        if self._key is None:
+        if not self._chosen:
             self._skipped.extend(indices)
             return
         self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
-        self._place = self._place + len(indices) * self._speed
+        for points in self._chosen:
+            points.pass_over(len(indices))
 
     def _step_through(self, images: Tensor, indices: NDArray[np.intp], margin: Tensor) -> None:
-        steps, done = [], 0
-        if self._key is None:
-            steps.append(self._choose(images[:1]))
+        every: list[Found] = []
+        if not self._chosen:
+            first = self._choose(images[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
-            done = 1
-        while done < len(images):
-            until_look = MOST_AT_ONCE - self._followed % MOST_AT_ONCE
-            step = self._step(images[done : done + min(self._at_once, until_look)])
-            steps.append(step)
-            done += len(step.status)
-        found = Found.joined(steps)
-        assert self._second is not None
-        differs = (found.status == TrackStatus.TRACKED) & self._second.failed(images, found.points, found.status)
-        variance = torch.where(differs, torch.nan, self._since_start(found.variance))
-        found = found._replace(
-            points=torch.where(differs[..., None], torch.nan, found.points),
-            status=torch.where(differs, int(TrackStatus.WINDOW_DIFFERS), found.status).to(found.status.dtype),
-        )
+            every.append(self._go_on(self._chosen[0], images, first, _nothing(images)))
+        else:
+            for points, numbers in zip(self._chosen, self._around, strict=True):
+                around = part_of(beside(every), numbers) if every else _nothing(images)
+                every.append(self._go_on(points, images, None, around))
+        found = beside(every)
+        before = found.status.shape[1]
+        new = self._choose_new(images[-1:], margin[-1:], Found._make(one[-1:] for one in found))
+        if new is not None:
+            found = beside((found, _in_last_of(len(images), new)))
         pixels, error, status = (one.cpu().numpy() for one in (found.points, found.error, found.status))
-        in_contact = self._inside(margin, found.estimate)
+        in_contact = self._inside(margin, found.estimate) & (found.status != TrackStatus.NOT_CHOSEN_YET)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
-            "position_std_px": variance.sqrt().cpu().numpy(),
+            "position_std_px": found.variance.sqrt().cpu().numpy(),
             "forward_backward_error": error,
             "status": status,
             "in_contact": in_contact.cpu().numpy(),
         }.items():
             self.results[name][indices] = values
-        tracked = status == TrackStatus.TRACKED
+        tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
         self._share[indices] = tracked.mean(1)
-        self._differs[indices] = differs.double().mean(1).cpu()
-        self._error[indices] = nanmedian(np.where(tracked, error, np.nan))
+        self._differs[indices] = differs.mean(1)
+        self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
+
+    def _go_on(self, points: ChosenPoints, images: Tensor, first: Found | None, around: Found) -> Found:
+        """What is found of points in these images, the `first` of which is known where they are chosen there."""
+        known = [] if first is None else [first]
+        rest = images[len(known) :]
+        if len(rest):
+            known.append(points.follow(rest, around))
+        return points.looked_at(images, Found.joined(known), around)
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
@@ -189,106 +173,13 @@ class TrackingStage(Stage):
             if "point" in variable.dims:
                 self.results.create(variable.name, point=points)
 
-    def _since_start(self, variance: Tensor) -> Tensor:
-        """Variance (n, N) of positions relative to the skin that was chosen; from frame to frame those of all steps."""
-        if self._settings.template == "keyframe":
-            return variance
-        walked = self._walked + variance.nan_to_num(0.0).cumsum(0)
-        self._walked = walked[-1:]
-        return walked + 0 * variance
-
-    def _step(self, images: Tensor) -> Found:
-        """Finds the points in the next images (n, 1, h, w); estimates are where points are or were last."""
-        assert self._templates is not None
-        before = self._place
-        followed = self._follow(self._templates, images, self._place, self._speed)
-        if self._settings.search_px and (followed.found.status >= TrackStatus.NOT_CONVERGED).any():
-            followed = self._search(images, followed)
-        found, self._place, self._speed = followed
-        if self._settings.template == "keyframe":
-            start = self._templates.start
-            deform = partial(self._deformation, start, numbers=self._templates.numbers, inverse_warp=self._inverse_warp)
-            deformed = deform(found=found)
-            if len(suspect := _may_disagree(found, deformed.expected)):
-                some = Found._make(one[suspect] for one in found)
-                judged = self._agreement(self._neighbours, start, some)
-                if not torch.equal(judged.status, some.status):
-                    found = Found._make(one.index_copy(0, suspect, new) for one, new in zip(found, judged, strict=True))
-                    deformed = deform(found=found)
-            found = deformed.found
-            # One that is lost, or elsewhere, is looked for where its neighbours are.
-            astray = (found.status[-1:] != TrackStatus.TRACKED)[..., None] & deformed.expected[-1:].isfinite()
-            self._place = torch.where(astray, deformed.expected[-1:], self._place)
-            self._speed = torch.where(astray, 0.0, self._speed)
-            self._followed += len(images)
-            if self._at_once < MOST_AT_ONCE or self._followed % MOST_AT_ONCE == 0:
-                self._look_at_templates(deformed.warp[-1:], deformed.shift[-1:])
-        else:
-            self._prepare(images[-1:], found.points)
-        return found._replace(estimate=_last_seen(found.points, before))
-
-    def _follow(self, templates: Templates, images: Tensor, place: Tensor, speed: Tensor) -> Followed:
-        limit = self._settings.forward_backward_limit_px
-        return follow_templates(
-            self._track, templates, images, place, speed, rounds=ROUNDS, forward_backward_limit=limit
-        )
-
-    def _search(self, images: Tensor, followed: Followed) -> Followed:
-        """The points that get lost on the way, followed once more, one frame after the other, with a search."""
-        assert self._templates is not None
-        assert self._key is not None
-        chosen = (followed.found.status >= TrackStatus.NOT_CONVERGED).any(0).nonzero().squeeze(1)
-        templates = self._templates.of(chosen[None])
-        place, speed = self._place[:, chosen], self._speed[:, chosen]
-        seen = torch.ones_like(place[..., :1], dtype=torch.bool)
-        reach = (self._settings.search_px, self._settings.forward_backward_limit_px)
-        every = []
-        for image in images.split(1):
-            one = self._follow(templates, image, place, speed).found
-            searched = search_lost(self._track, self._key, image, templates, one, place + speed, *reach)
-            every.append(searched)
-            # What a search has found is no motion: it may have been a jolt.
-            seen = seen & (one.status == TrackStatus.TRACKED)[..., None]
-            place, speed, seen = expected(place, speed, seen, searched)
-        again = Found.joined(every)
-        found = Found(*[old.index_copy(1, chosen, new) for old, new in zip(followed.found, again, strict=True)])
-        return Followed(found, followed.place.index_copy(1, chosen, place), followed.speed.index_copy(1, chosen, speed))
-
-    def _look_at_templates(self, warp: Tensor, shift: Tensor) -> None:
-        """Finds the templates whose windows have changed by more than a part of a pixel at their edge.
-
-        They are prepared anew for eight frames later, as in a stream, which prepares them meanwhile; where the skin
-        deforms so fast that others would change by as much until then, at once, and fewer frames are followed at a
-        time.
-        """
-        assert self._templates is not None
-        much = shift > RENEWAL_PX
-        if self._to_renew is not None:
-            chosen, known = self._to_renew
-            self._renew(chosen, known)
-            much = much.index_fill(1, chosen, False)
-        half, frames = self._settings.window_px // 2, self._followed - self._looked
-        fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
-        self._at_once = 2 ** int(math.log2(min(max(_FASTEST_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE)))
-        self._warp, self._looked = warp, self._followed
-        changed = first_of(much, exactly=self._templates.pixels is None)[0] if much.any() else None
-        self._to_renew = None if changed is None else (changed, warp[:, changed])
-        if self._to_renew is not None and self._at_once < MOST_AT_ONCE:
-            self._renew(*self._to_renew)
-            self._to_renew = None
-
-    def _renew(self, chosen: Tensor, warp: Tensor) -> None:
-        assert self._templates is not None
-        assert self._key is not None
-        renewed = self._templates_of(self._key, self._templates.start[:, chosen], warp)
-        self._templates = merged(self._templates, renewed, chosen)
-        self._inverse_warp = self._inverse_warp.index_copy(1, chosen, inverse_2x2(warp))
+    def _detector(self, points: int) -> DetectGraph:
+        return DetectGraph(points, self._settings.min_distance_px, self._settings.window_px)
 
     def _choose(self, image: Tensor) -> Found:
         """Chooses the points in the first frame."""
-        view = image if self._settings.points_from == "recorded" else self._enhanced(image)
         where = self._where(image)
-        found, _ = self._detect(view, where)
+        found, _ = self._detect(self._view_for_choice(image), where)
         points = found[:, found[0].isfinite().all(-1)]
         if points.shape[1] < 3:
             raise FingerflowError(
@@ -299,15 +190,72 @@ class TrackingStage(Stage):
         asked, apart = self._settings.points, self._settings.min_distance_px
         self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart, int(where.sum())))
         self._create(points.shape[1])
-        self._second = SecondLook(image, points[0], self._settings.window_px)
-        self._noise = estimate_noise(image)
-        self._place, self._speed = points, torch.zeros_like(points)
-        unchanged = torch.eye(2, dtype=points.dtype, device=image.device)
-        self._warp = self._inverse_warp = unchanged.expand(1, points.shape[1], 2, 2)
-        self._neighbours = find_neighbours(points, WARP_GAUGE_PX)
-        self._prepare(image, points)
-        exact = torch.zeros_like(points[..., 0])
-        return Found(points, exact, exact[..., None, None].expand(-1, -1, 2, 2), exact.to(torch.uint8), points)
+        self._density = points.shape[1] / float(where.sum())
+        cell = cell_of(self.inputs.scene.contact.gross_radius_px)
+        self._new_skin = NewSkin(self.inputs.topography_to_contact, cell, self._settings.window_px)
+        self._new_skin.searched.append(where[0, 0].cpu().numpy())
+        nobody = torch.zeros(0, dtype=torch.int64, device=image.device)
+        return self._add(image, points, nobody, _nothing(image))
+
+    def _add(self, image: Tensor, points: Tensor, numbers: Tensor, found: Found) -> Found:
+        """Points (1, N, 2) px chosen in an image; they go by those of these numbers, `found` (1, ...) in it."""
+        around = found.points[:, numbers]
+        self._chosen.append(ChosenPoints(self._graphs, self._settings, image, points, around))
+        self._around.append(numbers)
+        return self._chosen[-1].as_chosen
+
+    def _view_for_choice(self, image: Tensor) -> Tensor:
+        return image if self._settings.points_from == "recorded" else self._enhanced(image)
+
+    def _places(self, name: str) -> NDArray[np.float32]:
+        """(N, 2) px of all points: where they are expected, or where they were chosen."""
+        result: NDArray[np.float32] = torch.cat([getattr(one, name) for one in self._chosen], dim=1)[0].cpu().numpy()
+        return result
+
+    def _choose_new(self, image: Tensor, margin: Tensor, found: Found) -> Found | None:
+        """Points that are chosen in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
+        if self._full:
+            return None
+        assert self._new_skin is not None
+        place, total = self._places("place"), found.status.shape[1]
+        choice = np.repeat(np.arange(len(self._chosen)), [len(one) for one in self._chosen])
+        tracked = found.status[0] == TrackStatus.TRACKED
+        known = Known(place, self._places("start"), tracked.cpu().numpy(), choice)
+        region = self._new_skin.region(margin[0, 0].cpu().numpy(), known)
+        if region is None:
+            return None
+        if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
+            region &= drawn
+        wanted = min(round(self._density * float(region.sum())), MOST_CHOSEN * self._settings.points - total)
+        if wanted < 1:
+            return None
+        where = torch.from_numpy(region).to(image.device)[None, None]
+        corners, _ = self._detector(wanted)(self._view_for_choice(image), where)
+        points = corners[:, corners[0].isfinite().all(-1)]
+        if not points.shape[1] or not self._make_room(total, points.shape[1]):
+            return None
+        apart, _ = cKDTree(points[0].cpu().numpy()).query(place)
+        near = np.flatnonzero(known.tracked & (apart <= WARP_GAUGE_PX))
+        self._new_skin.searched.append(region)
+        return self._add(image, points, torch.from_numpy(near).to(image.device), found)
+
+    def _make_room(self, points: int, more: int) -> bool:
+        """Lets the results grow; a warning says where they may not."""
+        given = [one for stage in self.trial.planned for one in stage.gives]
+        given = [one for one in given if one.unasked or one.name in self.trial.asked]
+        why = ""
+        if points + more == MOST_CHOSEN * self._settings.points:
+            why = f"{points + more} points, {MOST_CHOSEN} times tracking.points, have been chosen"
+        try:
+            self.results.check_room(size_of_results(given, len(self.trial), more))
+        except NoRoomError as error:
+            why, more = str(error), 0
+        if why:
+            self._full = True
+            self.warnings.append(f"no more points are chosen where skin comes into contact: {why}")
+        if more:
+            self.results.grow("point", points + more, {"status": TrackStatus.NOT_CHOSEN_YET})
+        return more > 0
 
     def _enhanced(self, image: Tensor) -> Tensor:
         """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
@@ -337,35 +285,24 @@ class TrackingStage(Stage):
         )
         return torch.from_numpy(region).to(image.device)[None, None] > 0
 
-    def _prepare(self, image: Tensor, points: Tensor) -> None:
-        # A copy: the image is a part of a batch of frames, which it would keep in memory.
-        self._key = image.clone()
-        self._templates = self._templates_of(self._key, points, None)
-
-    def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
-        result: Templates = self._keys(key, points, self._noise, warp)
-        return result
-
     def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
         """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
         x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
         return covered(density_margin, x, y, cell_of(self.inputs.scene.contact.gross_radius_px))
 
 
-def _may_disagree(found: Found, expected: Tensor) -> Tensor:
-    """Numbers (k,) of the frames in which a point is far enough from where its neighbours expect it, or uncertain
-    enough, to be looked at: what `find_outliers` marks is further off, and mostly there is nothing.
-    """
-    variance = found.variance
-    off = (found.points - expected).square().sum(-1) / variance
-    usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))
-    return ((off > _FAR**2 * usual) | (variance > _UNSURE**2 * usual_variance)).any(1).nonzero().squeeze(1)
+def _nothing(images: Tensor) -> Found:
+    """Of no points in images (n, 1, h, w)."""
+    none = torch.zeros(len(images), 0, device=images.device, dtype=torch.float32)
+    place = none[..., None].expand(-1, -1, 2)
+    return Found(place, none, place[..., None].expand(-1, -1, -1, 2), none.to(torch.uint8), place)
 
 
-def _last_seen(points: Tensor, before: Tensor) -> Tensor:
-    """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (1, N, 2)."""
-    places = []
-    for one in points.split(1):
-        before = torch.where(one.isfinite(), one, before)
-        places.append(before)
-    return torch.cat(places)
+def _in_last_of(frames: int, chosen: Found) -> Found:
+    """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
+    before = Found(
+        *(torch.full_like(one, torch.nan) for one in chosen[:3]),
+        torch.full_like(chosen.status, int(TrackStatus.NOT_CHOSEN_YET)),
+        chosen.estimate,
+    )
+    return Found.joined([before] * (frames - 1) + [chosen])

@@ -1,5 +1,7 @@
 """What a stream leaves behind when it cannot start, and how it ends whatever its camera does."""
 
+import json
+import shutil
 import socket
 import threading
 from datetime import datetime
@@ -142,3 +144,19 @@ def test_what_is_no_frame_is_refused_in_words(stream: Stream, given: Any, said: 
     assert said in ended.said
     assert "numpy.asarray" in ended.said
     assert ended.results is None
+
+
+def test_a_summary_replaces_summaries_alone(stream: Stream) -> None:
+    """What is no summary of a stream is refused before the first frame, and stays."""
+    path = stream.folder / "summary.json"
+    path.write_text('{"participants": 16}')
+    ended = stream.run(*stream.frames([frame()]), "--json", str(path))
+    assert ended.code == 2
+    assert "summary.json: exists and is no summary of a stream; give --json another name" in ended.said
+    assert path.read_text() == '{"participants": 16}'
+    path.unlink()
+    for count in (1, 2):
+        ended = stream.run(*stream.frames([frame()] * count), "--policy", "every", "--json", str(path))
+        assert ended.code == 0
+        assert json.loads(path.read_text())["processed"] == count
+        shutil.rmtree(stream.folder / "results")

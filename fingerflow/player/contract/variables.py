@@ -141,6 +141,7 @@ TRACK_STATUS = (
     "off_neighbours",
     "frame_not_usable",
     "window_differs",
+    "not_chosen_yet",
 )
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
@@ -159,7 +160,7 @@ TRACKING = (
     Variable("forward_backward_median", FRAME, "px", "median forward-backward distance"),
 )
 
-ENTRY = ("never", "covered", "moved_in")
+ENTRY = ("never", "covered", "moved_in", "chosen_inside")
 #: From when displacement counts. The attribute ``reference`` of a variable says what it is in this result.
 SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
@@ -172,7 +173,8 @@ DISPLACEMENT = (
         "1",
         "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
         "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
-        "last of their points has touched",
+        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came, and "
+        "it has no displacement",
         "u1",
         flags=ENTRY,
     ),
@@ -180,8 +182,9 @@ DISPLACEMENT = (
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
-        "touched in passing alone, where they were then",
+        "position from which displacement counts (fields.reference), by default that at onset, half way between the "
+        "last frame without contact and the first with it; of points that are touched in passing alone, where they were "
+        "then",
     ),
     Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
     Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),

@@ -1,0 +1,129 @@
+"""Skin that comes into contact and holds no point, because it lay elsewhere when points were chosen.
+
+Whether skin has had its chance is a question of material, not of density: a place x in a picture shows the skin that
+lay at X = x - u in the key frame of the nearest point, u the way of that point since; it is new where X lies outside
+the region in which points were looked for there. So skin without texture is not searched again and again, and a press,
+whose region is that of its largest contact, has no new skin.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+_STEP = 2  # cells: places are looked at so far apart
+_AHEAD = 2.0  # times the way since the last look, that skin is expected to go on: the next look is half as far
+_REACHES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # windows upstream of the contact, from which skin will come
+Points = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+
+
+class Known(NamedTuple):
+    """Points in the present frame.
+
+    Attributes:
+        place: (N, 2) px of the topography view, where a point is or is expected.
+        start: (N, 2) px, where it was in its key frame.
+        tracked: (N,) bool.
+        choice: (N,) numbers of the `NewSkin.searched` regions that the points come from.
+    """
+
+    place: Points
+    start: Points
+    tracked: Mask
+    choice: NDArray[np.integer]
+
+
+class NewSkin:
+    """Looks for skin in contact, or about to be, that has no points.
+
+    Args:
+        topography_to_contact: (2, 3) px to px.
+        cell_px: of the contact's cells.
+        window_px: of a point in the topography view: skin within half of it is seen by that point.
+    """
+
+    def __init__(self, topography_to_contact: NDArray[np.float64], cell_px: int, window_px: int) -> None:
+        self._matrix, self._cell, self._window = topography_to_contact, cell_px, window_px
+        self._inverse = cv2.invertAffineTransform(topography_to_contact)
+        self._per_px = float(np.sqrt(abs(np.linalg.det(topography_to_contact[:, :2]))))  # contact px a topography px
+        self.searched: list[Mask] = []  # regions (h, w) of the topography view in which points were looked for
+        self._before: tuple[Points, Points] | None = None  # places (N, 2) and the middle of the contact, a look ago
+
+    def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
+        """(h, w) of the topography view: where points are to be chosen in this frame, None where that is not needed.
+
+        They are needed where new skin is in contact, or will be before the next look but one if points and contact go
+        on as they did, farther from any point than half a window, over an area of a window or more. They are chosen in
+        all new skin that is in contact or lies upstream of it within a window.
+
+        Args:
+            contact: (h', w') cells, positive in the gross contact.
+            known: all points in this frame.
+        """
+        touching = contact[::_STEP, ::_STEP] > 0
+        if not touching.any() or not known.tracked.any():
+            return None
+        place = known.place @ self._matrix[:, :2].T + self._matrix[:, 2]  # px of the contact view from here on
+        middle = np.argwhere(touching).mean(0)[::-1] * self._cell * _STEP
+        before, self._before = self._before, (place, middle)
+        way = np.zeros_like(place)  # of points against the contact
+        if before is not None:
+            old = len(before[0])
+            way[:old] = (place[:old] - before[0]) - (middle - before[1])
+        rows, columns = np.indices(touching.shape)
+        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
+        tracked = np.flatnonzero(known.tracked)
+        distance, nearest = cKDTree(place[tracked]).query(at)
+        nearest = tracked[nearest]
+        coming = at + _AHEAD * way[nearest]
+        empty = (self._in(touching, at) | self._in(touching, coming)) & (distance > self._window / 2 * self._per_px)
+        if not empty.any():
+            return None
+        empty[empty] = cKDTree(place).query(at[empty])[0] > self._window / 2 * self._per_px
+        empty[empty] = self._is_new(at[empty], nearest[empty], known)
+        if empty.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
+            return None
+        length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
+        upstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0) * self._window * self._per_px
+        wanted = np.any([self._in(touching, at + reach * upstream) for reach in _REACHES], axis=0)
+        wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
+        return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
+
+    def _in(self, touching: Mask, at: Points) -> Mask:
+        column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
+        inside = (row >= 0) & (column >= 0) & (row < touching.shape[0]) & (column < touching.shape[1])
+        result: Mask = inside & touching[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return result
+
+    def _is_new(self, at: Points, nearest: NDArray[np.integer], known: Known) -> Mask:
+        """Whether skin at (K, 2) px of the contact view lay outside the region where its nearest point was chosen."""
+        was = at @ self._inverse[:, :2].T + self._inverse[:, 2] - (known.place - known.start)[nearest]
+        column, row = np.rint(was).astype(int).T
+        height, width = self.searched[0].shape
+        inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+        regions = np.stack(self.searched)
+        had = regions[known.choice[nearest], np.where(inside, row, 0), np.where(inside, column, 0)]
+        result: Mask = ~(inside & had)
+        return result
+
+    def _on_topography(self, cells: Mask) -> Mask:
+        side = self._cell * _STEP
+        picture = np.kron(cells.astype(np.uint8), np.ones((side, side), np.uint8))
+        height, width = self.searched[0].shape
+        return cv2.warpAffine(
+            picture, self._matrix, (width, height), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        ).astype(bool)
+
+    def _beside(self, place: Points) -> Mask:
+        """Px (h, w) that are nearer to a point than half the usual distance of points."""
+        height, width = self.searched[0].shape
+        column, row = np.rint(place[np.isfinite(place).all(1)]).astype(int).T
+        inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
+        away = np.ones((height, width), np.uint8)
+        away[row[inside], column[inside]] = 0
+        distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
+        spacing = float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
+        return np.asarray(distance < spacing / 2)

@@ -1,0 +1,187 @@
+"""A disk that is full while a stream writes its results: for a while, and for good."""
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Stream
+
+from fingerflow.player import patient_file, read_results
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.patient_file import PatientFile
+from fingerflow.player.results import Sink
+
+DTYPE = np.dtype([("frame", "<i8"), ("time", "<f8"), ("value", "<f4", (1000,))])
+FIELDS = [
+    {"name": "frame", "dtype": "<i8", "shape": [], "dims": ["frame"], "unit": ""},
+    {"name": "time", "dtype": "<f8", "shape": [], "dims": ["frame"], "unit": "s"},
+    {"name": "value", "dtype": "<f4", "shape": [1000], "dims": ["frame", "point"], "unit": "mm"},
+]
+
+
+class Disk:
+    """What os.write does while a disk has so many bytes left; the clock is that of the test."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.left, self.now, self.slept = 10**9, 1000.0, 0.0
+        self._write = os.write
+        patch.setattr(patient_file.os, "write", self._take)
+        patch.setattr(patient_file.time, "monotonic", lambda: self.now)
+        patch.setattr(patient_file.time, "sleep", self._sleep)
+        self.asleep: Callable[[], None] = lambda: None
+
+    def _take(self, file: int, data: bytes) -> int:
+        if not self.left:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        count = self._write(file, bytes(data[: self.left]))
+        self.left -= count
+        return count
+
+    def _sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.slept += seconds
+        self.asleep()
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "file").touch()
+    return tmp_path / "file"
+
+
+def test_what_a_full_disk_refuses_is_written_when_it_has_room(path: Path, disk: Disk) -> None:
+    """In the middle of what is written; nobody waits, nothing is lost or written twice, and how long is said once."""
+    file = PatientFile(path)
+    disk.left = 7
+    file.write(b"0123456789")
+    assert file.flush() is None
+    disk.now += 3
+    file.write(b"abc")
+    assert file.flush() is None
+    assert (disk.slept, len(file), path.read_bytes()) == (0, 6, b"0123456")
+    disk.left = 100
+    assert file.flush() is None, "a full disk is tried once a second"
+    disk.now += 2
+    assert file.flush() == (5.0, 6)
+    assert file.flush() is None
+    assert path.read_bytes() == b"0123456789abc"
+
+
+def test_a_disk_that_stays_full_is_an_error_after_half_a_minute(path: Path, disk: Disk) -> None:
+    file = PatientFile(path)
+    disk.left = 0
+    file.write(b"0123")
+    for _ in range(30):
+        assert file.flush() is None
+        disk.now += 1
+    with pytest.raises(OSError, match="No space left"):
+        file.flush()
+    assert len(file) == 4, "a caller may still try again"
+    disk.left = 4
+    file.flush(wait=True)
+    assert path.read_bytes() == b"0123"
+
+
+def test_at_the_end_and_with_much_in_memory_it_waits(path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = PatientFile(path)
+    monkeypatch.setattr(patient_file, "_MOST", 10)
+
+    def make_room() -> None:
+        if disk.slept >= 3:
+            disk.left = 100
+
+    disk.asleep = make_room
+    disk.left = 0
+    file.write(b"0123456789")
+    file.flush()
+    assert disk.slept == 0
+    disk.now += 1
+    file.write(b"a")
+    file.flush()
+    assert disk.slept == 3
+    disk.left, disk.slept = 0, 0.0
+    file.write(b"b")
+    file.flush(wait=True)
+    assert disk.slept == 3
+    assert path.read_bytes() == b"0123456789ab"
+
+
+def test_other_errors_are_not_borne(path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> int:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    file = PatientFile(path)
+    monkeypatch.setattr(patient_file.os, "write", broken)
+    file.write(b"0")
+    with pytest.raises(OSError, match="Input/output"):
+        file.flush()
+
+
+def test_results_go_on_where_there_is_room_again(tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every record is there, and the event says how long the disk was full."""
+    clock = [0.0]
+    monkeypatch.setattr("fingerflow.player.results.time.perf_counter", lambda: clock[0])
+    sink = Sink(tmp_path / "results", {"format": 2, "fields": FIELDS})
+    sink.open()
+    records = np.zeros(40, DTYPE)
+    records["frame"] = np.arange(40)
+    records["value"] = np.random.default_rng(0).normal(size=(40, 1000))
+    as_bytes = records.view(np.uint8).reshape(40, -1)
+    for number in range(40):
+        if number == 10:
+            disk.left = 5000  # a record and a fourth
+        if number == 30:
+            disk.left = 10**9
+        clock[0] += 0.25
+        disk.now += 0.25
+        sink.write(as_bytes[number], number)
+    sink.close()
+    found = read_results(tmp_path / "results")
+    assert found.records.tobytes() == records.tobytes()
+    (event,) = [one for one in found.events if one["event"] == "disk_full"]
+    assert 4 <= event["seconds"] <= 6
+    assert 30 <= event["frame"] <= 34
+    assert event["kept_bytes"] > 15 * DTYPE.itemsize
+    assert disk.slept == 0
+
+
+def test_results_of_a_disk_that_stays_full_are_readable(tmp_path: Path, disk: Disk) -> None:
+    sink = Sink(tmp_path / "results", {"format": 2, "fields": FIELDS})
+    sink.open()
+    records = np.zeros(4, DTYPE)
+    as_bytes = records.view(np.uint8).reshape(4, -1)
+    disk.left = DTYPE.itemsize * 2 + 10
+    for number in range(4):
+        sink.write(as_bytes[number], number)
+    with pytest.raises(PlayerError, match=r"No space left on device.*what was written stays readable"):
+        sink.close()
+    assert len(read_results(tmp_path / "results").records) == 2
+
+
+def test_a_disk_that_stays_full_ends_the_stream(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full takes no byte: the stream ends in a sentence."""
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full here")
+    opened = Sink.open
+
+    def open_full(sink: Sink) -> None:
+        opened(sink)
+        assert sink._records is not None
+        sink._records.close()
+        sink._records = PatientFile(Path("/dev/full"))
+
+    monkeypatch.setattr(patient_file, "_PATIENCE", 0.5)
+    monkeypatch.setattr(Sink, "open", open_full)
+    ended = stream.run("--source", "synthetic", "--frames", "300")
+    assert ended.code == 2
+    assert "No space left on device" in ended.said
+    assert "records are kept in memory" in ended.said
+    assert len(ended.results.records) == 0

@@ -1,0 +1,42 @@
+"""A contact through which skin passes, as under a finger that rolls: skin enters on one side all the time."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from fingerflow.synthetic import Slide
+from fingerflow.synthetic.motion import Ellipse, SlideMotion
+
+
+@dataclass(frozen=True)
+class RollingMotion(SlideMotion):
+    """Skin is stretched along the way by `stretch` a mm of it in the contact's frame, and passes a contact at rest.
+
+    material = position - direction (s + stretch s a), s = travel x progress and a the place along the direction from
+    the middle of the contact: linear in position, so every gradient is exact, F = 1 / (1 - stretch s) along.
+    """
+
+    stretch: float = 0.03
+
+    def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
+        right, down = self.direction
+        along = (x - self.contact.centre[0]) * right + (y - self.contact.centre[1]) * down
+        way = self.travel * progress * (1 + self.stretch * along)
+        return x - way * right, y - way * down
+
+    def depth(self, x: Tensor, y: Tensor, progress: Tensor) -> Tensor:
+        return 1 - self.contact.radius(x, y) + 0 * progress
+
+    def ellipse(self, progress: float) -> Ellipse:
+        return self.contact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rolling(Slide):
+    """`RollingMotion` from the trigger on."""
+
+    @cached_property
+    def motion(self) -> RollingMotion:
+        return RollingMotion(Ellipse(self.contact_centre, self.semi_axes, self.tilt), (1.0, 0.0), 0.0, self.travel, 1.0)
