@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from fingerflow import __version__
 from fingerflow.atomic_write import keep_others, spare, write_atomically
+from fingerflow.deviations import stated, withhold
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
 from fingerflow.recordings.identity import identity_of
@@ -82,16 +83,17 @@ def process(
     frames = len(inputs.times)
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
+        known = stated(VARIABLES, inputs.recording.takes_from_other_frames)
         size = size_of_results(given, frames, scene.tracking.points)
         if to is None:
             check_memory(size)
-            store = MemoryStore(VARIABLES, frames)
+            store = MemoryStore(known, frames)
             _run(wanted, inputs, store, runtime, progress, earlier)
             return store.dataset
         check_disk(to, size)
 
         def write(part: Path) -> None:
-            with FileStore(VARIABLES, frames, part) as file:
+            with FileStore(known, frames, part) as file:
                 _run(wanted, inputs, file, runtime, progress, earlier)
 
         write_atomically(to, write)
@@ -127,6 +129,8 @@ def _run(
                             known.restore(stage)
                 running = [stage for stage in running if type(stage).place() not in known.stages]
             _pass(running, trial, seconds, progress)
+    if inputs.recording.takes_from_other_frames is not None:
+        withhold(store, VARIABLES)
     if runtime is not None:
         seconds["export"] = runtime.seconds  # part of the stages that asked for it
     scene = inputs.scene

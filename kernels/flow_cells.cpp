@@ -116,6 +116,21 @@ void fingerflow_flow_to_cells(const float* fields, const float* inside, float* m
     }
 }
 
+void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch, std::int64_t height,
+                               std::int64_t width, int threads) {
+    using namespace fingerflow;
+    const std::int64_t area = height * width, rows = (height + 1) / 2, columns = (width + 1) / 2, cells = rows * columns;
+    for (std::int64_t image = 0; image < batch; ++image) {
+        const FlowCells field{flow + 2 * cells * image, known + cells * image, 2, rows, columns};
+        const FlowPlane plane = flow_whole_plane(field, threads);
+        float* const to = pixels + 2 * area * image;
+        for_rows(height, width, 3 * (columns + 2), threads, [&](std::int64_t y, float* memory) {
+            float* const both[2] = {to + y * width, to + area + y * width};
+            FINGERFLOW_PICK(flow_finer_row)(field, &plane, width, y, both, memory);
+        });
+    }
+}
+
 void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads) {
     using namespace fingerflow;
     const std::int64_t height = given->height, width = given->width, area = height * width;

@@ -32,10 +32,12 @@ ARROWS: dict[str, set[str]] = {
     "result": {"atomic_write", "errors", "room", "untrusted"},
     "dictionary": {"contract", "stages"},
     "tables": {"atomic_write", "errors"},
+    "deviations": {"contract", "store"},
     "reuse": {"__init__", "errors", "kernels", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
+        "deviations",
         "errors",
         "export",
         "plan",

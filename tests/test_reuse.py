@@ -67,9 +67,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ran(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Names of the stages that have begun."""
     found: set[str] = set()
-    for stage in {kind for instead in ((), KINDS["soft_sensor"].instead) for kind in all_stages(instead)}:
+    for stage in _every_stage():
         monkeypatch.setattr(stage, "begin", _noting(stage.begin, found))
     return found
+
+
+def _every_stage() -> set[type[Stage]]:
+    """Also those that a kind of scene or a setting puts in the place of others."""
+    by_setting = ("dense_flow_slip",)
+    return {one for instead in ((), KINDS["soft_sensor"].instead, by_setting) for one in all_stages(instead)}
 
 
 def _noting(begin: Callable[[Stage], None], found: set[str]) -> Callable[[Stage], None]:
@@ -255,7 +261,7 @@ class Watched:
 def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     """By stage, the keys that it reads while it is made, begins, steps and finishes."""
     seen: dict[str, set[str]] = {}
-    for stage in {kind for instead in ((), KINDS["soft_sensor"].instead) for kind in all_stages(instead)}:
+    for stage in _every_stage():
         for part in ("__init__", "begin", "step", "finish"):
             monkeypatch.setattr(stage, part, _watching(stage, getattr(stage, part)))
     open_inputs = fingerflow.pipeline.open_inputs
@@ -312,11 +318,18 @@ def _slip(folder: Path) -> tuple[Path, list[str] | None]:
     return folder / "scene.toml", None
 
 
+def _dense_flow_slip(folder: Path) -> tuple[Path, list[str] | None]:
+    path, outputs = _slip(folder)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + '\n[slip]\ndisplacement = "dense_flow"\n', encoding="utf-8")
+    return path, outputs
+
+
 def _gel(folder: Path) -> tuple[Path, list[str] | None]:
     return write_gel_recording(folder, MarkerGel(n_frames=16), 0.06), None
 
 
-@pytest.mark.parametrize("make", [_press, _slip, _gel])
+@pytest.mark.parametrize("make", [_press, _slip, _dense_flow_slip, _gel])
 def test_stages_look_at_no_setting_that_they_do_not_name(
     make: Callable[[Path], tuple[Path, list[str] | None]], tmp_path: Path, looks: dict[str, set[str]]
 ) -> None:

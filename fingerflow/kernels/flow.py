@@ -1,6 +1,8 @@
 """Kernels of dense flow."""
 
 import ctypes
+import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,12 +15,16 @@ from fingerflow.kernels.torch_op import torch_op
 
 __all__ = [
     "flow_at_pixels",
+    "flow_covariance",
     "flow_descend",
     "flow_integrate",
     "flow_left",
+    "flow_levels",
     "flow_template",
     "flow_to_cells",
+    "flow_to_pixels",
     "flow_warp",
+    "level_shapes",
 ]
 
 # Of tensor, right, down, inverse and inside: channels, and rows and columns beside those of the level.
@@ -78,14 +84,15 @@ def flow_descend(
     check_like("known", known, torch.float32, (batch, 1, height, width))
     if not planes or len(planes) % len(_PLANES):
         raise ValueError(f"{len(planes)} planes: there are {len(_PLANES)} of each level")
-    numbers, kept = [], []
-    for first in range(0, len(planes), len(_PLANES)):
-        for plane, (channels, rows, columns) in zip(planes[first:], _PLANES, strict=False):
-            check_like("a level", plane, torch.float32, (batch, channels, height + rows, width + columns))
+    numbers: list[int] = []
+    kept: list[Tensor] = []
+    for shapes in level_shapes(batch, height, width, len(planes) // len(_PLANES)):
+        first = len(kept)
+        for plane, shape in zip(planes[first:], shapes, strict=False):
+            check_like("a level", plane, torch.float32, shape)
             kept.append(plane.contiguous())
         if values_are_known():
-            numbers += [*(plane.data_ptr() for plane in kept[first:]), height, width]
-        height, width = (height + 1) // 2, (width + 1) // 2
+            numbers += [*(plane.data_ptr() for plane in kept[first:]), *shapes[0][2:]]
     moved = empty(torch.float32, *flow.shape)
     levels = (ctypes.c_int64 * len(numbers))(*numbers)  # fingerflow_flow_level, one after the other
     entry("flow_descend")(
@@ -104,6 +111,78 @@ def flow_descend(
         **_window(weights),
     )
     return moved
+
+
+@torch_op()
+def flow_levels(tensor: Tensor, right: Tensor, down: Tensor, inside: Tensor, count: int) -> Tensor:
+    """What `ops.flow_multigrid.pyramid` makes of the finest of so many levels, to rounding: (N,) of the inverse of the
+    finest (B, 3, H, W), then of tensor, right, down, inverse and inside of each coarser one, one behind the other.
+
+    Args:
+        tensor, right, down, inside: float32 (B, 3, H, W), (B, 1, H, W - 1), (B, 1, H - 1, W) and (B, 1, H, W).
+        count: of levels, at least 1.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(inside, (torch.float32,))
+    batch, _, height, width = inside.shape
+    given = [one.contiguous() for one in (tensor, right, down, inside)]
+    shapes = level_shapes(batch, height, width, count)
+    for name, one, shape in zip(
+        ("tensor", "right", "down", "inside"), given, (*shapes[0][:3], shapes[0][4]), strict=True
+    ):
+        check_like(name, one, torch.float32, shape)
+    made = [shapes[0][3], *(shape for level in shapes[1:] for shape in level)]
+    planes = empty(torch.float32, sum(math.prod(shape) for shape in made))
+    numbers: list[int] = []
+    if values_are_known():
+        at = iter(itertools.accumulate((4 * math.prod(shape) for shape in made), initial=planes.data_ptr()))
+        first = [one.data_ptr() for one in given]
+        numbers += [*first[:3], next(at), first[3], height, width]
+        for level in shapes[1:]:
+            numbers += [*(next(at) for _ in level), *level[0][2:]]
+    levels = (ctypes.c_int64 * len(numbers))(*numbers)  # fingerflow_flow_level_to, one after the other
+    threads = torch.get_num_threads()
+    entry("flow_levels")(levels=ctypes.addressof(levels), count=count, batch=batch, threads=threads)
+    return planes
+
+
+def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
+    """Of tensor, right, down, inverse and inside of so many levels, the finest (height, width)."""
+    levels = []
+    for _ in range(count):
+        levels.append([(batch, channels, height + rows, width + columns) for channels, rows, columns in _PLANES])
+        height, width = (height + 1) // 2, (width + 1) // 2
+    return levels
+
+
+@torch_op()
+def flow_covariance(tensor: Tensor, density: Tensor, alpha: Tensor, textured: Tensor, rho_square: float) -> Tensor:
+    """(B, 3, H, W), as `ops.flow_covariance` has it, of tensors (B, 3, H, W) and of each image (B,) the density of
+    noise, alpha, and the eigenvalue above which texture is known; float32. Its exponentials are to 2e-7.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    batch, _, height, width = tensor.shape
+    check_like("tensor", tensor, torch.float32, (batch, 3, height, width))
+    for name, one in (("density", density), ("alpha", alpha), ("textured", textured)):
+        check_like(name, one, torch.float32, (batch,))
+    covariance = empty(torch.float32, *tensor.shape)
+    entry("flow_covariance")(
+        tensor=tensor.contiguous(),
+        density=density.contiguous(),
+        alpha=alpha.contiguous(),
+        textured=textured.contiguous(),
+        rho_square=rho_square,
+        covariance=covariance,
+        batch=batch,
+        height=height,
+        width=width,
+        threads=torch.get_num_threads(),
+    )
+    return covariance
 
 
 @torch_op()
@@ -230,6 +309,30 @@ def flow_to_cells(fields: Tensor, inside: Tensor) -> Tensor:
         threads=torch.get_num_threads(),
     )
     return means
+
+
+@torch_op()
+def flow_to_pixels(flow: Tensor, known: Tensor, height: int, width: int) -> Tensor:
+    """(B, 2, height, width), as `ops.flow_cells.to_pixels` has it to rounding, of cells (B, ., h, w), float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(known, (torch.float32,))
+    batch, cells = len(known), ((height + 1) // 2, (width + 1) // 2)
+    check_like("known", known, torch.float32, (batch, 1, *cells))
+    check_like("flow", flow, torch.float32, (batch, 2, *cells))
+    pixels = empty(torch.float32, batch, 2, height, width)
+    entry("flow_to_pixels")(
+        flow=flow.contiguous(),
+        known=known.contiguous(),
+        pixels=pixels,
+        batch=batch,
+        height=height,
+        width=width,
+        threads=torch.get_num_threads(),
+    )
+    return pixels
 
 
 @torch_op()

@@ -45,6 +45,11 @@ void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t heig
 void fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height, std::int64_t width,
                       std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads);
 
+// Spline coefficients (batch, height, width) of frames of a kind of pixels.h, contiguous (fingerflow/ops/spline.py).
+void fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch, std::int64_t height,
+                                    std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
+                                    int threads);
+
 // Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/search.py describes: images
 // (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
 void fingerflow_search_windows(const float* templates, const float* images, std::int64_t height, std::int64_t width,
@@ -191,6 +196,24 @@ struct fingerflow_flow_descend_of {
 };
 void fingerflow_flow_descend(const fingerflow_flow_descend_of* given, int threads);
 
+// The levels of the above made from the finest: its tensor, edges and inside are read, all inverses and what coarser levels
+// have are written.
+struct fingerflow_flow_level_to {
+    float *tensor, *right, *down, *inverse, *inside;
+    std::int64_t height, width;
+};
+struct fingerflow_flow_levels_of {
+    const fingerflow_flow_level_to* levels;
+    std::int64_t count, batch;
+};
+void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads);
+
+// Covariance (batch, 3, height, width) of noise, as fingerflow/ops/flow_covariance.py has it, of tensors of that shape, and of
+// each image the density of noise, alpha, and the eigenvalue above which texture is known.
+void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured,
+                                float rho_square, float* covariance, std::int64_t batch, std::int64_t height,
+                                std::int64_t width, int threads);
+
 // What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow.py has it: of images (batch, height, width)
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
 // the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
@@ -219,6 +242,10 @@ void fingerflow_flow_integrate(const float* fields, const float* weights, std::i
 // Means (batch, 2, ...) over cells of what is finite of fields (batch, 2, height, width) inside (batch, height, width).
 void fingerflow_flow_to_cells(const float* fields, const float* inside, float* means, std::int64_t batch,
                               std::int64_t height, std::int64_t width, int threads);
+
+// Cells of a flow (batch, 2, ...) at the pixels (batch, 2, height, width).
+void fingerflow_flow_to_pixels(const float* flow, const float* known, float* pixels, std::int64_t batch,
+                               std::int64_t height, std::int64_t width, int threads);
 
 // Cells of a flow (batch, 2, ...) and of covariance and residual (batch, 4, ...) at the pixels: displacement and covariance
 // (batch, 2 and 4, height, width), residual.

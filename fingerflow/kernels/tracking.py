@@ -33,6 +33,7 @@ __all__ = [
     "mean_response",
     "prepare_templates",
     "search_windows",
+    "spline_coefficients",
 ]
 
 LARGEST_CORNER_WINDOW = 15
@@ -203,6 +204,26 @@ def mean_response(frames: Tensor) -> Tensor:
         frames=frames, means=means, **extent(frames), kind=FRAME_KINDS[frames.dtype], threads=threads
     )
     return means
+
+
+@torch_op()
+def spline_coefficients(frames: Tensor) -> Tensor:
+    """(B, 1, H, W) float32, as `ops.spline` has them, bit for bit, of frames of FRAME_KINDS.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape.
+    """
+    check_frames(frames, tuple(FRAME_KINDS))
+    frames = rows_in_one_piece(frames)
+    coefficients = empty(torch.float32, *frames.shape)
+    entry("spline_coefficients")(
+        frames=frames,
+        coefficients=coefficients,
+        **extent(frames),
+        kind=FRAME_KINDS[frames.dtype],
+        threads=torch.get_num_threads(),
+    )
+    return coefficients
 
 
 def _kernel_frames(frames: Tensor) -> Tensor:

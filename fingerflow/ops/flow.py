@@ -40,12 +40,13 @@ from fingerflow.ops.flow_covariance import flow_covariance
 from fingerflow.ops.flow_descent import descended
 from fingerflow.ops.flow_multigrid import Level, edges, halved_edges, pyramid
 from fingerflow.ops.flow_penalty import Penalty, check_penalty, data_weights, mean_edge_weight, weighted_levels
+from fingerflow.ops.halving import halved_image
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients, spline_weights
 from fingerflow.ops.tensors import finite
 
 _ROUNDING = 1 / 12  # variance that whole grey levels have against the light
-_CYCLES = 3  # of multigrid a warp
+_CYCLES = 3  # of multigrid after the last warp
 _MARGIN = 2  # px at the border of an image, where its spline takes pixels that are not there
 _SMALLEST_SIDE = 32  # px, of a halved image
 _TINY = 1e-12
@@ -82,7 +83,7 @@ class FlowTemplate(NamedTuple):
     variance: Tensor  # (B,) of the noise
     roughness: float
     constancy: Constancy
-    covariance: Tensor  # (B, 3, h, w) xx, xy, yy on cells, for a gain of 1
+    covariance: Tensor | None  # (B, 3, h, w) xx, xy, yy on cells, for a gain of 1; None of a halved image
     weights: list[float]  # of the window, on cells
     coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
 
@@ -178,37 +179,54 @@ def prepare_flow(
     least = 0.0 if first.is_floating_point() else _ROUNDING
     variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
     everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
-    return _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    template, tensor = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    alpha, of_noise = _smoothing(variance, roughness), _noise_of_tensor(variance, constancy)
+    spread = flow_covariance(tensor, variance, alpha, window_variance(template.weights), of_noise)
+    return template._replace(covariance=spread)
 
 
 def _prepared(
     first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
-) -> FlowTemplate:
-    """Of a floating image, and of the halved ones while their texture lasts."""
+) -> tuple[FlowTemplate, Tensor]:
+    """Of a floating image, and of the halved ones while their texture lasts, without covariance; and J."""
     given = channels(spline_coefficients(first), constancy)
     count = len(given) // len(first)
-    fields = _fields(given, mask.repeat(count, 1, 1, 1))
+    fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
     value, gradient = fields.value, fields.gradient
     # What one channel does not know, none does.
-    inside, known, *between = (one.unflatten(0, (count, -1)).amin(0) for one in (fields.inside, *fields[4:]))
-    products = fields.tensor.unflatten(0, (count, -1)).sum(0)
+    inside, known, *between = (_least(one, count) for one in (fields.inside, *fields[4:]))
+    products = _sum(fields.tensor, count)
     weights = window(max(box / CELL, 1.0))
     tensor = known * integrated(products, weights)
     alpha = _smoothing(variance, roughness)
     energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / known.sum((1, 2, 3)).clamp_min(1)
-    of_noise = NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
+    of_noise = _noise_of_tensor(variance, constancy)
     lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * of_noise).all()
     coarser = None
     if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
         # A mean of four has a fourth of the noise. Where one of the four is not known it is not either.
-        half = functional.avg_pool2d(first, 2)
-        coarser = _prepared(half, -functional.max_pool2d(-inside, 2), variance / 4, box, roughness, constancy)
+        all_known = (halved_image(inside) == 1).to(inside.dtype)
+        coarser, _ = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
     right, down = (alpha * one for one in between)
-    spread = flow_covariance(tensor, variance, alpha, window_variance(weights), of_noise)
     levels = pyramid(tensor, right, down, known)
-    return FlowTemplate(
-        value, gradient, inside, levels, products, variance, roughness, constancy, spread, weights, coarser
+    template = FlowTemplate(
+        value, gradient, inside, levels, products, variance, roughness, constancy, None, weights, coarser
     )
+    return template, tensor
+
+
+def _least(fields: Tensor, count: int) -> Tensor:
+    """Of so many channels (C B, ...), the least (B, ...)."""
+    return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
+
+
+def _sum(fields: Tensor, count: int) -> Tensor:
+    return fields if count == 1 else fields.unflatten(0, (count, -1)).sum(0)
+
+
+def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
+    """Eigenvalue (B,) of J that noise alone has."""
+    return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
 
 
 def _smoothing(variance: Tensor, roughness: float) -> Tensor:
@@ -255,9 +273,9 @@ def find_flow(
         flow = to_cells(initial.to(given.dtype), template.inside)
     flow, left, finest = _refined(template, given, flow, warps, penalty)
     spread = template.covariance
-    if penalty == "charbonnier":
+    if spread is None or penalty == "charbonnier":
         alpha = _smoothing(template.variance, template.roughness) * mean_edge_weight(finest, template.levels[0])
-        of_noise = NOISE_OF_TENSOR[template.constancy] * limits.GRADIENT_NOISE * template.variance
+        of_noise = _noise_of_tensor(template.variance, template.constancy)
         spread = flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
     return _at_pixels(template, flow, left, spread)
 
@@ -286,7 +304,7 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
     coarser = template.coarser
     if coarser is None:
         return template.value.new_zeros(batch, 2, height, width)
-    half = functional.avg_pool2d(current, 2)
+    half = halved_image(current)
     found, _, _ = _refined(coarser, half, _from_nothing(coarser, half, warps, penalty), warps, penalty)
     # Pixels of the halved images are the cells of these.
     wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
@@ -298,7 +316,7 @@ def _refined(
 ) -> tuple[Tensor, Left, Level]:
     """The flow on cells after so many warps, what was left before the last one, and the finest level of its system."""
     coefficients = channels(spline_coefficients(current), template.constancy)
-    for _ in range(warps):
+    for warp in range(warps):
         left = _left(template, coefficients, flow)
         known, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
         if penalty == "charbonnier":
@@ -307,7 +325,8 @@ def _refined(
             levels = weighted_levels(levels[0], tensor, flow, known, template.roughness)
             data = of_data * data
         pull = -levels[0].inside * integrated(data, template.weights)
-        flow = descended(levels, pull, flow, known, _CYCLES)
+        # Warps before the last one only bring the image to where it can be linearised.
+        flow = descended(levels, pull, flow, known, _CYCLES if warp + 1 == warps else 1)
     return flow, left, levels[0]
 
 
@@ -317,13 +336,17 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left:
     the light (B, 1, 1, 1).
     """
     count = len(coefficients) // len(flow)
-    known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (template.levels[0].inside, template.inside, flow))
-    data, squares, seen, gain = (
-        one.unflatten(0, (count, -1))
-        for one in _left_of_each(coefficients, template.value, template.gradient, inside, flow, known)
-    )
+    known, inside = template.levels[0].inside, template.inside
+    if count > 1:
+        known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
+    data, squares, seen, gain = _left_of_each(coefficients, template.value, template.gradient, inside, flow, known)
     # Slopes and step of the first image: in the light of the current one both count by the gain, J by its square.
-    return Left((data / gain).sum(0), squares.sum(0), seen.amin(0), gain.mean(0))
+    return Left(
+        _sum(data / gain, count),
+        _sum(squares, count),
+        _least(seen, count),
+        gain if count == 1 else _sum(gain, count) / count,
+    )
 
 
 def _left_of_each(

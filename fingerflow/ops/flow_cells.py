@@ -68,6 +68,8 @@ def to_cells(pixels: Tensor, inside: Tensor) -> Tensor:
 
 def to_pixels(cells: Tensor, known: Tensor, height: int, width: int) -> Tensor:
     """A field (B, 2, height, width) of its cells (B, 2, h, w), of which some are known (B, 1, h, w), 1 or 0."""
+    if cells.dtype == torch.float32 and kernels.serve(cells, known):
+        return kernels.flow_to_pixels(cells, known, height, width)
     plane = plane_of(cells, known)
     beside = spread(cells - plane.at(*places(cells)), known, height, width)
     return plane.at(*finer_places(cells, height, width)) + beside

@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops import tracking_limits as limits
 
 _RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
@@ -19,6 +20,13 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
     s^2 / (4 pi alpha) (1 - z e^z E1(z)), z = rho^2 l / alpha. `alpha` may differ from cell to cell, (B, 1, h, w), or is
     (B, 1, 1, 1); the variance of noise is (B,), as the eigenvalues of J that noise alone has.
     """
+    if (
+        tensor.dtype == torch.float32
+        and alpha.numel() == len(alpha)
+        and kernels.serve(tensor, alpha, variance, of_noise)
+    ):
+        density, textured = 2 * variance * _RIDGE_NOISE, limits.TEXTURE_TO_NOISE * of_noise
+        return kernels.flow_covariance(tensor, density, alpha.flatten(), textured, rho_square)
     variance, of_noise = variance[:, None, None, None], of_noise[:, None, None, None]
     xx, xy, yy = tensor[:, :1], tensor[:, 1:2], tensor[:, 2:]
     mean, half = (xx + yy) / 2, (xx - yy) / 2
@@ -30,10 +38,11 @@ def flow_covariance(tensor: Tensor, variance: Tensor, alpha: Tensor, rho_square:
     )
     # A function of a symmetric matrix: f(J) = f(smaller) + (f(larger) - f(smaller)) (J - smaller) / (larger - smaller).
     slope = (of_larger - of_smaller) / (2 * apart).clamp_min(_TINY)
-    base = of_smaller - slope * (mean - apart)
     textured = mean + apart > limits.TEXTURE_TO_NOISE * of_noise
     known = torch.where(textured, 0.0, torch.nan).to(slope.dtype)
-    return torch.cat((slope * xx + base, slope * xy, slope * yy + base), dim=1) + known
+    return (
+        torch.cat((of_smaller + slope * (apart + half), slope * xy, of_smaller + slope * (apart - half)), dim=1) + known
+    )
 
 
 def _passed(z: Tensor) -> Tensor:

@@ -9,12 +9,14 @@ too). Smoothing is damped 2 x 2 block Jacobi: the same numbers in any order of p
 Every step is a stencil of fixed cost. One V-cycle leaves 1 to 10 % of the residual on skin.
 """
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow import kernels
 from fingerflow.ops.flow_cells import halved, spread
 
 DAMPING = 0.8  # of a Jacobi step
@@ -42,12 +44,28 @@ def pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[L
         right, down: (B, 1, H, W - 1) and (B, 1, H - 1, W), weights of the squared differences between neighbours.
         mask: (B, 1, H, W), 1 or 0.
     """
+    if tensor.dtype == torch.float32 and kernels.serve(tensor, right, down, mask):
+        return _compiled_pyramid(tensor, right, down, mask)
     levels = [_level(tensor, right, down, mask)]
     while min(tensor.shape[-2:]) > SMALLEST_SIDE:
         right, down = halved_edges(right, down)
         tensor, mask = halved(tensor), (halved(mask) > 0).to(mask.dtype)
         levels.append(_level(tensor, right, down, mask))
     return levels
+
+
+def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor) -> list[Level]:
+    count, side = 1, min(tensor.shape[-2:])
+    while side > SMALLEST_SIDE:
+        count, side = count + 1, (side + 1) // 2
+    shapes = kernels.level_shapes(len(tensor), *tensor.shape[-2:], count)
+    made = [shapes[0][3], *(shape for level in shapes[1:] for shape in level)]
+    flat = kernels.flow_levels(tensor, right, down, mask, count)
+    inverse, *planes = (
+        part.view(shape) for part, shape in zip(flat.split([math.prod(one) for one in made]), made, strict=True)
+    )
+    coarser = (Level(*planes[k : k + len(Level._fields)]) for k in range(0, len(planes), len(Level._fields)))
+    return [Level(tensor, right, down, inverse, mask), *coarser]
 
 
 def edges(mask: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.halving import halved_image
 from fingerflow.ops.tracking_limits import SEARCH_TIE
 from fingerflow.ops.windows import cut_windows
 
@@ -45,7 +46,7 @@ def search_windows(
     Returns:
         (P, 2) px; ``guess`` where it is not finite or nothing correlates.
     """
-    coarse_templates, coarse_images = _halved(template_images), _halved(images)
+    coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
     size, reach = _template_size(window, radius), (radius + 1) // 2
     given = (coarse_templates, coarse_images, image_index, points, guess)
     if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
@@ -62,16 +63,6 @@ def search_windows(
 def _template_size(window: int, radius: int) -> int:
     """Odd side of the template at half resolution."""
     return 2 * (min(_WIDENING * window, window + 2 * radius) // 4) + 1
-
-
-def _halved(images: Tensor) -> Tensor:
-    """Means of 2 x 2 px, without the last row or column of odd sizes; several times as fast as torch's pooling."""
-    if images.dtype in kernels.FRAME_KINDS and kernels.serve(images):
-        return kernels.halve(images)
-    height, width = images.shape[-2] // 2 * 2, images.shape[-1] // 2 * 2
-    images = images if images.is_floating_point() else images.float()
-    rows = images[..., 0:height:2, :width] + images[..., 1:height:2, :width]
-    return (rows[..., 0::2] + rows[..., 1::2]) / 4
 
 
 def _search_coarse(

@@ -67,6 +67,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
         "mean_response": lambda: kernels.mean_response(tall),
         "halve": lambda: kernels.halve(tall),
+        "spline_coefficients": lambda: kernels.spline_coefficients(tall),
         "flow_to_cells": lambda: kernels.flow_to_cells(moving, light.expand_as(first) / 200),
         "flow_warp": lambda: kernels.flow_warp(first.float(), moving),
         "triangle_strain": lambda: triangle_strain(

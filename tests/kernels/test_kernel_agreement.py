@@ -181,7 +181,8 @@ def test_no_points_and_no_frames(portable: Portable, shape: tuple[int, int]) -> 
 
 
 def test_flow(instruction_set: int, portable: Portable) -> None:
-    """Of frames without holes, which dense flow does not take; to the tolerance to which both iterate."""
+    """Of frames without holes, which dense flow does not take; to 5e-4 px: rounding of float32 through all
+    warps, of which these draws show up to 8e-5."""
     for seed in range(20):
         first, second, _, _ = drawn(seed)
         if not first.isfinite().all():
@@ -195,4 +196,4 @@ def test_flow(instruction_set: int, portable: Portable) -> None:
             one, other = getattr(found, name), getattr(expected, name)
             assert torch.equal(one.isfinite(), other.isfinite()), f"draw {seed}: {name}"
         off = (found.displacement - expected.displacement).nan_to_num(0.0).abs().max()
-        assert off < 2e-2, f"draw {seed}: {off} px"
+        assert off < 5e-4, f"draw {seed}: {off} px"

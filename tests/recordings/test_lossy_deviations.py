@@ -10,6 +10,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.synthetic import Press, write_recording
@@ -54,9 +55,15 @@ def encoded(press: Path, name: str, codec: str, quality: int | None, options: di
     return scene
 
 
-def coverage(scene: Path) -> tuple[float, float, str]:
-    """The shares of errors within one and two deviations, and the warnings."""
-    result = process(load_scene(scene), ["position_px", "position_std_px"], device="cpu")
+OUTPUTS = ["position_px", "position_std_px", "median_divergence", "strain_energy", "field_coverage", "displacement"]
+DEVIATIONS = (
+    *("displacement_std", "divergence_std", "curl_std", "median_divergence_std", "strain_std", "strain_energy_std"),
+)
+
+
+def coverage(scene: Path) -> tuple[float, float, xr.Dataset]:
+    """The shares of errors within one and two deviations, and the result."""
+    result = process(load_scene(scene), [*OUTPUTS, *DEVIATIONS], device="cpu")
     pixels, deviation = result["position_px"].values, result["position_std_px"].values
     material = PRESS.truth.material(PRESS.truth.topography_positions(pixels[0]), 0)
     shares = []
@@ -65,21 +72,36 @@ def coverage(scene: Path) -> tuple[float, float, str]:
         shares.append(np.abs(error) / deviation[frame][:, None])
     ratio = np.concatenate(shares)
     ratio = ratio[np.isfinite(ratio)]
-    return float((ratio < 1).mean()), float((ratio < 2).mean()), result.attrs["warnings"]
+    return float((ratio < 1).mean()), float((ratio < 2).mean()), result
 
 
 @pytest.mark.parametrize("quality", [2, 6])
 def test_deviations_hold_where_each_frame_stands_by_itself(press: Path, quality: int) -> None:
-    within, within_two, warnings = coverage(encoded(press, f"q{quality}.avi", "mjpeg", quality, {}))
+    within, within_two, result = coverage(encoded(press, f"q{quality}.avi", "mjpeg", quality, {}))
     assert 0.62 < within < 0.80
     assert within_two > 0.90
-    assert "as the stated deviations say" in warnings
+    assert "as the stated deviations say" in result.attrs["warnings"]
+    for name in DEVIATIONS:
+        assert np.isfinite(result[name].values[-1]).any(), name
 
 
 @pytest.mark.parametrize("quality", ["18", "28"])
-def test_deviations_that_are_too_small_are_said_to_be(press: Path, quality: str) -> None:
+def test_deviations_that_do_not_hold_are_not_stated(press: Path, quality: str) -> None:
     options = {"crf": quality, "preset": "veryfast", "threads": "1"}
-    within, within_two, warnings = coverage(encoded(press, f"crf{quality}.mkv", "libx264", None, options))
+    within, within_two, result = coverage(scene := encoded(press, f"crf{quality}.mkv", "libx264", None, options))
     assert within < 0.5, "H.264 lets deviations hold here: the warning says too much"
     assert within_two < 0.7
-    assert "stated 2 to 10 times too small" in warnings
+    assert "stated 2 to 10 times too small" in result.attrs["warnings"]
+    assert "2 to 10 times too small for frames in h264" in result["position_std_px"].attrs["long_name"]
+    for name in DEVIATIONS:
+        assert np.isnan(result[name].values).all(), name
+        assert "NaN, not known of frames in h264" in result[name].attrs["long_name"]
+    for name in ("median_divergence", "strain_energy"):
+        assert np.isfinite(result[name].values[-1]), name
+    # In a file, and what is computed from it later, the same.
+    stored = press / f"crf{quality}.h5"
+    process(scene, to=stored)
+    again = process(scene, [*OUTPUTS, *DEVIATIONS], device="cpu", earlier=stored)
+    for name in (*OUTPUTS, *DEVIATIONS):
+        np.testing.assert_array_equal(again[name].values, result[name].values, err_msg=name)
+        assert again[name].attrs["long_name"] == result[name].attrs["long_name"], name

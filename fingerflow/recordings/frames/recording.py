@@ -75,6 +75,11 @@ class Recording(ABC):
     lossy: str | None
 
     @property
+    def takes_from_other_frames(self) -> str | None:
+        """The lossy codec that makes a frame from others, None for none: stated deviations do not hold of it."""
+        return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
+
+    @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
         """Frames of this recording that are damaged, by index, and why, in words that follow "frame 12".
@@ -302,8 +307,8 @@ def lossy_codec(name: str) -> str:
         )
     return (
         f"{name} is a lossy codec, which takes frames from each other: skin lags behind by an error that no residual "
-        "shows. Deviations of positions and all that follows from them are stated 2 to 10 times too small (H.264: 0.09 "
-        f"to 0.3 px off where 0.03 to 0.05 is stated); {remedy}"
+        "shows. The deviation of positions is stated 2 to 10 times too small (H.264: 0.09 to 0.3 px off where 0.03 to "
+        f"0.05 is stated), and those of displacement and of all that follows from it are NaN; {remedy}"
     )
 
 
