@@ -61,7 +61,7 @@ class Store(ABC):
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
         """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
         before, self._sizes[dim] = self._sizes[dim], size
-        for name in self._values:
+        for name in list(self._values):
             if dim in self._known[name].dims:
                 self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
 

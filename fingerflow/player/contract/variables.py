@@ -174,7 +174,7 @@ DISPLACEMENT = (
         "1",
         "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
         "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
-        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came, and "
+        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came: "
         "it has no displacement",
         "u1",
         flags=ENTRY,
