@@ -33,6 +33,8 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
         TrackingStage: tracking,
     }
     trial.results.put("frame_status", np.zeros(frames))
+    if "position" in given:
+        given.setdefault("status", np.zeros(given["position"].shape[:2], np.uint8))
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})
