@@ -27,7 +27,7 @@ ARROWS: dict[str, set[str]] = {
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
     "store": {"contract", "room"},
-    "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "scene", "store", "views"},
+    "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "room", "scene", "store", "views"},
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
     "dictionary": {"contract", "stages"},

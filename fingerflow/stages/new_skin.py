@@ -114,8 +114,7 @@ class NewSkin:
         picture = np.kron(cells.astype(np.uint8), np.ones((side, side), np.uint8))
         height, width = self.searched[0].shape
         onto = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        matrix: NDArray[np.floating] = self._matrix
-        warped = cv2.warpAffine(picture, matrix, (width, height), flags=onto)
+        warped = cv2.warpAffine(np.asarray(picture, np.uint8), self._matrix, (width, height), flags=onto)
         return np.asarray(warped > 0)
 
     def _beside(self, place: Points) -> Mask:
