@@ -23,7 +23,7 @@ ARROWS: dict[str, set[str]] = {
     "graphs": {"ops"},
     "models": {"errors", "kernels"},
     "recordings": {"contract", "errors", "untrusted"},
-    "calibration": {"contract", "errors", "toml_string", "views"},
+    "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
     "store": {"contract", "room"},
@@ -92,6 +92,7 @@ ARROWS: dict[str, set[str]] = {
     "view": {
         "__init__",
         "atomic_write",
+        "calibration",
         "contract",
         "errors",
         "plan",
@@ -101,6 +102,7 @@ ARROWS: dict[str, set[str]] = {
         "stages",
         "store",
         "untrusted",
+        "views",
     },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }

@@ -190,7 +190,7 @@ CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calib
         ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),
         ((*TABLE, "{new}/table.csv"), "pathlib.Path.replace", 0),
         ((*TABLE, "{new}/table.mat"), "scipy.io.savemat", 0),
-        (CALIBRATE, "fingerflow.calibration.draw_overlay", 0),
+        (CALIBRATE, "fingerflow.calibration.from_files.draw_overlay", 0),
         (CALIBRATE, "matplotlib.figure.Figure.savefig", 0),
         (CALIBRATE, "pathlib.Path.replace", 0),
         (("init", "{new}/scene.toml"), "pathlib.Path.replace", 0),

@@ -182,9 +182,8 @@ DISPLACEMENT = (
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position from which displacement counts (fields.reference), by default that at onset, half way between the "
-        "last frame without contact and the first with it; of points that are touched in passing alone, where they were "
-        "then",
+        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
+        "touched in passing alone, where they were then",
     ),
     Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
     Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),
