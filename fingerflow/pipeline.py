@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
@@ -77,7 +77,7 @@ def process(
         return open_own(Path(to))
     with _prepared(scene, outputs, device, engine) as ready:
         check_memory(ready.size)
-        store = MemoryStore(ready.known, len(ready.inputs.times))
+        store = MemoryStore(ready.variables, len(ready.inputs.times))
         _run(ready, store, progress, earlier)
         return store.dataset
 
@@ -100,7 +100,7 @@ def process_to(
         check_disk(to, ready.size)
 
         def write(part: Path) -> None:
-            with FileStore(ready.known, len(ready.inputs.times), part) as file:
+            with FileStore(ready.variables, len(ready.inputs.times), part) as file:
                 _run(ready, file, progress, earlier)
 
         write_atomically(to, write)
@@ -108,13 +108,13 @@ def process_to(
 
 @dataclass(frozen=True)
 class _Ready:
-    """An opened scene, what is to be computed of it, by what, the variables as it has them, and the bytes they take."""
+    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated."""
 
     plan: Plan
     inputs: Inputs
     runtime: "OnnxRuntime | None"
-    known: Mapping[str, Variable]
     size: float
+    variables: dict[str, Variable]
 
 
 @contextmanager
@@ -128,8 +128,7 @@ def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: 
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        known = stated(VARIABLES, inputs.recording.takes_from_other_frames)
-        yield _Ready(wanted, inputs, runtime, known, size)
+        yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
 def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:

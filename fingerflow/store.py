@@ -19,7 +19,7 @@ _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
-_CHUNK_GROWING = 256  # along a dimension that may grow: of the last chunk as much is empty at most
+_CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
 
 
 class Values(Protocol):
@@ -141,13 +141,13 @@ class FileStore(Store):
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
         fill, kind = _fill(variable)
         layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
-        sides = [(size, dim in _GROWING) for dim, size in zip(variable.dims, shape, strict=True)]
-        if any(grows for _, grows in sides):
-            layout |= {"maxshape": tuple(None if grows else size for size, grows in sides), "chunks": True}
+        if any(dim in _GROWING for dim in variable.dims):
+            layout["maxshape"] = _longest(variable.dims, shape)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
-            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if grows else n for n, grows in sides[1:]))
+            sides = zip(variable.dims[1:], shape[1:], strict=True)
+            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
             if np.dtype(kind).kind != "f":
                 layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
         stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
@@ -196,8 +196,7 @@ class FileStore(Store):
             if dim in self._dims:
                 said = dim
             else:
-                most = (None,) if dim in _GROWING else None
-                self._file.create_dataset(dim, (size,), ">f4", maxshape=most, track_order=True)
+                self._file.create_dataset(dim, (size,), ">f4", maxshape=_longest((dim,), (size,)), track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
             scales[dim] = self._file[dim]
             scales[dim].make_scale(said)
@@ -211,6 +210,11 @@ class FileStore(Store):
                     stored.dims[place].attach_scale(scales[dim])
         versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
         self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
+
+
+def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None, ...]:
+    """The shape that a variable may grow to; None is without an end."""
+    return tuple(None if dim in _GROWING else size for dim, size in zip(dims, shape, strict=True))
 
 
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:

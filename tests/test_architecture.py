@@ -37,6 +37,7 @@ ARROWS: dict[str, set[str]] = {
     "pipeline": {
         "__init__",
         "atomic_write",
+        "contract",
         "deviations",
         "errors",
         "export",
