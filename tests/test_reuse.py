@@ -322,7 +322,7 @@ def _slip(folder: Path) -> tuple[Path, list[str] | None]:
 def _dense_flow_slip(folder: Path) -> tuple[Path, list[str] | None]:
     path, outputs = _slip(folder)
     text = path.read_text(encoding="utf-8")
-    text, changed = re.subn(r"(?m)^(\[slip\].*)$", r'\1\ndisplacement = "dense_flow"', text)
+    text, changed = re.subn(r'(?m)^displacement = "points"', 'displacement = "dense_flow"', text)
     assert changed == 1
     path.write_text(text, encoding="utf-8")
     return path, outputs
