@@ -25,4 +25,5 @@ class SearchGraph(nn.Module):
         image = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
         given = (points.flatten(0, 1), prediction.flatten(0, 1), self.window, self.radius)
         found, returns = search_and_return(key_view, topography_view, image, *given, self.forward_backward_limit)
-        return torch.where(returns[:, None], found, torch.nan).unflatten(0, (batch, count))
+        places: Tensor = torch.where(returns[:, None], found, torch.nan).unflatten(0, (batch, count))
+        return places

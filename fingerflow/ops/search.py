@@ -137,11 +137,13 @@ def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
     if torch.compiler.is_exporting():  # runtimes of ONNX take six times as long for the transforms of small patches
         columns = [patch[:, :, shift : shift + size] for shift in range(span)]
         sums = [(one[:, down : down + size] * template).sum((1, 2)) for down in range(span) for one in columns]
-        return torch.stack(sums, dim=1).unflatten(1, (span, span))
+        stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
+        return stacked
     shape = patch.shape[-2:]
     # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
     spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
-    return torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
+    sums_of_all: Tensor = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
+    return sums_of_all
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     @classmethod
     def at_rest(cls, points: Array, number: int) -> Motion:
         """Points (1, N, 2) px of a frame."""
-        known = np.isfinite(points).all(-1)
+        known = known_of(points)
         missing = np.where(known, 0, _NEVER)
         return cls(points, np.zeros_like(points), missing, known, np.zeros_like(known), number)
 
@@ -63,11 +63,11 @@ class Motion(NamedTuple):
             jolted: (1, N) of those for which this is not where any motion leads.
         """
         frames = max(1, number - self.number)  # in the frame in which they were chosen they are at rest
-        seen = np.isfinite(points).all(-1)
+        seen = known_of(points)
         if by_neighbours is not None:
             there = seen[..., None] | ~np.isfinite(self.place)
             points = np.where(there, points, by_neighbours).astype(points.dtype)
-        known = np.isfinite(points).all(-1)
+        known = known_of(points)
         jolted = np.zeros_like(known) if jolted is None else jolted & known
         # One that was lost may be found beside where it was expected, and one jolt is no motion: two are.
         moved = known & self.known & (self.jolted | ~jolted)
@@ -93,6 +93,12 @@ _AROUND = 8  # points from which others take their speed
 TRUSTED = 4  # frames that a speed is good for: after them a point waits for what comes
 
 
+def known_of(points: Array) -> Array:
+    """(1, N) of points (1, N, 2), which are not NaN."""
+    known: Array = np.asarray(np.isfinite(points).all(-1))
+    return known
+
+
 def count_known(points: Array) -> int:
     """Of points (1, N, 2), those that are not NaN."""
-    return int(np.isfinite(points).all(-1).sum())
+    return int(known_of(points).sum())

@@ -108,7 +108,7 @@ class SecondLook:
             self._results = run(self._prediction)
 
     def _is_found(self) -> Array:
-        found: Array = np.isfinite(self._results["points"]).all(-1)
+        found: Array = np.asarray(np.isfinite(self._results["points"]).all(-1))
         return found
 
     def _lost(self) -> Array:
