@@ -1,6 +1,8 @@
-"""Makes the pictures of the documentation anew: `python docs/make_pictures.py`. A synthetic press, and a real Chromium.
+"""Makes the pictures of the documentation anew: `python -m docs.make_pictures`, from the root of the repository.
 
-Needs the extras `view` and `dev`, and Chromium: the system's, or `python -m playwright install chromium`.
+A synthetic press, and one of a real print, in a real Chromium. Needs the extras `view` and `dev`, Chromium (the
+system's, or `python -m playwright install chromium`), and for `own_*.png` a picture of a print, which is no part of
+this project: 101_1.tif of FVC2002 DB2 in `../shared/data/fingers`. Without it these pictures stay as they are.
 """
 
 import shutil
@@ -20,16 +22,21 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import fingerflow
+from bench.chromium import launch
 from fingerflow import plot
 from fingerflow.report import write_report
 from fingerflow.result import load_result
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
+from tests.own_press import press_of, write_raw_press
+from tests.view.walk import walk
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
+PRINT = Path(__file__).resolve().parents[2] / "shared" / "data" / "fingers" / "101_1.tif"
+HEIGHTS = {"opened": 820, "views": 820, "overlay": 600, "result": 1000, "report": 1100}  # px
 FRAMES, SHOWN = 40, 30
 WIDTH = 1000  # px
-SLOW = 240_000  # ms
+SLOW = 600_000  # ms
 
 
 def save(data: bytes, name: str) -> None:
@@ -86,19 +93,19 @@ def show_frame(page: Any) -> None:
     page.wait_for_selector(f"#picture[data-frame='{SHOWN}']")
 
 
-def show_contact(page: Any) -> None:
-    """The same, with the contact and the forces."""
-    show_frame(page)
-    page.wait_for_selector("#picture[data-mask=true]")
-    page.wait_for_selector("#courses:not([hidden])")
-    page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
-
-
-def start(engine: Any) -> Any:
-    """Playwright's own Chromium, or the system's."""
-    own = Path(engine.chromium.executable_path)
-    system = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    return engine.chromium.launch(executable_path=None if own.exists() else system, args=["--no-sandbox"])
+def draw_walk(browser: Any, folder: Path) -> None:
+    """From raw files to a report by the page alone, at each place where there is something to look at."""
+    if not PRINT.is_file():
+        print(f"{PRINT} is not here: own_*.png stay as they are")
+        return
+    write_raw_press(folder, press_of(PRINT))
+    with Served(folder / "press.tif") as served:
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(SLOW)
+        page.goto(served.address)
+        page.wait_for_selector("#picture[data-drawn]")
+        walk(page, lambda name: save(screenshot(page.context.pages[-1], HEIGHTS.get(name, 900)), f"own_{name}.png"))
+        page.context.close()
 
 
 def main() -> None:
@@ -112,8 +119,8 @@ def main() -> None:
     try:
         write_recording(folder, press)
         with sync_playwright() as engine:
-            browser = start(engine)
-            save(of_page(browser, folder / "scene.toml", 1050, show_contact), "view_setup.png")
+            browser = launch(engine)
+            assert browser is not None, "no Chromium here"
             fingerflow.process(folder / "scene.toml", to=folder / "result.h5").close()
             save(of_page(browser, folder / "result.h5", 900, show_frame), "view_result.png")
 
@@ -122,6 +129,8 @@ def main() -> None:
             page = browser.new_page(viewport={"width": 1280, "height": 900})
             page.goto(write_report(result, fingerflow.load_scene(folder / "scene.toml"), folder).as_uri())
             save(screenshot(page, 1150), "report.png")
+            shutil.rmtree(folder)
+            draw_walk(browser, folder)
             browser.close()
     finally:
         shutil.rmtree(folder, ignore_errors=True)

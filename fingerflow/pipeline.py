@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -19,8 +20,9 @@ from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.deviations import stated, withhold
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
+from fingerflow.player.contract.variables import Variable
 from fingerflow.recordings.identity import identity_of
-from fingerflow.result import is_result, open_result
+from fingerflow.result import is_result, open_own, open_result
 from fingerflow.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
 from fingerflow.room import check_disk, check_memory, size_of_results
 from fingerflow.scene import Scene, load_scene
@@ -70,45 +72,68 @@ def process(
     Raises:
         FingerflowError: whatever the user can put right, named with its file and value.
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     if to is not None:
-        to = Path(to)
-        spare(to, *scene.files())
-        keep_others(to, is_result, overwrite)
+        process_to(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
+        return open_own(Path(to))
+    with _prepared(scene, outputs, device, engine) as ready:
+        check_memory(ready.size)
+        store = MemoryStore(ready.variables, len(ready.inputs.times))
+        _run(ready, store, progress, earlier)
+        return store.dataset
+
+
+def process_to(
+    to: Path,
+    scene: Scene | str | Path,
+    outputs: Iterable[str] | None = None,
+    device: str = "auto",
+    progress: bool = False,
+    engine: str = "torch",
+    overwrite: bool = False,
+    earlier: str | Path | None = None,
+) -> None:
+    """As `process`, into a file that is not opened again."""
+    scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
+    spare(to, *scene.files())
+    keep_others(to, is_result, overwrite)
+    with _prepared(scene, outputs, device, engine) as ready:
+        check_disk(to, ready.size)
+
+        def write(part: Path) -> None:
+            with FileStore(ready.variables, len(ready.inputs.times), part) as file:
+                _run(ready, file, progress, earlier)
+
+        write_atomically(to, write)
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated."""
+
+    plan: Plan
+    inputs: Inputs
+    runtime: "OnnxRuntime | None"
+    size: float
+    variables: dict[str, Variable]
+
+
+@contextmanager
+def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_Ready]:
+    scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
     runtime = _onnx_runtime(engine, device)
     inputs = open_inputs(scene, device if runtime is None else "cpu")
     if runtime is not None:
         inputs.engine = runtime
-    frames = len(inputs.times)
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
-        known = stated(VARIABLES, inputs.recording.takes_from_other_frames)
-        size = size_of_results(given, frames, scene.tracking.points)
-        if to is None:
-            check_memory(size)
-            store = MemoryStore(known, frames)
-            _run(wanted, inputs, store, runtime, progress, earlier)
-            return store.dataset
-        check_disk(to, size)
-
-        def write(part: Path) -> None:
-            with FileStore(known, frames, part) as file:
-                _run(wanted, inputs, file, runtime, progress, earlier)
-
-        write_atomically(to, write)
-        return open_result(to)
+        size = size_of_results(given, len(inputs.times), scene.tracking.points)
+        yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
-def _run(
-    wanted: Plan,
-    inputs: Inputs,
-    store: Store,
-    runtime: "OnnxRuntime | None",
-    progress: bool,
-    earlier: str | Path | None,
-) -> None:
+def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:
     """Every pass of the plan, into the store, but for what an earlier result has."""
+    wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)

@@ -1,8 +1,11 @@
 """Files of results: HDF5/NetCDF4."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
+import h5py
 import xarray as xr
 
 from fingerflow.atomic_write import keep_others, write_atomically
@@ -10,6 +13,10 @@ from fingerflow.errors import FingerflowError
 from fingerflow.room import check_write
 from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
 
+_OF_NETCDF = {
+    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
+    *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
+}
 MARK = "fingerflow_version"  # the attribute by which a result is known
 
 
@@ -47,6 +54,23 @@ def open_result(path: Path) -> xr.Dataset:
     """As :func:`load_result`, but values are read from the file when they are looked at; close it when done."""
     check_file(path)
     check_by_walking(path, "hdf5")
+    return open_own(path)
+
+
+def read_own(path: Path, names: Iterable[str]) -> xr.Dataset:
+    """Those variables of a file that this process has just written, as far as it has them, and its attributes.
+
+    Values, dimensions and texts are those of :func:`load_result`, which looks at every variable of the file first: of a
+    small recording that takes longer than a stage.
+    """
+    with h5py.File(path) as file:
+        found = [name for name in dict.fromkeys((*names, "time", "frame")) if name in file]
+        variables = {name: _read(file[name]) for name in found}
+        return xr.Dataset(variables, attrs=_attributes(file))
+
+
+def open_own(path: Path) -> xr.Dataset:
+    """As :func:`open_result`, of a file that this process has just written: no damage is expected in it."""
     try:
         result = xr.open_dataset(path, engine="h5netcdf")
     except Exception as error:  # whatever the library raises at a damaged file
@@ -60,6 +84,15 @@ def open_result(path: Path) -> xr.Dataset:
             "process` wrote"
         )
     return result
+
+
+def _read(stored: h5py.Dataset) -> xr.Variable:
+    dims = [dim[0].name.rpartition("/")[2] if len(dim) else stored.name.rpartition("/")[2] for dim in stored.dims]
+    return xr.Variable(dims, stored[()], _attributes(stored))
+
+
+def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
+    return {name: value for name, value in stored.attrs.items() if name not in _OF_NETCDF}
 
 
 def scene_of(path: Path) -> Path:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
@@ -16,8 +15,11 @@ from fingerflow.room import check_disk, check_memory, check_write
 
 _GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
-_CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is compressed once
-_FEWEST_BYTES = 256  # a frame, below which compression is not worth its bookkeeping
+_CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
+# A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
+# measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
+_FEWEST_BYTES = 256
+_CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
 
 
 class Values(Protocol):
@@ -59,7 +61,7 @@ class Store(ABC):
     def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
         """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
         before, self._sizes[dim] = self._sizes[dim], size
-        for name, values in self._values.items():
+        for name in list(self._values):
             if dim in self._known[name].dims:
                 self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
 
@@ -117,13 +119,18 @@ class MemoryStore(Store):
 
 
 class FileStore(Store):
-    """In a file of HDF5/NetCDF4, of which a part is in memory at a time, whatever the number of frames."""
+    """In a file of HDF5/NetCDF4, of which a part is in memory at a time, whatever the number of frames.
+
+    Dimensions become scales when it is finished, as the conventions of NetCDF-4 on HDF5 have them: one by one, with
+    each variable, they take longer than the numbers of a small recording.
+    """
 
     def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
         super().__init__(known, frames)
         check_write(path, 0)
         self._path = path
-        self._file = h5netcdf.File(path, "w")
+        self._file = h5py.File(path, "w", track_order=True)
+        self._dims: dict[str, tuple[str, ...]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -132,27 +139,27 @@ class FileStore(Store):
         self._file.close()
 
     def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
-        for dim, size in zip(variable.dims, shape, strict=True):
-            if dim not in self._file.dimensions:
-                self._file.dimensions[dim] = None if dim in _GROWING else size
-                if dim in _GROWING:
-                    self._file.resize_dimension(dim, size)
         fill, kind = _fill(variable)
-        layout: dict[str, Any] = {"fillvalue": fill if np.dtype(kind).kind == "f" else None}
+        layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
+        if any(dim in _GROWING for dim in variable.dims):
+            layout["maxshape"] = _longest(variable.dims, shape)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
             frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
-            layout |= {"chunks": (frames, *shape[1:]), "compression": "gzip", "compression_opts": 2, "shuffle": True}
-        stored = self._file.create_variable(variable.name, variable.dims, kind, **layout)
+            sides = zip(variable.dims[1:], shape[1:], strict=True)
+            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
+            if np.dtype(kind).kind != "f":
+                layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
+        stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
+        if layout.get("fillvalue") is not None:
+            stored.attrs["_FillValue"] = np.full(1, fill, kind)
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}
-        stored.attrs.update(attributes)
-        # The data set itself: h5netcdf looks it up by its name at every access, which takes as long as the writing.
-        return _Stored(stored._h5ds, self._path)
+        _describe(stored, attributes)
+        return _Stored(stored, self._path)
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
-        if self._file.dimensions[self._known[name].dims[axis]].size != size:
-            self._file.resize_dimension(self._known[name].dims[axis], size)  # of all variables that have it
+        self._file[name].resize(size, axis)
         if fill is not None:
             values = self._values[name]
             for first in range(0, values.shape[0], _CHUNK_FRAMES):
@@ -165,15 +172,55 @@ class FileStore(Store):
         check_disk(self._path, needed)
 
     def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
-        file = self._file
-        if "frame" not in file.dimensions:
-            file.dimensions["frame"] = len(frame)
-        file.create_variable("frame", ("frame",), frame.dtype, data=frame)
-        file.create_variable("time", ("frame",), time.dtype, data=time).attrs.update(TIME.attributes())
+        self._add("frame", ("frame",), data=frame)
+        _describe(self._add("time", ("frame",), data=time), TIME.attributes())
         for name, labels in LABELS.items():
-            if name in file.dimensions:
-                file.create_variable(name, (name,), data=np.array(labels, dtype=h5py.string_dtype()))
-        file.attrs.update(attributes)
+            if any(name in dims for dims in self._dims.values()):
+                self._add(name, (name,), data=np.array(labels, dtype=h5py.string_dtype()))
+        self._add_scales()
+        _describe(self._file, attributes)
+
+    def _add(self, name: str, dims: tuple[str, ...], **what: Any) -> h5py.Dataset:
+        if name in self._dims:
+            raise ValueError(f"the variable {name} was created before")
+        self._dims[name] = dims
+        return self._file.create_dataset(name, track_order=True, **what)
+
+    def _add_scales(self) -> None:
+        """Makes the dimensions of all variables known to HDF5 (H5DS) and to NetCDF-4."""
+        used = dict.fromkeys(dim for dims in self._dims.values() for dim in dims)
+        numbers = {dim: np.int32(number) for number, dim in enumerate(used)}
+        scales: dict[str, h5py.Dataset] = {}
+        for dim, number in numbers.items():
+            size = self._sizes[dim]
+            if dim in self._dims:
+                said = dim
+            else:
+                self._file.create_dataset(dim, (size,), ">f4", maxshape=_longest((dim,), (size,)), track_order=True)
+                said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
+            scales[dim] = self._file[dim]
+            scales[dim].make_scale(said)
+            scales[dim].attrs["_Netcdf4Dimid"] = number
+        for name, dims in self._dims.items():
+            stored = scales.get(name) or self._file[name]
+            stored.attrs["_Netcdf4Coordinates"] = np.array([numbers[dim] for dim in dims])
+            if name not in scales:
+                stored.attrs["_Netcdf4Dimid"] = numbers[dims[0]]
+                for place, dim in enumerate(dims):
+                    stored.dims[place].attach_scale(scales[dim])
+        versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
+        self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
+
+
+def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None, ...]:
+    """The shape that a variable may grow to; None is without an end."""
+    return tuple(None if dim in _GROWING else size for dim, size in zip(dims, shape, strict=True))
+
+
+def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
+    """Writes attributes as NetCDF has them: texts, and arrays of numbers."""
+    for name, value in attributes.items():
+        stored.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
 
 
 class _Stored:

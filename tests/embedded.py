@@ -18,6 +18,7 @@ from fingerflow import ops
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.frame import FollowGraph, FrameGraph, HeldGraph, RenewGraph, SinceOnsetGraph
+from fingerflow.graphs.search import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.ops.outliers import find_neighbours
 
@@ -128,6 +129,7 @@ def cases() -> dict[str, Case]:
         "DetectGraph": Case(DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))),
         "HeldGraph": Case(hold, (first, points)),
         "RenewGraph": Case(RenewGraph(11), (*view, points, warp)),
+        "SearchGraph": Case(SearchGraph(11), (first, second.roll(6, 3), points, points)),
         "FollowGraph": Case(follow, (second, points, held)),
         "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
         "SinceOnsetGraph": Case(SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, turn, scale, *of_ellipse)),

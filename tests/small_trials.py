@@ -19,7 +19,7 @@ TINY_PRESS = Press(
 
 # What a stream and `process` are compared on.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
-GRAPHS = ("background", "detect", "key", "renew", "frame", "fields")
+GRAPHS = ("background", "detect", "key", "renew", "search", "frame", "fields")
 _SHARED = f"""
 [tracking]
 points = {POINTS}

@@ -23,11 +23,11 @@ ARROWS: dict[str, set[str]] = {
     "graphs": {"ops"},
     "models": {"errors", "kernels"},
     "recordings": {"contract", "errors", "untrusted"},
-    "calibration": {"contract", "errors", "toml_string", "views"},
+    "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
     "store": {"contract", "room"},
-    "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "scene", "store", "views"},
+    "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "room", "scene", "store", "views"},
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
     "dictionary": {"contract", "stages"},
@@ -37,6 +37,7 @@ ARROWS: dict[str, set[str]] = {
     "pipeline": {
         "__init__",
         "atomic_write",
+        "contract",
         "deviations",
         "errors",
         "export",
@@ -92,6 +93,7 @@ ARROWS: dict[str, set[str]] = {
     "view": {
         "__init__",
         "atomic_write",
+        "calibration",
         "contract",
         "errors",
         "plan",
@@ -101,6 +103,7 @@ ARROWS: dict[str, set[str]] = {
         "stages",
         "store",
         "untrusted",
+        "views",
     },
     "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
 }

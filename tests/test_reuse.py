@@ -1,6 +1,7 @@
 """Again from an earlier result: the data of a fresh run bit for bit, and nothing computed that need not be."""
 
 import json
+import re
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -321,7 +322,9 @@ def _slip(folder: Path) -> tuple[Path, list[str] | None]:
 def _dense_flow_slip(folder: Path) -> tuple[Path, list[str] | None]:
     path, outputs = _slip(folder)
     text = path.read_text(encoding="utf-8")
-    path.write_text(text + '\n[slip]\ndisplacement = "dense_flow"\n', encoding="utf-8")
+    text, changed = re.subn(r'(?m)^displacement = "points"', 'displacement = "dense_flow"', text)
+    assert changed == 1
+    path.write_text(text, encoding="utf-8")
     return path, outputs
 
 

@@ -84,27 +84,14 @@ def calibrate(
     as_json: AsJson = False,
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
-    from fingerflow import calibration
-    from fingerflow.atomic_write import keep_others, spare, write_atomically
+    from fingerflow.calibration import calibrate_files
+    from fingerflow.views import View
 
-    ring_frame = _first_frame(ring)
-    target_frame = None if target is None else _first_frame(target)
-    empty_frame = None if background is None else _first_frame(background)
-    views = _views(ring_frame.shape, contact, topography, both=target is not None)
-    found = calibration.calibrate(target_frame, ring_frame, views, hole_radius_mm, empty_frame)
-    picture = output.with_suffix(".png")
-    spare(output, ring, target, background)
-    spare(picture, ring, target, background)
-    keep_others(output, calibration.is_calibration, overwrite)
-    # The picture has no mark of its own: it is ours where the file beside it is.
-    keep_others(picture, lambda _: output.exists() and calibration.is_calibration(output), overwrite)
-
-    def write_both(part: Path) -> None:
-        part.write_text(found.to_toml(), encoding="utf-8")
-        write_atomically(picture, lambda part: calibration.draw_overlay(part, found, target_frame, ring_frame))
-
-    # Both or none: nothing but a renaming is left when the picture is there.
-    write_atomically(output, write_both)
+    if topography is not None and target is None:
+        raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
+    given = {"contact": contact, "topography": topography}
+    views = {name: View(one[:2], one[2:]) for name, one in given.items() if one is not None}
+    found = calibrate_files(ring, target, background, views, hole_radius_mm, output, overwrite)
     facts: dict[str, Any] = {
         "mm_per_px": found.mm_per_px,
         "hole_radius_px": found.hole.radius_px,
@@ -112,37 +99,9 @@ def calibrate(
         "similarity_rms_px": None if found.similarity is None else found.similarity.rms_px,
         "warnings": list(found.warnings),
         "calibration": str(output),
-        "picture": str(picture),
+        "picture": str(output.with_suffix(".png")),
     }
     if as_json:
         print_json(facts)
     else:
         typer.echo("\n".join(f"{name:18} {value}" for name, value in facts.items()))
-
-
-def _first_frame(path: Path) -> Any:
-    from fingerflow.recordings import open_recording
-
-    with open_recording(path) as recording:
-        if not len(recording):
-            raise FingerflowError(f"{path} has no frame; one is needed")
-        frame = recording[0]
-        if recording.unreadable:
-            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
-        return frame
-
-
-def _views(
-    shape: tuple[int, int], contact: PixelRanges | None, topography: PixelRanges | None, both: bool
-) -> dict[str, Any]:
-    """The views of calibration frames: as given, or the halves of a frame, or the whole one."""
-    from fingerflow.views import View
-
-    rows, columns = shape
-    half = columns // 2 if both else 0
-    chosen = {"contact": contact or (0, rows, half, columns)}
-    if both:
-        chosen["topography"] = topography or (0, rows, 0, half)
-    elif topography is not None:
-        raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")
-    return {name: View(ranges[:2], ranges[2:]) for name, ranges in chosen.items()}

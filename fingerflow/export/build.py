@@ -23,15 +23,19 @@ from fingerflow.graphs.frame import (
     SinceOnset,
     SinceOnsetGraph,
 )
+from fingerflow.graphs.search import SearchGraph
 
 _TYPES = {"float32": torch.float32, "float64": torch.float64}
 
 RENEWED = 64  # points whose templates `renew` prepares in a call
+SEARCHED = 64  # points that `search` looks for in a call: the motion of the others follows from theirs
 
 #: Unit of every input and output; px are those of the views, counts those of the camera.
 UNITS = {
-    **dict.fromkeys(("contact_view", "topography_view", "background", "dark", "light", "black"), "counts"),
-    **dict.fromkeys(("points", "prediction", "reference", "next_reference"), "px"),
+    **dict.fromkeys(("contact_view", "topography_view", "key_view", "background", "dark"), "counts"),
+    **dict.fromkeys(("light", "black"), "counts"),
+    **dict.fromkeys(("points", "prediction", "reference", "next_reference", "by_neighbours"), "px"),
+    **dict.fromkeys(("estimate", "found"), "px"),
     **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
@@ -87,11 +91,11 @@ class _Flat(nn.Module):
 
 def _leaves(results: Any) -> Iterator[Any]:
     """Of nested tuples, in order."""
-    for one in results:
-        if isinstance(one, tuple):
+    if isinstance(results, tuple):
+        for one in results:
             yield from _leaves(one)
-        else:
-            yield one
+    else:
+        yield results
 
 
 _MEASURED = tuple(name for name in Contact._fields if name != "density_margin")
@@ -138,6 +142,11 @@ def build(
             RenewGraph(tracking.window_px, tracking.gain_offset),
             (*KeyView._fields, "points", "warp"),
             Prepared._fields,
+        ),
+        "search": (
+            SearchGraph(tracking.window_px, tracking.search_px, tracking.forward_backward_limit_px),
+            ("key_view", "topography_view", "points", "prediction"),
+            ("found",),
         ),
         "track": (follow, ("topography_view", "prediction", *OF_FRAME), Followed._fields),
         "frame": (

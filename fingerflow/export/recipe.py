@@ -2,15 +2,15 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
 from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 
-GraphName = Literal["background", "contact", "detect", "key", "renew", "track", "frame", "fields"]
-GRAPHS: tuple[GraphName, ...] = ("background", "contact", "detect", "key", "renew", "track", "frame", "fields")
+GraphName = Literal["background", "contact", "detect", "key", "renew", "search", "track", "frame", "fields"]
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
 # What a player opens. `track` is a part of `frame`: alone it is for those who embed it.
 PLAYED = tuple(name for name in GRAPHS if name != "track")
 _LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
@@ -47,6 +47,7 @@ class TrackingRecipe(_Table):
     min_distance_px: Annotated[StrictNumber, Field(ge=1, le=50)] = 6.0
     forward_backward_limit_px: Annotated[StrictNumber, Field(gt=0)] = 1.0
     gain_offset: StrictBool = True
+    search_px: Annotated[StrictInt, Field(ge=1, le=16)] = 8
 
 
 class FieldsRecipe(_Table):

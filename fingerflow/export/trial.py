@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.export.build import RENEWED, Graph
+from fingerflow.export.build import RENEWED, SEARCHED, Graph
 from fingerflow.export.recipe import GraphName, Recipe
 from fingerflow.synthetic import Camera, Press
 
@@ -93,6 +93,8 @@ def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tenso
     source = {**known, "topography_view": known["key_view"]} if name in ("key", "detect") else known
     if name == "renew":
         source = source | {one: source[one][:, :RENEWED] for one in ("points", "warp")}
+    if name == "search":
+        source = source | {one: source[one][:, :SEARCHED] for one in ("points", "prediction")}
     return tuple(source[one] for one in graph.inputs)
 
 

@@ -11,7 +11,7 @@ from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
 from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.onset import place_of_onset, touch_length
+from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.templates import Templates, inverse_2x2, renew_templates, renewable
 
@@ -94,7 +94,8 @@ class Followed(NamedTuple):
     """Positions `points` (B, N, 2) px of the topography view and their standard deviation a component (B, N) px, NaN
     where lost; forward-backward `error` (B, N) px; `status` (B, N) uint8 (`TrackStatus`). `warp` (B, N, 2, 2) is the
     deformation gradient since the key frame, and `stale` (B, N) uint8 says which templates are to be prepared anew with
-    it.
+    it. Where to look for a point that is lost: `estimate` (B, N, 2) px is where the look at it has led, `by_neighbours`
+    (B, N, 2) px where its neighbours expect it, NaN where too few are known.
     """
 
     points: Tensor
@@ -103,6 +104,8 @@ class Followed(NamedTuple):
     status: Tensor
     warp: Tensor
     stale: Tensor
+    estimate: Tensor
+    by_neighbours: Tensor
 
 
 class FollowGraph(nn.Module):
@@ -122,7 +125,8 @@ class FollowGraph(nn.Module):
         deformed = self.deformation(templates.start, found, templates.numbers, inverse_warp, support)
         stale = (deformed.shift > RENEWAL_PX).to(torch.uint8)
         found = deformed.found
-        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale)
+        whither = (found.estimate, deformed.expected)
+        return Followed(found.points, found.error, found.variance.sqrt(), found.status, deformed.warp, stale, *whither)
 
 
 class FrameResult(NamedTuple):
@@ -143,6 +147,8 @@ class FrameResult(NamedTuple):
     status: Tensor
     warp: Tensor
     stale: Tensor
+    estimate: Tensor
+    by_neighbours: Tensor
     covered: Tensor
 
 
@@ -181,9 +187,9 @@ class FrameGraph(nn.Module):
 class SinceOnset(NamedTuple):
     """Fields of B frames since the onset of contact of each point, and what the next frame needs to know.
 
-    `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known; of points
-    out of contact, where they are now; `next_reached` (B, N) uint8, for how many frames in a row the contact has covered
-    it; `LASTING` once it did for so many.
+    `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known;
+    `next_reached` (B, N) uint8, for how many frames in a row the contact has covered it; `LASTING` once it did for so
+    many.
     """
 
     next_reference: Tensor
@@ -198,7 +204,6 @@ class SinceOnsetGraph(nn.Module):
     """Onset of contact of each point, and the fields that count from there, on the glass.
 
     A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
-    Where it was at the onset `ops.onset.place_of_onset` says.
     """
 
     def __init__(self, gauge_length_mm: float = 1.6) -> None:
@@ -223,8 +228,7 @@ class SinceOnsetGraph(nn.Module):
         kind = points.dtype
         before = reached.to(kind)
         lasts = touch_length(before, covered)[..., None]
-        begun = torch.where(lasts == 1, place_of_onset(reference, points), reference)
-        onset = torch.where(lasts > 0, begun, torch.nan)
+        onset = torch.where(lasts == 1, points, torch.where(lasts > 0, reference, torch.nan))
         scale = mm_per_px.to(kind)
         turn = topography_to_contact[:, :2].to(kind) * scale
         # Displacements by themselves: of two positions on the glass the digits would be lost.
@@ -234,7 +238,7 @@ class SinceOnsetGraph(nn.Module):
         fields = self.fields(then, moved, None, ellipse)
         assert fields.median is not None
         return SinceOnset(
-            torch.where(lasts > 0, begun, points),
+            onset,
             lasts[..., 0].to(torch.uint8),
             fields.divergence,
             fields.curl,

@@ -11,6 +11,7 @@ from fingerflow.kernels.checks import FRAME_KINDS as FRAME_KINDS
 from fingerflow.kernels.contact import *  # noqa: F403
 from fingerflow.kernels.fields import *  # noqa: F403
 from fingerflow.kernels.flow import *  # noqa: F403
+from fingerflow.kernels.library import constant_to_compiler as constant_to_compiler
 from fingerflow.kernels.library import inject_fault as inject_fault
 from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
 from fingerflow.kernels.library import serve as serve

@@ -150,7 +150,7 @@ def flow_levels(tensor: Tensor, right: Tensor, down: Tensor, inside: Tensor, cou
 
 def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[tuple[int, ...]]]:
     """Of tensor, right, down, inverse and inside of so many levels, the finest (height, width)."""
-    levels = []
+    levels: list[list[tuple[int, ...]]] = []
     for _ in range(count):
         levels.append([(batch, channels, height + rows, width + columns) for channels, rows, columns in _PLANES])
         height, width = (height + 1) // 2, (width + 1) // 2

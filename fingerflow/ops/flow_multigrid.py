@@ -58,7 +58,7 @@ def _compiled_pyramid(tensor: Tensor, right: Tensor, down: Tensor, mask: Tensor)
     count, side = 1, min(tensor.shape[-2:])
     while side > SMALLEST_SIDE:
         count, side = count + 1, (side + 1) // 2
-    shapes = kernels.level_shapes(len(tensor), *tensor.shape[-2:], count)
+    shapes = kernels.level_shapes(len(tensor), tensor.shape[-2], tensor.shape[-1], count)
     made = [shapes[0][3], *(shape for level in shapes[1:] for shape in level)]
     flat = kernels.flow_levels(tensor, right, down, mask, count)
     inverse, *planes = (

@@ -72,7 +72,7 @@ def _by_network(frames: Tensor, size: int) -> Tensor:
     return torch.cat([_run(program, some) for some in frames.split(at_once)])
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
+@kernels.constant_to_compiler
 def _planned(size: int) -> tuple[int, tuple[int, int], tuple[Any, ...], tuple[Any, ...]]:
     """`median_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
     program = median_program(size)

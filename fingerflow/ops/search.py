@@ -13,6 +13,7 @@ from fingerflow.ops.windows import cut_windows
 # than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them
 # apart. Within a few px there is no neighbouring ridge.
 _WIDENING = 3
+_SEARCHED = 1.0  # px that a search is good to
 _CHUNK = 128  # points a pass, which bounds the memory of the transforms
 
 
@@ -51,6 +52,8 @@ def search_windows(
     given = (coarse_templates, coarse_images, image_index, points, guess)
     if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
         return kernels.search_windows(*given, size, reach)
+    if torch.compiler.is_exporting():
+        return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
     if not len(points):
         return guess.clone()
     found = [
@@ -58,6 +61,28 @@ def search_windows(
         for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
     ]
     return torch.cat(found)
+
+
+def search_and_return(
+    key: Tensor,
+    current: Tensor,
+    image_index: Tensor,
+    start: Tensor,
+    guess: Tensor,
+    window: int,
+    radius: int,
+    forward_backward_limit: float,
+) -> tuple[Tensor, Tensor]:
+    """The places (P, 2) of `search_windows`, and whether (P,) a search back from there, which does not know the way,
+    returns to the start within the limit and the pixel that a search is good to.
+
+    Args:
+        key, current: (B, 1, H, W); others as for `search_windows`.
+        forward_backward_limit: px.
+    """
+    ahead = search_windows(key, current, image_index, start, guess, window, radius)
+    back = search_windows(current, key, image_index, ahead, start, window, radius)
+    return ahead, (back - start).square().sum(-1).sqrt() <= forward_backward_limit + _SEARCHED
 
 
 def _template_size(window: int, radius: int) -> int:
@@ -80,10 +105,7 @@ def _search_coarse(
     patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
     template = template - template.mean((-1, -2), keepdim=True)
     patch = patch - patch.mean((-1, -2), keepdim=True)
-    shape = patch.shape[-2:]
-    # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
-    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
-    product = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
+    product = _correlated(patch, template, span)
     deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
     # A window without contrast correlates with nothing; the bound keeps rounding from making one win.
     least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(torch.float32).tiny
@@ -107,6 +129,19 @@ def _search_coarse(
     # The motion of the template's pixel, carried over to the point itself.
     result = points + 2 * (center + moved - start)
     return torch.where((finite & (peak > 0))[:, None], result, guess)
+
+
+def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
+    """Sums (P, span, span) of templates (P, n, n) times patches (P, n + span - 1, n + span - 1), shift by shift."""
+    size = template.shape[-1]
+    if torch.compiler.is_exporting():  # runtimes of ONNX take six times as long for the transforms of small patches
+        columns = [patch[:, :, shift : shift + size] for shift in range(span)]
+        sums = [(one[:, down : down + size] * template).sum((1, 2)) for down in range(span) for one in columns]
+        return torch.stack(sums, dim=1).unflatten(1, (span, span))
+    shape = patch.shape[-2:]
+    # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
+    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
+    return torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
 
 
 def _nearest_of_highest(score: Tensor, span: int) -> Tensor:

@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fingerflow import kernels
 from fingerflow.ops.median import median_filter, run_network
 from fingerflow.ops.median_network import join_program
 
@@ -70,7 +71,7 @@ def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_co
     return run_network(steps, outputs, [*first, *second])
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
+@kernels.constant_to_compiler
 def _planned(size: int, first: int, second: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """`join_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
     steps, outputs = join_program(size, first, second)

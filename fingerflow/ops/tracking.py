@@ -12,7 +12,7 @@ from fingerflow.kernels.torch_op import torch_op
 from fingerflow.ops import tracking_limits as limits
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.search import search_windows
+from fingerflow.ops.search import search_and_return
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.templates import (
     Found,
@@ -32,7 +32,6 @@ ROUNDS = 5  # tables a point may use up before it counts as not found
 # Windows over which the deformation of a template is taken to be uniform: fewer follow shorter waves (`python -m bench
 # dic`).
 _GAUGE = 3.0
-_SEARCHED = 1.0  # px that a search is good to
 
 
 class Tracks(NamedTuple):
@@ -203,8 +202,8 @@ def search_lost(
         return found
     image, point = lost.nonzero(as_tuple=True)
     start, near = templates.start[image, point], guess.to(templates.start.dtype)[image, point]
-    ahead = search_windows(key, current, image, start, near, templates.window, radius)
-    back = search_windows(current, key, image, ahead, start, templates.window, radius)
+    reach = (templates.window, radius, forward_backward_limit)
+    ahead, returns = search_and_return(key, current, image, start, near, *reach)
     everywhere = torch.full_like(templates.start, torch.nan)
     everywhere[image, point] = ahead
     chosen = first_of(lost, exactly=templates.pixels is None)
@@ -215,7 +214,7 @@ def search_lost(
     )
     result = replaced(found, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)
-    elsewhere[image, point] = ~((back - start).square().sum(-1).sqrt() <= forward_backward_limit + _SEARCHED)
+    elsewhere[image, point] = ~returns
     wrong = elsewhere & (result.status == TrackStatus.TRACKED)
     return Found(
         torch.where(wrong[..., None], torch.nan, result.points),

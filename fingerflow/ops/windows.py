@@ -26,13 +26,13 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
     height, width = images.shape[-2:]
     steps = torch.arange(size, device=images.device)
     row = (corner[:, 1, None] + steps).clamp(0, height - 1)
-    if not images.requires_grad:
+    if not images.requires_grad and not torch.compiler.is_exporting():
         # A row of a window lies in one piece: copying rows is several times faster than gathering pixels.
         pieces = F.pad(images, (size, size, 0, 0), mode="replicate").unfold(3, size, 1)
         return pieces[image_index[:, None], 0, row, (corner[:, 0, None] + size).clamp(0, width + size)]
     # The derivative of that view would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
-    return images.reshape(-1)[((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :]]
+    return _taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
 
 
 def sample_windows(
@@ -134,7 +134,7 @@ def _sample_piece(
     return value + level, gradient
 
 
-def _taken(flat: Tensor, index: Tensor, later: int) -> Tensor:
+def _taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
     """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` says."""
     if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
         return flat.gather(0, index.flatten() + later).reshape(index.shape)

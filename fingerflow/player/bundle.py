@@ -13,8 +13,8 @@ import numpy as np
 
 from .errors import PlayerError
 
-BUNDLE_FORMAT = 1
-GRAPHS = ("frame", "fields", "detect", "key", "renew", "background")  # without which nothing can be played
+BUNDLE_FORMAT = 2
+GRAPHS = ("frame", "fields", "detect", "key", "renew", "search", "background")  # without which nothing can be played
 MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 
 
@@ -64,7 +64,8 @@ def load_bundle(folder: Path) -> Bundle:
     if not isinstance(facts, dict) or facts.get("format") != BUNDLE_FORMAT:
         found = facts.get("format") if isinstance(facts, dict) else facts
         raise PlayerError(
-            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle"
+            f"{path}: its format is {found!r}, this player reads {BUNDLE_FORMAT}; use the player of the same bundle, "
+            "or export it again"
         )
     try:
         graphs = facts["graphs"]

@@ -27,7 +27,8 @@ class FrameCheck:
     """Tells frames that cannot be from their own light, and from the last usable frame.
 
     A dark or saturated frame is known by itself, with the limits of `process`. A frame far from the last usable one
-    has come from another moment, is torn or shifted, where points are lost with it; where nine tenths of the contact
+    has come from another moment, is torn or shifted, where points are lost with it and are not to be
+    found elsewhere, as after a jump of the skin; where nine tenths of the contact
     view become lighter or darker at once, it is the lamp: a contact never covers all of it. One that flickers does so
     again and again, and its frames count. `process` knows the frames behind a frame too, a stream does not: what stays
     for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
@@ -61,13 +62,14 @@ class FrameCheck:
             return blocks, _SATURATED
         return blocks, USABLE
 
-    def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int) -> int:
+    def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int, elsewhere: bool) -> int:
         """The status of a frame, in their order.
 
         Args:
             number: of the frame.
             blocks, status: of `look`.
             tracked: points found in it.
+            elsewhere: whether many were found far from where their motion leads (`SecondLook`).
         """
         if status != USABLE:
             return status
@@ -83,7 +85,7 @@ class FrameCheck:
             if sum(self._changes) < _FLICKER:
                 light = _change_of_light(contact, self._last["contact_view"])
             usual = max(self._before, default=_LEAST)
-            lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked
+            lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked and not elsewhere
             far = lost and step > max(_LEAST, _FAR * gap * usual)
             if (far or light > _LIGHT) and self._jumped < LONGEST:
                 self._jumped += 1

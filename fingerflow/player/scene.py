@@ -160,7 +160,6 @@ def check_scene(scene: Scene, bundle: Bundle) -> None:
 _PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
     "tracking.direction": "forward",
     "tracking.points_from": "recorded",
-    "tracking.search_px": 0,
     "tracking.template": "keyframe",
     "fields.strain": "green_lagrange",
 }

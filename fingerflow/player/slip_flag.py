@@ -11,6 +11,7 @@ from .arrays import Array
 
 _FEWEST = 8  # points in contact
 _RAISED = 2.0  # times the noise; skin that sticks shows 1.0 to 1.3
+_NEAREST = 4  # points, by their distance, of which another one takes its displacement
 _FRAMES = 3  # in a row, before the flag is raised or taken back
 
 
@@ -33,29 +34,45 @@ class SlipFlag:
     not rigid either: the flag says that skin in contact deforms, which under a steady force is partial slip. On trials
     of `fingerflow.synthetic.PartialSlip` it comes when 6 to 15 % of the contact have slipped, a fifth of the way to
     full slip; on a contact 4 mm long that is seen by windows of 15 px at 22 %. Skin that slides as a whole is rigid;
-    what it was stretched by before stays, and with it the flag.
+    what it was stretched by before stays, and with it the flag. Where other points are chosen meanwhile, each takes
+    over the displacement of the old ones nearest to it. Where nothing tells it, as those are lost, nothing takes the
+    flag back before the contact ends.
 
     Attributes:
         slipping: what the last frame said.
     """
 
     def __init__(self) -> None:
-        self._restart = -1
         self._touched: Array = np.empty((0, 2))
         self._run = 0
+        self._held = False  # the points that have shown slip are gone
         self.slipping = False
 
-    def see(self, points: Array, std: Array, covered: Array, restart: int) -> SlipState:
+    def follow_others(self, before: Array, points: Array) -> None:
+        """Other points (N, 2) px are followed from now on, chosen in a frame in which those until now lay at `before`
+        (M, 2) px, NaN where lost.
+        """
+        moved = before - self._touched if len(self._touched) else np.full_like(before, np.nan)
+        known, given = np.isfinite(moved).all(-1), np.isfinite(points).all(-1)
+        self._touched = np.full(points.shape, np.nan)
+        if known.sum() >= _FEWEST:
+            apart = np.square(points[given, None] - before[None, known]).sum(-1)
+            nearest = np.argpartition(apart, _NEAREST - 1, axis=1)[:, :_NEAREST]
+            weight = 1 / (np.take_along_axis(apart, nearest, axis=1) + 1)[..., None]
+            by_nearest = (weight * moved[known][nearest]).sum(1) / weight.sum(1)
+            self._touched[given] = points[given] - by_nearest
+        else:
+            self._held |= self.slipping
+
+    def see(self, points: Array, std: Array, covered: Array) -> SlipState:
         """A frame, in their order.
 
         Args:
             points: (N, 2) px, NaN where lost.
             std: (N,) px, standard deviation of a component.
             covered: (N,) whether the gross contact covers each.
-            restart: number of the restart: others are other points.
         """
-        if restart != self._restart:
-            self._restart, self._run, self.slipping = restart, 0, False
+        if not len(self._touched):
             self._touched = np.full(points.shape, np.nan)
         covered = covered.astype(bool)
         begins = covered & np.isnan(self._touched[:, 0]) & np.isfinite(points[:, 0])
@@ -66,7 +83,10 @@ class SlipFlag:
         if used.sum() >= _FEWEST:
             residual = rigid_residual_rms(self._touched[used], points[used])
             noise = math.sqrt(float(np.mean(np.square(std[used], dtype=np.float64))))
-        above = residual > _RAISED * noise
+        self._held &= bool(covered.any())
+        # Too few points say nothing, neither that skin slips nor that it does not, until the contact ends.
+        unknown = self._held or (math.isnan(residual) and covered.any())
+        above = self.slipping if unknown and self.slipping else residual > _RAISED * noise
         self._run = self._run + 1 if above != self.slipping else 0
         if self._run >= _FRAMES:
             self.slipping, self._run = above, 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,11 @@ from .motion import Motion, count_known
 from .providers import Engine
 from .renewal import Renewal
 from .scene import Scene, View
+from .second_look import SecondLook
 
 _EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
-_OF_TEMPLATES = ("stale", "warp")  # outputs of `frame` that say which templates to renew, and how
+# Outputs of `frame` that say which templates to renew, and how; and where to look for a point that is lost.
+_FOR_FRAMES_TO_COME = ("stale", "warp", "estimate", "by_neighbours")
 LAG = 2  # frames: each begins from what the one before the last has found, whether or not a newer one has ended
 
 
@@ -61,7 +64,9 @@ class Stepper:
             self._sessions[MEASURING] = self._open_measuring()
         states = [name for name in inputs["fields"] if f"next_{name}" in outputs["fields"]]
         results = {name: tensor for name, tensor in outputs["fields"].items() if name.removeprefix("next_") == name}
-        self.outputs = {name: one for name, one in (outputs["frame"] | results).items() if name not in _OF_TEMPLATES}
+        self.outputs = {
+            name: one for name, one in (outputs["frame"] | results).items() if name not in _FOR_FRAMES_TO_COME
+        }
         self.found = self.keyed = 0
         self._of_scene: dict[str, Array] = {
             "topography_to_contact": scene.topography_to_contact,
@@ -74,7 +79,9 @@ class Stepper:
         held = {name: tensor for graph in ("background", "key") for name, tensor in outputs[graph].items()}
         self._held = {name: np.zeros(tensor.shape, tensor.dtype) for name, tensor in held.items()}
         self._held_values = {name: self._value(array) for name, array in self._held.items()}
-        self._renewed = inputs["renew"]["points"].shape[1]  # points in a call
+        # Points in a call.
+        self._renewed, self._searched = inputs["renew"]["points"].shape[1], inputs["search"]["points"].shape[1]
+        self._key_view = np.zeros(inputs["key"]["topography_view"].shape, inputs["key"]["topography_view"].dtype)
         self._frame_inputs = set(inputs["frame"])  # `background` may give more than the `frame` of a recipe takes
         self.parallel, self.lag = parallel, max(LAG, parallel)
         # What a frame writes is not written again while its motion is still asked for.
@@ -85,8 +92,9 @@ class Stepper:
         self._place_type = inputs["frame"]["prediction"].dtype
         self._slots: list[Slot | None] = [None for _ in sides]
         self._numbers = [0 for _ in sides]  # of the frames
+        self._jolted: list[Array | None] = [None for _ in sides]  # `SecondLook`
         self._measured = [math.nan for _ in sides]
-        self._motions = [Motion.at_rest(np.empty(0), 0) for _ in sides]
+        self._motions = [Motion.at_rest(np.empty((1, 0, 2)), 0) for _ in sides]
         constants = self._constants("frame", inputs["frame"], {"prediction", *held})
         self._bindings = [self._binding(side, constants) for side in sides]
         self._begun = self._finished = 0
@@ -112,6 +120,8 @@ class Stepper:
             side = self.begin(slot, measure=self.measures)
             self.run(side)
             self.finish(side)
+            rows = np.arange(self._searched)
+            self._search(slot, rows, self._held["template_start"][:, rows])
             some = self._held["template_start"][:, : self._renewed]
             self.prepared(some, np.broadcast_to(np.eye(2), (*some.shape, 2)))
 
@@ -126,12 +136,14 @@ class Stepper:
         for value in self._states[self._finished % 2].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
-        self._motions = [Motion.at_rest(points, slot.number) for _ in self._motions]
+        motion = self._motions[(self._begun - 1) % len(self._motions)].of_others(points, slot.number)
+        self._motions = [motion for _ in self._motions]
         self.key(slot, points)
 
     def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
         self._hold(self._run("key", {"topography_view": slot.views["topography_view"], "points": points}))
+        self._key_view[...] = slot.views["topography_view"]
         self._motions = [motion.without(points) for motion in self._motions]
         self.keyed = count_known(points)
 
@@ -171,6 +183,7 @@ class Stepper:
         side = self._begun % len(self._bindings)
         motion = self._motions[(self._begun - self.lag) % len(self._motions)]
         self._begun += 1
+        self._jolted[side] = None
         self._numbers[side], self._slots[side] = slot.number, slot if measure else None
         self._expected[side].update_inplace(np.ascontiguousarray(motion.expect(slot.number), self._place_type))
         for name, value in (slot.values | {"prediction": self._expected[side]}).items():
@@ -188,6 +201,28 @@ class Stepper:
             physical = 0 < found < 1 and touching(view[0, 0], self.glass, self.dark, found) < _EVERYTHING
             self._measured[side] = found if physical else math.nan
 
+    def look_again(self, slot: Slot, side: int) -> SecondLook:
+        """A frame that has run, once more where many points are lost at once."""
+
+        def run(nearer: Array) -> Mapping[str, Array]:
+            self._expected[side].update_inplace(np.ascontiguousarray(nearer, self._place_type))
+            # Providers with memory of their own copy an input when it is bound, not when they run.
+            self._bindings[side].bind_ortvalue_input("prediction", self._expected[side])
+            self._engine.frame.run_with_iobinding(self._bindings[side])
+            return self._results[side]
+
+        before, expected = self._motions[(side - 1) % len(self._motions)], self._expected[side].numpy()
+        look = SecondLook(before, slot.number, expected, self._results[side])
+        look.take(run, partial(self._search, slot), self._searched)
+        self._jolted[side] = look.jolted
+        return look
+
+    def _search(self, slot: Slot, rows: Array, near: Array) -> Array:
+        """Where points (n,) of the key frame lie around where they are expected (1, n, 2)."""
+        given = {"points": self._held["template_start"][:, rows], "prediction": near}
+        views = {"key_view": self._key_view, "topography_view": slot.views["topography_view"]}
+        return self._run("search", given | views)["found"]
+
     def found_in(self, side: int) -> int:
         """Points found in a frame that has run."""
         return count_known(self._results[side]["points"])
@@ -200,7 +235,7 @@ class Stepper:
         """Outputs by name, (1, ...), of a frame that has run; valid until the next one is finished."""
         results, number = self._results[side], self._numbers[side]
         before = self._motions[(side - 1) % len(self._motions)]
-        self._motions[side] = before.see(results["points"], number)
+        self._motions[side] = before.see(results["points"], number, results["by_neighbours"], self._jolted[side])
         binding = self._field_bindings[self._finished % 2]
         for name in self._of_frame:
             binding.bind_ortvalue_input(name, self._values[side][name])

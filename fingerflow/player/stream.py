@@ -37,7 +37,6 @@ from .upkeep import REKEY, Change, Renewing, ThresholdSearch, Upkeep
 
 log = logging.getLogger("fingerflow.player")
 
-
 _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
 _REKEY_SHARE = 0.8
@@ -97,7 +96,7 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._unlooked = 0  # frames since templates were looked at
+        self._unlooked, self._look_after = 0, _RENEWAL_FRAMES  # frames since templates were looked at, until they are
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -371,6 +370,7 @@ class Player:
         """Takes new points where they are more than those that are followed."""
         points = self._stepper.choose(change.key)
         if count_known(points) > (0 if change.cause == _PAGE else count_known(change.points)):
+            self._slip.follow_others(change.points[0], points[0])
             self._restart(index, change.key, points, change.cause)
         else:
             self._upkeep.kept(index)
@@ -394,8 +394,9 @@ class Player:
         slot, side = computed
         index = self.processed
         place = index % len(self._room)
+        elsewhere = slot.status == USABLE and self._stepper.look_again(slot, side).elsewhere
         found = self._stepper.found_in(side)
-        status = self._check.see(slot.number, slot.blocks, slot.status, found)
+        status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
         self._unlooked += 1
         if status != USABLE:
             return self._skip(slot, side, place, status)
@@ -408,7 +409,7 @@ class Player:
         self._findings.count(found, area)
         if self._stepper.measures:
             self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= _RENEWAL_FRAMES:
+        if self._unlooked >= self._look_after:
             self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
@@ -442,8 +443,10 @@ class Player:
         key = self.restarts + self.keys
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
+        soon = work is not None and 2 * len(work.rows) > self.tracked
+        self._look_after = self._stepper.lag if soon else _RENEWAL_FRAMES  # no frame that may have begun
         if work is not None:
-            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + self._look_after, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
@@ -472,7 +475,7 @@ class Player:
     def _fill_slip(self, outputs: dict[str, Array], place: int) -> None:
         if self._layout.tells_slip:
             points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
-            slip = self._slip.see(points, std, covered, self.restarts)
+            slip = self._slip.see(points, std, covered)
             self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
             self._fields["slip_flag"][place] = slip.slipping
 

@@ -10,12 +10,17 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 _NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _RASTER_DPI = 170  # of the maps within
 _WIDER = 1.5  # than in print, that a figure is shown at most
 _DIGITS = 5
+_PAD = 0.06  # inches around the labels
+_BAR, _BAR_HEIGHT = 0.025, 0.8  # width of a colour bar, of the figure; and its height, of the axes
+FONT = "DejaVu Sans"  #: that comes with matplotlib: one, as each of a list is looked for at each text
 _LARGE, _QUALITY = 100_000, 88  # bytes of a picture, and of JPEG
 _PNG = re.compile(r"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 _OWN_ID = re.compile(r' id="[A-Za-z][\w.]*_\d+"')
@@ -32,12 +37,15 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     """
     layout = figure.get_layout_engine()
     if layout is not None:
-        # Once, and not again for each of the two times that matplotlib draws a figure whose layout may still change.
-        layout.execute(figure)
+        # Once, and not again when matplotlib draws a figure whose layout may still change.
+        if not _laid_out(figure):
+            layout.execute(figure)
         figure.set_layout_engine("none")
     data = io.StringIO()
+    figure.set_dpi(_RASTER_DPI)
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(data, format="svg", dpi=_RASTER_DPI, metadata=_NO_METADATA)
+        # `savefig` draws twice, first to settle the layout.
+        FigureCanvasSVG(figure).print_svg(data, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     text = data.getvalue()
     text = text[text.index("<svg") :]
     head, _, rest = text.partition(">")
@@ -45,9 +53,42 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     assert box is not None
     # The same element twice in a page would share an id: only those that are referred to keep theirs.
     rest = _PNG.sub(_smaller, rest)
+    rest = rest.replace(f"'{FONT}'", f"'{FONT}', sans-serif")
     rest = _OWN_ID.sub("", re.sub(r"\s*<metadata>.*?</metadata>", "", rest, flags=re.DOTALL))
     width = figure.get_figwidth()
     return f'<svg {box[0]} role="img" aria-label="{escape(label)}" style="max-width:{_WIDER * width:.1f}in">{rest}'
+
+
+def _laid_out(figure: Figure) -> bool:
+    """Puts the axes, and a colour bar on its right, where their labels have room; False for any other figure.
+
+    Labels are measured once. Constrained layout measures them four times, which takes as long as drawing the figure.
+    """
+    axes, *bars = figure.axes
+    if len(bars) > 1:
+        return False
+    axes.set_title(axes.get_title(), y=1.0)  # else matplotlib looks, whenever it draws, for ticks to be avoided
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    width, height = figure.bbox.width, figure.bbox.height
+    around = []
+    for one in figure.axes:
+        one.apply_aspect()
+        inner, outer = one.get_window_extent(renderer), one.get_tightbbox(renderer)
+        assert outer is not None
+        around.append((inner.x0 - outer.x0, outer.x1 - inner.x1, inner.y0 - outer.y0, outer.y1 - inner.y1))
+    pad = _PAD * figure.dpi
+    left, right, bottom, top = around[0]
+    bottom, top = bottom + pad, height - top - pad
+    end = width - pad
+    if bars:
+        end -= around[1][1] + _BAR * width
+        tall = _BAR_HEIGHT * (top - bottom)
+        bars[0].set_position((end / width, ((top + bottom - tall) / 2) / height, _BAR, tall / height))
+        end -= pad + around[1][0]
+    axes.set_position(
+        ((left + pad) / width, bottom / height, (end - max(right, 0) - left - pad) / width, (top - bottom) / height)
+    )
+    return True
 
 
 def _smaller(found: re.Match[str]) -> str:

@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from jinja2 import Environment
@@ -21,7 +22,7 @@ from fingerflow.plot.picture import said, views_of
 from fingerflow.plot.wording import followed, is_sensor
 from fingerflow.report.beside_chain import BesideChain, draw
 from fingerflow.report.cautions import cautions, lost_points
-from fingerflow.report.inline_svg import curves_of, inline_svg
+from fingerflow.report.inline_svg import FONT, curves_of, inline_svg
 from fingerflow.report.key_numbers import key_numbers
 from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
@@ -126,7 +127,8 @@ def write_report(
     if scene is not None and video:
         write_overlay(result, scene, folder / "overlay.mp4")
     frames = telling_frames(result)
-    sections = _sections(result, scene, frames, chain)
+    with mpl.rc_context({"font.family": [FONT]}):
+        sections = _sections(result, scene, frames, chain)
     sensor = is_sensor(result)
     seconds = json.loads(result.attrs["stage_seconds"])
     parts = files(__package__)

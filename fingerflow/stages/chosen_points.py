@@ -81,7 +81,9 @@ class ChosenPoints:
         # Frames since the points were chosen, and when templates were looked at.
         self._followed = self._looked = 1
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
-        self._prepare(image, points)
+        # A copy: the image is a part of a batch of frames, which it would keep in memory.
+        self._key = image.clone()
+        self._templates: Templates = self._templates_of(self._key, points, None)
 
     @property
     def start(self) -> Tensor:
@@ -161,7 +163,8 @@ class ChosenPoints:
             if self._at_once < MOST_AT_ONCE or self._followed % MOST_AT_ONCE == 0:
                 self._look_at_templates(warp, shift)
         else:
-            self._prepare(images[-1:], found.points)
+            self._key = images[-1:].clone()
+            self._templates = self._templates_of(self._key, found.points, None)
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _known_of_templates(self, around: Found) -> tuple[Tensor, Tensor]:
@@ -229,11 +232,6 @@ class ChosenPoints:
         renewed = self._templates_of(self._key, self._templates.start[:, chosen], warp)
         self._templates = merged(self._templates, renewed, chosen)
         self._inverse_warp = self._inverse_warp.index_copy(1, chosen, inverse_2x2(warp))
-
-    def _prepare(self, image: Tensor, points: Tensor) -> None:
-        # A copy: the image is a part of a batch of frames, which it would keep in memory.
-        self._key = image.clone()
-        self._templates = self._templates_of(self._key, points, None)
 
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:
         result: Templates = self._graphs.keys(key, points, self._noise, warp)

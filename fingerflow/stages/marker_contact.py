@@ -57,16 +57,25 @@ class MarkerContactStage(ContactStage):
         }
 
     def begin(self) -> None:
-        self._markers = self.trial.stage(MarkerStage)
-        rows, columns = (side // CELL_PX for side in self._view.shape)
-        y, x = (np.arange(size) * CELL_PX + (CELL_PX - 1) / 2 for size in (rows, columns))
-        self._cells = np.stack(np.meshgrid(x, y), axis=-1)
+        self._follow()
         still = np.flatnonzero(self._markers.at_rest)
         still = still[np.argsort(np.abs(still - self._markers.rest_frame), kind="stable")][:_REST_FRAMES]
         self._rest = self._pictures(np.sort(still)).to(torch.float32).mean(0, keepdim=True)
         self._least_change = self._light_threshold()
         if "gross_contact_region" in self.trial.asked:
+            rows, columns = self._cells.shape[:2]
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
+
+    def begin_as(self, other: "MarkerContactStage") -> None:
+        """With the light at rest, and the threshold, of another trial of the same recording."""
+        self._follow()
+        self._rest, self._least_change = other._rest, other._least_change
+
+    def _follow(self) -> None:
+        self._markers = self.trial.stage(MarkerStage)
+        rows, columns = (side // CELL_PX for side in self._view.shape)
+        y, x = (np.arange(size) * CELL_PX + (CELL_PX - 1) / 2 for size in (rows, columns))
+        self._cells = np.stack(np.meshgrid(x, y), axis=-1)
 
     def step(self, batch: Batch) -> NDArray[np.bool_]:
         """(n, h, w) cells in contact."""

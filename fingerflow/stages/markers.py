@@ -91,10 +91,18 @@ class MarkerStage(Stage):
     def step(self, batch: Batch) -> None:
         assert batch.frames is not None
         for frame in self.inputs.view(batch.frames, self._view).split(1):
-            markers = detect_markers(frame, self.look)
-            known = markers.points[0].isfinite().all(-1)
-            parts = (markers.points, markers.covariance, markers.disagreement)
-            self._seen.append(Seen(*(one[0, known].double().cpu() for one in parts)))
+            self.take(self.see(frame))
+
+    def see(self, frame: Tensor) -> Seen:
+        """The markers of a frame (1, 1, h, w) of the view, by themselves."""
+        markers = detect_markers(frame, self.look)
+        known = markers.points[0].isfinite().all(-1)
+        parts = (markers.points, markers.covariance, markers.disagreement)
+        return Seen(*(one[0, known].double().cpu() for one in parts))
+
+    def take(self, seen: Seen) -> None:
+        """The markers of the next frame of the trial."""
+        self._seen.append(seen)
 
     def finish(self) -> None:
         """Finds the rest and follows the markers from there."""

@@ -113,9 +113,9 @@ class NewSkin:
         side = self._cell * _STEP
         picture = np.kron(cells.astype(np.uint8), np.ones((side, side), np.uint8))
         height, width = self.searched[0].shape
-        return cv2.warpAffine(
-            picture, self._matrix, (width, height), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        ).astype(bool)
+        onto = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        warped = cv2.warpAffine(np.asarray(picture, np.uint8), self._matrix, (width, height), flags=onto)
+        return np.asarray(warped > 0)
 
     def _beside(self, place: Points) -> Mask:
         """Px (h, w) that are nearer to a point than half the usual distance of points."""

@@ -11,9 +11,8 @@ from fingerflow.player.contract.variables import FRAME_STATUS
 from fingerflow.scene import Scene
 
 _ONSET = (
-    "each point's own onset, half way between the last frame without contact and the first with it (the papers "
-    "count from the latter, half a frame of motion later: position at onset_frame). Gradients are of that displacement, "
-    "by the places of onset (Willemet et al. 2021): where skin moves while the contact grows over it, neighbours count "
+    "each point's own onset, the frame in which the contact comes to cover it. Gradients are of that displacement, by "
+    "the places of onset (Willemet et al. 2021): where skin moves while the contact grows over it, neighbours count "
     "from other moments, and they differ from the strain of the skin"
 )
 

@@ -40,8 +40,8 @@ class SecondLook:
         self._failed = torch.zeros(len(points), dtype=torch.bool, device=points.device)
 
     def failed(self, images: Tensor, points: Tensor, status: Tensor, around: Tensor | None = None) -> Tensor:
-        """(N,) points that are not to be trusted in these images (n, 1, h, w), where they are at (n, N, 2) px, and those
-        `around` at (A, 2) px in the last one.
+        """(N,) points that are not to be trusted in these images (n, 1, h, w), where they are at (n, N, 2) px, and
+        those `around` at (A, 2) px in the last one.
 
         Looked at once, in the last image in which it is tracked: a point that fails there, or failed in the images
         before, may have been beside its skin in any of these. A look costs 5 to 15 ms of 500 to 700 points on one

@@ -317,9 +317,7 @@ def _nothing(images: Tensor) -> Found:
 
 def _in_last_of(frames: int, chosen: Found) -> Found:
     """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
-    before = Found(
-        *(torch.full_like(one, torch.nan) for one in chosen[:3]),
-        torch.full_like(chosen.status, int(TrackStatus.NOT_CHOSEN_YET)),
-        chosen.estimate,
-    )
+    points, error, covariance = (torch.full_like(one, torch.nan) for one in chosen[:3])
+    status = torch.full_like(chosen.status, int(TrackStatus.NOT_CHOSEN_YET))
+    before = Found(points, error, covariance, status, chosen.estimate)
     return Found.joined([before] * (frames - 1) + [chosen])

@@ -104,8 +104,13 @@ def _go_through(
                     waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
-    except (OSError, TimeoutError) as error:  # a connection that broke
-        raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
+    except (Interrupted, FingerflowError):
+        raise
+    except Exception as error:
+        # What a client raises whose scheduler does not come back depends on what it was about to do.
+        if isinstance(error, (OSError, TimeoutError)) or client.status != "running":
+            raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
+        raise
 
 
 @contextmanager

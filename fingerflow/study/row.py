@@ -19,6 +19,20 @@ FORCE_GRID: Series = np.linspace(0.25, 20.0, 80)
 #: Metrics that have a curve.
 CURVES = ("real_contact_area", "gross_contact_area", "divergence", "curl", "strain", "strain_energy")
 
+#: The series of the table that are variables of a result, and all variables that `measure` looks at.
+_SERIES = {
+    "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
+    "divergence": "median_divergence", "divergence_std": "median_divergence_std",
+    "divergence_rate": "median_divergence_rate", "curl": "median_curl", "curl_std": "median_curl_std",
+    "strain_energy": "strain_energy", "strain_energy_std": "strain_energy_std",
+    "strain_energy_rate": "strain_energy_rate", "global_displacement": "global_displacement",
+}  # fmt: skip
+READ = (
+    *_SERIES.values(),
+    *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
+    *("ellipse_angle", "ellipse_semi_axes", "median_strain", "median_strain_std", "median_strain_rate"),
+)
+
 _LARGEST_QUANTILE = 0.99
 _ANGLE_SHARE = 0.1  # of the largest force, below which T/N is noise over little
 _SLID = 0.02  # stuck share below which no skin sticks
@@ -90,14 +104,7 @@ class _Trial:
         return self.onset + int(np.nanargmax(part)) if np.isfinite(part).any() else None
 
     def _series(self) -> dict[str, Series]:
-        names = {
-            "real_contact_area": "real_contact_area", "gross_contact_area": "gross_contact_area",
-            "divergence": "median_divergence", "divergence_std": "median_divergence_std",
-            "divergence_rate": "median_divergence_rate", "curl": "median_curl", "curl_std": "median_curl_std",
-            "strain_energy": "strain_energy", "strain_energy_std": "strain_energy_std",
-            "strain_energy_rate": "strain_energy_rate", "global_displacement": "global_displacement",
-        }  # fmt: skip
-        found = {name: self._values(variable) for name, variable in names.items()}
+        found = {name: self._values(variable) for name, variable in _SERIES.items()}
         known = {name: values for name, values in found.items() if values is not None}
         known |= self._strains()
         ratio = self._values("load_ratio")

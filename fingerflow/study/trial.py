@@ -1,6 +1,7 @@
 """One trial, as a worker runs it: paths in, a short outcome out; everything else goes to its folder."""
 
 import errno
+import gc
 import os
 import platform
 import time
@@ -18,12 +19,12 @@ import torch
 
 from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError
-from fingerflow.pipeline import process
-from fingerflow.result import is_result, open_result
+from fingerflow.pipeline import process_to
+from fingerflow.result import is_result, open_result, read_own
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.row import measure
+from fingerflow.study.row import READ, measure
 
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
 _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")
@@ -71,7 +72,7 @@ def run_trial(job: Job) -> Outcome:
             f"the worker on {platform.node()} has other code for {', '.join(different)} than this computer: install "
             f"the same version of fingerflow on both"
         )
-    _set_threads(job.threads)
+    _settle(job.threads)
     started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
     folder = job.manifest.results / job.entry.name
     keys: Keys | None = None
@@ -83,14 +84,14 @@ def run_trial(job: Job) -> Outcome:
             return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
         path = folder / result_name(keys)
         if job.redo == "row" and is_result(path):
-            opened = open_result(path)
+            with open_result(path) as result:
+                row, curves = measure(result)
         else:
             earlier = None
             if job.redo == "changed" and stored is not None and stored.result is not None:
                 earlier = folder / stored.result
-            opened = process(scene, to=path, earlier=earlier)
-        with opened as result:
-            row, curves = measure(result)
+            process_to(path, scene, earlier=earlier)
+            row, curves = measure(read_own(path, READ))
         trial = TrialRow(MEASURED, keys=keys, result=path.name, row=row, curves=curves)
     except Exception as error:
         unexpected = not isinstance(error, FingerflowError) and not _is_passing(error)
@@ -141,9 +142,12 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 @cache
-def _set_threads(threads: int) -> None:
+def _settle(threads: int) -> None:
+    """Once a worker: its threads, and what is loaded by now is not searched for garbage with every trial again."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
+    gc.collect()
+    gc.freeze()
 
 
 @cache

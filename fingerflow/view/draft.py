@@ -9,13 +9,19 @@ from tomlkit.items import Table as TomlTable
 
 from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_check import check_scene
+from fingerflow.player.contract.scene_check import MISSING, check_scene
 from fingerflow.player.contract.scene_keys import SCENE
 from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.recordings import Recording
 from fingerflow.scene import Scene, scene_of_text, scene_text
 
 Keys = tuple[str, ...]
+#: What is said of a key that is missing, where more helps than that it is.
+_NEEDED = {
+    "background.frames": "is needed: frames of the empty glass",
+    "calibration.mm_per_px": "is needed: calibrate from pictures, name a calibration file, or type the scale",
+    "forces.normal": "is needed: the column of the normal force in the file",
+}
 
 
 class NeedsLeaveError(FingerflowError):
@@ -74,7 +80,11 @@ class Draft:
     def problems(self) -> list[dict[str, str]]:
         """What is wrong with which key, in words that follow the key."""
         _, problems = check_scene(self.values(), self.path.parent, "process")
-        return [{"key": ".".join(one.keys), "said": one.said} for one in problems]
+        found = [{"key": ".".join(one.keys), "said": one.said} for one in problems]
+        for one in found:
+            if one["said"] == MISSING:  # whose remedy is for those who write the file by hand
+                one["said"] = _NEEDED.get(one["key"], "is needed")
+        return found
 
     def scene(self) -> Scene:
         """Raises FingerflowError where something is wrong."""

@@ -83,8 +83,10 @@ def _opens(headers: Headers, scope: Scope) -> bool:
 def _with_headers(send: Send) -> Send:
     async def sending(message: object) -> None:
         if isinstance(message, dict) and message["type"] == "http.response.start":
+            own = list(message.get("headers", []))
+            stated = {name for name, _ in own}
             added = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
-            message = {**message, "headers": [*message.get("headers", []), *added]}
+            message = {**message, "headers": [*own, *(one for one in added if one[0] not in stated)]}
         await send(message)  # type: ignore[arg-type]
 
     return sending

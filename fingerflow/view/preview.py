@@ -19,20 +19,20 @@ from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.store import MemoryStore
 
-_MARKERS = "the markers of a soft sensor are found from all frames together: process the scene to see them"
-
 
 @dataclass(frozen=True)
 class Preview:
     """Contact of one frame.
 
     Attributes:
-        mask: (h, w) bool, the real contact in the contact view.
+        mask: (h, w) bool, the real contact in the contact view; of a soft sensor the gross one.
         numbers: by the names of the results; NaN where there is no contact.
+        markers: (M, 2) px of the view, those of a soft sensor that are found in this frame.
     """
 
     mask: NDArray[np.bool_]
     numbers: dict[str, Any]
+    markers: NDArray[np.floating] | None = None
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,7 @@ class Previewer:
         Raises FingerflowError for what the user can put right.
         """
         self.scene = scene
-        if scene.soft_sensor:
-            raise FingerflowError(_MARKERS)
-        same = before if before is not None and _opened(before.scene) == _opened(scene) else None
+        same = before if type(before) is type(self) and _opened(before.scene) == _opened(scene) else None
         self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else replace(same._inputs, scene=scene)
         self._trial = self._begin_trial()
         # Forces are resampled once: they do not depend on what is moved on the page.
@@ -66,22 +64,20 @@ class Previewer:
         self._loading: LoadingStage = lent or self._begin(LoadingStage(self._trial))
         check = FrameCheckStage(self._trial)
         check.usable = np.ones(len(self._trial), dtype=bool)
-        stages: dict[Any, Any] = {LoadingStage: self._loading, FrameCheckStage: check}
-        self._trial.stages = stages
-        self._contact = ContactStage(self._trial)
-        stages[ContactStage] = self._contact
-        self._begin(self._contact)
+        self._trial.stages = {LoadingStage: self._loading, FrameCheckStage: check}
         self._seen: dict[int, Preview] = {}
+        self._begin_contact(same)
+
+    def _begin_contact(self, before: "Previewer | None") -> None:
+        """`before` has the same recording, views and background."""
+        self._contact = ContactStage(self._trial)
+        self._trial.stages = {**self._trial.stages, ContactStage: self._contact}
+        self._begin(self._contact)
 
     @property
     def times(self) -> NDArray[np.float64]:
         """(frames,) s, of those that count."""
         return self._inputs.times
-
-    @property
-    def reference_frame(self) -> int:
-        """Where most contact is expected, from 0 for the first frame that counts."""
-        return self._contact.reference_frame
 
     @property
     def warnings(self) -> list[str]:
@@ -102,9 +98,7 @@ class Previewer:
         if frame not in self._seen:
             with torch.inference_mode():
                 found = self._contact.step(self._batch(frame))
-            names = [name for name in self._contact.series if name != "frame_status"]
-            numbers = {name: self._contact.series[name][frame] for name in names}
-            self._seen = {frame: Preview(found.real_contact_mask[0, 0].numpy(), numbers)}
+            self._seen = {frame: Preview(found.real_contact_mask[0, 0].numpy(), numbers_of(self._contact, frame))}
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
@@ -139,6 +133,11 @@ class Previewer:
     def _batch(self, frame: int) -> Batch:
         indices = np.array([frame])
         return Batch(indices, read_frames(self._inputs.recording[indices]))
+
+
+def numbers_of(contact: ContactStage, frame: int) -> dict[str, Any]:
+    """What a stage of the contact has written of a frame of its trial."""
+    return {name: values[frame] for name, values in contact.series.items() if name != "frame_status"}
 
 
 def _opened(scene: Scene) -> Sequence[Any]:

@@ -24,6 +24,10 @@ from fingerflow.view.session import Session
 _HOST = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page")
 _BINARY, _CSV = "application/octet-stream", "text/csv; charset=utf-8"
+_REPORT_MAY = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "frame-ancestors 'none'"
+)
 Answer = Callable[[Request], Any]
 
 
@@ -109,6 +113,12 @@ def application(session: Session) -> Starlette:
         picture = asked.calibration_picture()
         return Response(status_code=404) if picture is None else Response(picture, media_type="image/png")
 
+    def report(_: Request) -> Response:
+        page = asked.report_page()
+        # It stands alone: no request to anywhere, and not of this origin, whatever is in it.
+        rules = {"Content-Security-Policy": _REPORT_MAY}
+        return Response(status_code=404) if page is None else Response(page, media_type="text/html", headers=rules)
+
     routes = [
         Route("/api/ready", _get(lambda _: asked.ready())),
         Route("/api/setup", _get(lambda _: asked.setup())),
@@ -117,10 +127,13 @@ def application(session: Session) -> Starlette:
         Route("/api/forces", _get(lambda _: asked.forces())),
         Route("/api/calibration.png", _get(calibration)),
         Route("/api/edit", _post(asked.edit), methods=["POST"]),
+        Route("/api/calibrate", _post(asked.calibrate), methods=["POST"]),
         Route("/api/write", _post(asked.write), methods=["POST"]),
         Route("/api/process", _post(asked.process), methods=["POST"]),
         Route("/api/end", _post(asked.end), methods=["POST"]),
-        Route("/api/progress", _get(lambda _: asked.progress())),
+        Route("/api/report", _post(asked.report), methods=["POST"]),
+        Route("/api/progress", _get(lambda request: asked.progress(request.query_params.get("of", "")))),
+        Route("/report.html", _get(report)),
         Route("/api/result", _get(lambda _: asked.result())),
         Route("/api/result/frame", _get(result_frame)),
         Route("/api/result/range", _get(lambda request: asked.result_range(request.query_params.get("key", "")))),

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings import Recording, open_recording
+from fingerflow.recordings import Recording, force_columns, open_recording
 from fingerflow.result import is_result, open_result
 from fingerflow.scene import Scene, load_scene, scene_of_settings
+from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside
 from fingerflow.view.keys import forms, kinds
 from fingerflow.view.opening import RESULT, Opened
 from fingerflow.view.packing import packed
 from fingerflow.view.pictures import Pictures
-from fingerflow.view.processing import Processing
 from fingerflow.view.results import Results
+from fingerflow.views import View
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does without
     from fingerflow.view.preview import Previewer
@@ -42,7 +43,8 @@ class Session:
         self._result: Results | None = None
         self._scene_of_result: Scene | None = None
         self._result_preview: Previewer | None = None
-        self._processing: Processing | None = None
+        self._columns: tuple[tuple[Path, int] | None, list[str]] = (None, [])
+        self._runs: dict[str, Command] = {}  # of `process` and of `report`, the last one of each
 
     def open(self) -> None:
         """Opens what the page asks for first; what cannot be opened it says itself."""
@@ -60,8 +62,8 @@ class Session:
 
     def close(self) -> None:
         """Ends what runs, lets go of files."""
-        if self._processing is not None:
-            self._processing.end()
+        for run in self._runs.values():
+            run.end()
         with self._lock:
             self._close_result()
             for pictures in self._pictures.values():
@@ -86,12 +88,18 @@ class Session:
                 "forms": forms(),
                 "kinds": kinds(),
                 "files": files_beside(draft.path),
+                "channels": self._channels(),
+                "calibration_picture": _calibration_picture(draft) is not None,
                 "result": self._result_path is not None,
             }
             try:
                 facts["recording"] = _recording_facts(self._pictures_of_draft())
             except FingerflowError as error:
                 facts["recording"], facts["recording_error"] = None, str(error)
+            else:
+                if self._pictures_of_draft().recording.times is None:
+                    said = "is needed: the recording does not state it (Hz)"
+                    facts["problems"].append({"key": "recording.frame_rate", "said": said})
             return facts
 
     def frame(self, frame: int, contact: bool) -> bytes:
@@ -103,12 +111,11 @@ class Session:
             arrays: dict[str, NDArray[Any]] = {"picture": pictures.picture(frame)}
             if contact:
                 try:
-                    facts["numbers"], mask = self._contact_of(self._previewer(), frame)
+                    facts["numbers"], found = self._contact_of(self._previewer(), frame)
                 except FingerflowError as error:
                     facts["why_no_contact"] = str(error)
                 else:
-                    if mask is not None:
-                        arrays["mask"] = mask
+                    arrays |= found
             return packed(facts, arrays)
 
     def points(self) -> bytes:
@@ -125,20 +132,47 @@ class Session:
             previewer = self._previewer()
             scene = previewer.scene
             facts = {
-                "reference_frame": previewer.reference_frame + scene.recording.first_frame,
                 "first_frame": scene.recording.first_frame,
                 "warnings": previewer.warnings,
                 "mm_per_px": scene.calibration.mm_per_px,
                 "topography_to_contact": scene.calibration.topography_to_contact,
-                "calibration_picture": _calibration_picture(scene) is not None,
             }
             return packed(facts, {"time": previewer.times, **previewer.forces()})
 
     def calibration_picture(self) -> bytes | None:
         """The picture that `fingerflow calibrate` has written beside the calibration of the draft."""
         with self._lock:
-            path = None if self._draft is None else _calibration_picture(self._draft.scene())
+            path = None if self._draft is None else _calibration_picture(self._draft)
             return None if path is None else path.read_bytes()
+
+    def calibrate(self, asked: Mapping[str, Any]) -> Facts:
+        """Finds scale and transform in pictures, by the views of the draft, as `fingerflow calibrate` does.
+
+        `{"ring": ..., "target": ..., "background": ..., "hole_radius_mm": ...}`, files beside the scene; what it writes
+        there becomes the calibration of the draft.
+        """
+        from fingerflow.calibration import FILE, calibrate_files
+
+        with self._lock:
+            draft = self._drafted()
+            folder, given = draft.path.parent, draft.values().get("views", {})
+            if not asked.get("ring"):
+                raise FingerflowError("name the picture of the ring: it gives the scale")
+            ring, target, background = (
+                folder / str(asked[name]) if asked.get(name) else None for name in ("ring", "target", "background")
+            )
+            places = {"contact": given.get("contact", given.get("camera"))}
+            if target is not None:
+                places["topography"] = given.get("topography")
+            views = {name: View(one["rows"], one["columns"]) for name, one in places.items() if one}
+            assert ring is not None
+            found = calibrate_files(
+                ring, target, background, views, float(asked.get("hole_radius_mm") or 2.75), folder / FILE
+            )
+            for key in ("mm_per_px", "topography_to_contact"):
+                draft.set(("calibration", key), None)
+            draft.set(("calibration", "file"), FILE)
+            return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
         """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is what stands in a field."""
@@ -170,33 +204,53 @@ class Session:
             draft = self._drafted()
             if not draft.is_stored:
                 raise FingerflowError("the scene file differs from what is on this page; write it first")
-            if self._processing is not None and self._processing.state()["running"]:
-                raise FingerflowError("a run is under way; wait for it, or end it")
-            scene, to, variables = load_scene(draft.path), draft.path.parent / RESULT, list[str]()
+            self._refuse_two()
+            scene, to = load_scene(draft.path), draft.path.parent / RESULT
+            arguments: list[str | Path] = ["process", draft.path, "--output", to]
+            self._close_result()  # some systems do not let an open file be replaced
+            if is_result(to) and _same_frames(to, scene):  # what still holds is taken from it
+                arguments += ["--from", to]
             if asked.get("all"):
                 from fingerflow.view.outputs import all_of_default_stages
 
-                variables = all_of_default_stages(scene)
-            self._close_result()  # some systems do not let an open file be replaced
-            earlier = to if is_result(to) and _same_frames(to, scene) else None
-            self._processing = Processing(draft.path, to, earlier, variables)
-            return self.progress()
+                for name in all_of_default_stages(scene):
+                    arguments += ["--variable", name]
+            self._runs["process"] = Command(arguments, to)
+            return self.progress("process")
+
+    def report(self, asked: Mapping[str, Any]) -> Facts:
+        """Starts `fingerflow report` of the result: `report.html` and `overlay.mp4` beside its scene."""
+        del asked
+        with self._lock:
+            self._refuse_two()
+            result, scene = self._opened_result().path, self._result_scene().path
+            self._runs["report"] = Command(["report", scene, "--result", result], scene.parent / "report.html")
+            return self.progress("report")
+
+    def report_page(self) -> bytes | None:
+        """The report that was written; None before."""
+        run = self._runs.get("report")
+        return run.to.read_bytes() if run is not None and run.state()["ended_well"] else None
 
     def end(self, asked: Mapping[str, Any]) -> Facts:
-        """Ends the run."""
-        del asked
-        if self._processing is not None:
-            self._processing.end()
-        return self.progress()
+        """Ends a run: of `process`, or of `report`."""
+        of = str(asked.get("of"))
+        if of in self._runs:
+            self._runs[of].end()
+        return self.progress(of)
 
-    def progress(self) -> Facts:
-        """How far the run is."""
-        if self._processing is None:
+    def progress(self, of: str) -> Facts:
+        """How far a run of `process` or `report` is."""
+        if of not in self._runs:
             return {"running": False, "none": True}
-        state = self._processing.state()
-        if not state["running"] and not state["failed"]:
-            self._result_path = self._processing.to
+        state = self._runs[of].state()
+        if of == "process" and state["ended_well"]:
+            self._result_path = self._runs[of].to
         return state
+
+    def _refuse_two(self) -> None:
+        if any(run.state()["running"] for run in self._runs.values()):
+            raise FingerflowError("a run is under way; wait for it, or end it")
 
     # Looking at results.
 
@@ -229,9 +283,7 @@ class Session:
                 number = frame + scene.recording.first_frame
                 arrays["picture"] = pictures.picture(number)
                 if contact and not scene.soft_sensor:
-                    _, mask = self._contact_of(self._result_previewer(), number)
-                    if mask is not None:
-                        arrays["mask"] = mask
+                    arrays |= self._contact_of(self._result_previewer(), number)[1]
             except FingerflowError as error:
                 facts["why_no_picture"] = str(error)
             return packed(facts, arrays)
@@ -278,6 +330,18 @@ class Session:
             raise FingerflowError("there is no scene to set up: a result alone was opened; name its scene instead")
         return self._draft
 
+    def _channels(self) -> list[str]:
+        """Columns of the draft's file of forces; none where it cannot be read, which is said where forces are drawn."""
+        file = self._drafted().values().get("forces", {}).get("file")
+        path = self._drafted().path.parent / file if isinstance(file, str) and file else None
+        try:
+            state = None if path is None else (path, path.stat().st_mtime_ns)
+            if state != self._columns[0]:
+                self._columns = (state, [] if path is None else force_columns(path))
+        except (FingerflowError, OSError):
+            self._columns = (None, [])
+        return self._columns[1]
+
     def _pictures_of_draft(self) -> Pictures:
         draft = self._drafted()
         said = draft.values().get("recording", {})
@@ -292,21 +356,22 @@ class Session:
         return self._pictures[path, rate]
 
     def _previewer(self) -> "Previewer":
-        from fingerflow.view.preview import Previewer
-
         text = self._drafted().text
         if self._preview is None or self._preview[0] != text:
             before = None if self._preview is None else self._preview[1]
-            self._preview = (text, Previewer(self._drafted().scene(), before))
+            self._preview = (text, _previewer_of(self._drafted().scene(), before))
         return self._preview[1]
 
-    def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, NDArray[np.uint8] | None]:
+    def _contact_of(self, previewer: "Previewer", number: int) -> tuple[Facts, dict[str, NDArray[Any]]]:
         """By the number in the file; nothing in frames that do not count."""
         place = number - previewer.scene.recording.first_frame
         if not 0 <= place < len(previewer.times):
-            return {"counts": False}, None
+            return {"counts": False}, {}
         found = previewer.contact(place)
-        return {"counts": True, "time": float(previewer.times[place]), **found.numbers}, found.mask.astype(np.uint8)
+        arrays: dict[str, NDArray[Any]] = {"mask": found.mask.astype(np.uint8)}
+        if found.markers is not None:
+            arrays["markers"] = found.markers.astype(np.float32)
+        return {"counts": True, "time": float(previewer.times[place]), **found.numbers}, arrays
 
     def _opened_result(self) -> Results:
         if self._result is None:
@@ -322,10 +387,8 @@ class Session:
         return self._scene_of_result
 
     def _result_previewer(self) -> "Previewer":
-        from fingerflow.view.preview import Previewer
-
         if self._result_preview is None:
-            self._result_preview = Previewer(self._result_scene())
+            self._result_preview = _previewer_of(self._result_scene())
         return self._result_preview
 
     def _close_result(self) -> None:
@@ -346,14 +409,24 @@ def _recording_facts(pictures: Pictures) -> Facts:
     }
 
 
+def _previewer_of(scene: Scene, before: "Previewer | None" = None) -> "Previewer":
+    if scene.soft_sensor:
+        from fingerflow.view.sensor_preview import SensorPreviewer
+
+        return SensorPreviewer(scene, before)
+    from fingerflow.view.preview import Previewer
+
+    return Previewer(scene, before)
+
+
 def _check_frame(frame: int, recording: Recording) -> None:
     if not 0 <= frame < len(recording):
         raise FingerflowError(f"frame {frame} is not among the {len(recording)} of {recording.path}")
 
 
-def _calibration_picture(scene: Scene) -> Path | None:
-    file = scene.calibration.file
-    picture = None if file is None else file.with_suffix(".png")
+def _calibration_picture(draft: Draft) -> Path | None:
+    file = draft.values().get("calibration", {}).get("file")
+    picture = (draft.path.parent / file).with_suffix(".png") if isinstance(file, str) and file else None
     return picture if picture is not None and picture.is_file() else None
 
 

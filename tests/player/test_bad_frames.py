@@ -286,11 +286,11 @@ def test_skin_that_moves_is_no_jump() -> None:
     place, step = 150 + 5 * generator.standard_normal((8, 10)), generator.standard_normal((8, 10))
     for number in range(20):
         place = place + 2 * step
-        assert check.see(number, {"contact_view": place}, USABLE, 100) == USABLE
-    assert check.see(20, {"contact_view": place + 5 * step}, USABLE, 10) == USABLE
-    assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10) == USABLE
-    assert check.see(22, {"contact_view": place}, USABLE, 10) == USABLE
-    assert check.see(23, {"contact_view": place}, USABLE, 100) == USABLE
+        assert check.see(number, {"contact_view": place}, USABLE, 100, False) == USABLE
+    assert check.see(20, {"contact_view": place + 5 * step}, USABLE, 10, False) == USABLE
+    assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10, False) == USABLE
+    assert check.see(22, {"contact_view": place}, USABLE, 10, False) == USABLE
+    assert check.see(23, {"contact_view": place}, USABLE, 100, False) == USABLE
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2])
@@ -300,7 +300,7 @@ def test_a_lamp_that_flickers_is_none(share: float) -> None:
     check = FrameCheck(glass, 0 * glass, 8)
     place = np.random.default_rng(2).uniform(60, 160, (8, 10))
     light = 1 + share * np.sin(2.4 * np.arange(60))
-    status = [check.see(number, {"contact_view": place * light[number]}, USABLE, 100) for number in range(60)]
+    status = [check.see(number, {"contact_view": place * light[number]}, USABLE, 100, False) for number in range(60)]
     assert np.count_nonzero(status) <= 9
     assert not np.any(status[14:])
 

@@ -33,26 +33,27 @@ def test_the_residual_is_that_of_the_op() -> None:
 def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
     flag, radius = SlipFlag(), np.linalg.norm(POINTS - 150, axis=1) / 150
     for frame in range(60):
-        state = flag.see(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED, 1)
+        state = flag.see(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED)
         assert not state.slipping
         assert frame == 0 or state.residual == pytest.approx(0.03 * math.sqrt(2), rel=0.15)
     raised = []
     for _ in range(4):
         # The rim slips by 0.3 px: ten times the noise.
-        state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED, 1)
+        state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
         raised.append(state.slipping)
     assert raised == [False, False, True, True]
 
 
 def test_other_points_and_points_that_leave_start_anew() -> None:
     flag = SlipFlag()
-    flag.see(POINTS, STD, COVERED, 1)
+    flag.see(POINTS, STD, COVERED)
     elsewhere = POINTS[:, ::-1].copy()
-    states = [flag.see(elsewhere, STD, COVERED, 2) for _ in range(5)]
+    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # of which nothing tells how far they came
+    states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
     assert states[-1].residual == 0
     assert not states[-1].slipping
-    flag.see(POINTS, STD, np.zeros(400, np.uint8), 2)
-    assert all(flag.see(POINTS, STD, COVERED, 2).residual == 0 for _ in range(3))
+    flag.see(POINTS, STD, np.zeros(400, np.uint8))
+    assert all(flag.see(POINTS, STD, COVERED).residual == 0 for _ in range(3))
 
 
 def test_too_few_points_say_nothing() -> None:
@@ -60,6 +61,6 @@ def test_too_few_points_say_nothing() -> None:
     lost = POINTS.copy()
     lost[7:] = np.nan
     for _ in range(5):
-        state = flag.see(lost, STD, COVERED, 1)
+        state = flag.see(lost, STD, COVERED)
         assert math.isnan(state.residual)
         assert not state.slipping

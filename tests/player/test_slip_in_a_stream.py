@@ -17,7 +17,7 @@ points = {POINTS}
 window_px = 15
 min_distance_px = 6.0
 [export]
-graphs = ["background", "detect", "key", "renew", "frame", "fields"]
+graphs = ["background", "detect", "key", "renew", "search", "frame", "fields"]
 """
 SETTINGS = f"""
 [contact]

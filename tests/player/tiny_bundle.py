@@ -41,7 +41,7 @@ def write_bundle(folder: Path, bit_depth: int = 8, without: str = "", **changes:
         (folder / f"{name}.onnx").write_bytes(data)
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     recipe = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": bit_depth}}
-    facts = {"format": 1, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
+    facts = {"format": 2, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
     (folder / "bundle.json").write_text(json.dumps(facts | changes))
     return folder
 
@@ -176,6 +176,8 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 helper.make_node("Less", ["names", "stale_count"], ["is_stale"]),
                 helper.make_node("Cast", ["is_stale"], ["stale"], to=TensorProto.UINT8),
                 helper.make_node("Identity", ["straight"], ["warp"]),
+                helper.make_node("Identity", ["prediction"], ["estimate"]),
+                helper.make_node("Add", ["prediction", "nan3"], ["by_neighbours"]),
                 helper.make_node("Add", ["noughts", "template_pixel"], ["error"]),
                 helper.make_node("ReduceMax", ["template_start", "last"], ["started"], keepdims=0),
                 helper.make_node("Cast", ["contact_view"], ["contact"], to=TensorProto.FLOAT),
@@ -208,6 +210,8 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "real_contact_mask": ("bool", view),
                 "stale": ("uint8", (1, POINTS)),
                 "warp": ("float", (1, POINTS, 2, 2)),
+                "estimate": ("float", (1, POINTS, 2)),
+                "by_neighbours": ("float", (1, POINTS, 2)),
             },
             {
                 **corner_constants,
@@ -228,6 +232,18 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 "one": np.ones(1, np.float32),
                 "middle": np.array([[WIDTH / 2, HEIGHT / 2, 1]], np.float32),
             },
+        ),
+        "search": _model(  # finds nothing
+            [
+                helper.make_node("Add", ["points", "prediction"], ["both"]),
+                helper.make_node("Add", ["both", "nan3"], ["found"]),
+            ],
+            {
+                **dict.fromkeys(("key_view", "topography_view"), (pixel, view)),
+                **dict.fromkeys(("points", "prediction"), ("float", (1, RENEWED, 2))),
+            },
+            {"found": ("float", (1, RENEWED, 2))},
+            {"nan3": np.full((1, 1, 1), np.nan, np.float32)},
         ),
         "renew": _model(
             [

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.pipeline import _pass
 from fingerflow.plan import VARIABLES
 from fingerflow.stages.contact import ContactStage
@@ -33,6 +34,9 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
         TrackingStage: tracking,
     }
     trial.results.put("frame_status", np.zeros(frames))
+    if "position" in given and "status" not in given:  # what is known is tracked, and was chosen in the first frame
+        lost = np.isnan(given["position"]).any(-1)
+        given["status"] = np.where(lost, int(TrackStatus.NOT_CONVERGED), int(TrackStatus.TRACKED)).astype(np.uint8)
     for name, values in given.items():
         sizes = dict(zip(VARIABLES[name].dims, values.shape, strict=True))
         trial.results.put(name, values, **{dim: size for dim, size in sizes.items() if dim not in ("frame", "xy")})

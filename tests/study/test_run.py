@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ import xarray as xr
 
 from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.result import load_result, read_own
 from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.report import write_study_report
+from fingerflow.study.row import READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 
@@ -76,6 +79,17 @@ def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> Non
     assert row.made["versions"]["torch"]
 
 
+def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) -> None:
+    _run(study, scheduler, only="01_0_1")
+    made = read_row(study.results / "01_0_1")
+    assert made is not None
+    assert made.result is not None
+    path = study.results / "01_0_1" / made.result
+    row, curves = measure(read_own(path, READ))
+    assert (row, curves) == measure(load_result(path))
+    assert (row, curves) == (made.row, made.curves)
+
+
 def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
     broken = [lab / place / "frames.npy" for place in ("p01/0um/trial1", "p01/0um/trial2", "p01/2um/trial3")]
     whole = [path.read_bytes() for path in broken]
@@ -122,7 +136,7 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         raise NoRoomError("the disk is full")
 
     with monkeypatch.context() as patched:
-        patched.setattr(worker, "process", full)
+        patched.setattr(worker, "process_to", full)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert {one.entry.name for one in plan_run(study, only="01_0_*")} == {"01_0_1", "01_0_2"}
 
@@ -233,6 +247,39 @@ def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, sche
             }
     left = [path for path in study.results.rglob("*") if path.name.startswith(".")]
     assert not left, "a run removes what killed ones have left"
+
+
+_SCHEDULER = """
+import sys
+from distributed import LocalCluster
+with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://") as one:
+    print(one.scheduler_address, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+    """In a process of its own, with its worker: the run ends and says so; the rest is done by the next one."""
+    undisturbed = replace(study, results=lab / "undisturbed")
+    _run(undisturbed, scheduler)
+    command, pipe = [sys.executable, "-c", _SCHEDULER], subprocess.PIPE
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    with (
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment, text=True) as other,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        assert other.stdout is not None
+        running = pool.submit(run_study, study, other.stdout.readline().strip(), progress=False)
+        _until(lambda: any(study.results.glob("*/row.json")), other)
+        other.kill()
+        summary = running.result(timeout=300)
+    assert "scheduler was lost" in summary.interrupted
+    done = {one.name for one in summary.outcomes}
+    assert len(done) < len(study.trials)
+    again = _run(study, scheduler)
+    assert set(again.values()) == {MEASURED}
+    assert not done & set(again)
+    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
 
 
 def _until(done: Any, process: subprocess.Popen[bytes]) -> None:

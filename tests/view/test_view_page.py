@@ -178,9 +178,22 @@ def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> No
         page.click("#write")
         page.wait_for_selector("#replace")
         assert (press / "scene.toml").read_text(encoding="utf-8") == "# mine\n"
+
+        # What arrives while the question stands leaves it there, in the same element: a click on it is one.
+        asked = page.query_selector("#replace")
+        fill(page, "tracking.points", "60")
+        page.wait_for_function("() => document.getElementById('text').textContent.includes('points = 60')")
+        page.wait_for_selector("#legend:has-text('of 60 points')")  # what comes later has come too
+        assert asked.is_visible()
+        page.click("#keep")
+        page.wait_for_selector("#ask", state="detached")
+        assert (press / "scene.toml").read_text(encoding="utf-8") == "# mine\n"
+
+        page.click("#write")
         page.click("#replace")
         page.wait_for_selector(".good:has-text('has these settings')")
-        assert load_scene(press / "scene.toml").tracking.points == 50
+        page.wait_for_selector("#ask", state="detached")
+        assert load_scene(press / "scene.toml").tracking.points == 60
 
 
 @pytest.mark.parametrize("width", [1300, 400])

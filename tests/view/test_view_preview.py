@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene, process
-from fingerflow.errors import FingerflowError
 from fingerflow.result import load_result
 from fingerflow.scene import scene_of_text
+from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.view.preview import Previewer
+from fingerflow.view.sensor_preview import SensorPreviewer
 
 CONTACT = ("contact_threshold", "real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_angle")
 
@@ -73,8 +74,39 @@ def test_warnings_do_not_come_together_over_many_changes(processed: Path) -> Non
     assert preview.warnings == first
 
 
-def test_a_soft_sensor_says_why_nothing_is_shown(processed: Path) -> None:
-    text = f'kind = "soft_sensor"\n[recording]\nframes = "{(processed / "frames.npy").as_posix()}"\nframe_rate = 12.0\n'
-    text += "[views.camera]\nrows = [0, 96]\ncolumns = [0, 240]\n[calibration]\nmm_per_px = 0.06\n"
-    with pytest.raises(FingerflowError, match="markers of a soft sensor"):
-        Previewer(scene_of_text(text, processed / "gel.toml"))
+def test_markers_of_a_soft_sensor_are_those_of_process(tmp_path: Path) -> None:
+    scene = load_scene(write_gel_recording(tmp_path / "gel", MarkerGel(n_frames=40), 0.06))
+    result = process(scene, ["position_px", "gross_contact_area", "gross_contact_region", "contact_threshold"])
+    preview = SensorPreviewer(scene)
+    shared = []
+    for frame in (0, 11, 24, 27, 39):  # at rest, pressed, dragged, after gross slip, at rest; 11 and 27 are no looks
+        found = preview.contact(frame)
+        assert found.markers is not None
+        followed = result["position_px"].values[frame]
+        apart = np.linalg.norm(followed[:, None] - found.markers, axis=-1).min(1)
+        np.testing.assert_array_less(apart[np.isfinite(apart)], 1e-9)  # the very same places
+        region = result["gross_contact_region"].values[frame] > 0
+        area = float(result["gross_contact_area"].values[frame])
+        assert found.numbers["gross_contact_area"] == pytest.approx(area, rel=0.1, abs=0.5)
+        mine = found.mask[::4, ::4]
+        if region.any():
+            shared.append((mine & region).sum() / (mine | region).sum())
+        else:
+            assert not mine.any()
+    # The mean picture at rest and the threshold come from 32 frames here and from 40 there.
+    assert len(shared) == 3
+    assert min(shared) > 0.9
+    assert preview.contact(24).mask.shape == (240, 320)
+
+
+def test_the_threshold_of_a_soft_sensor_moves_its_contact(tmp_path: Path) -> None:
+    path = write_gel_recording(tmp_path / "gel", MarkerGel(n_frames=24), 0.06)
+    text = path.read_text(encoding="utf-8")
+    found = []
+    before: SensorPreviewer | None = None
+    for threshold in (0.05, 0.2):  # the light changes by less than the second: what moves is the contact then
+        before = SensorPreviewer(scene_of_text(f"{text}\n[contact]\nthreshold = {threshold}\n", path), before)
+        found.append(before.contact(10))
+        assert found[-1].numbers["contact_threshold"] == pytest.approx(threshold)
+    assert 0 < 2 * found[0].mask.sum() < found[1].mask.sum()
+    np.testing.assert_array_equal(found[0].markers, found[1].markers)

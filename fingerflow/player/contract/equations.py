@@ -45,10 +45,7 @@ EQUATIONS: dict[str, str] = {
     "forward_backward_median": "median of forward_backward_error over the tracked points",
     "entry": "covered where the border of the gross contact came over the point, moved_in where skin moved in over it",
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
-    "reference_position": (
-        "X = position in the frame from which displacement counts; at an onset k (x(k − 1) + x(k))/2, x(k) where the "
-        "point is not known in the frame before"
-    ),
+    "reference_position": "X = position in the frame from which displacement counts",
     "displacement": "u = x(t) − X",
     "displacement_std": "√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2)",
     "global_displacement_vector": "(median u, median v) over the points",

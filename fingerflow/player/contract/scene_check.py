@@ -30,7 +30,7 @@ from .scene_kinds import KINDS, default_kind
 from .scene_values import WrongValue, either, value_of
 
 Keys = tuple[str, ...]
-_MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
+MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class _Check:
 
     def _lacks(self, keys: Keys) -> None:
         self._missing.add(keys)
-        self._refuse(keys, _MISSING)
+        self._refuse(keys, MISSING)
 
     def _value(self, keys: Keys, key: Key, value: Any) -> Any:
         try:

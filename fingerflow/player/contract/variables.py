@@ -174,7 +174,7 @@ DISPLACEMENT = (
         "1",
         "how skin came into contact: the contact came to cover it, or it moved in over a border at rest; fields of the "
         "latter count since its own entry, with all its neighbours, F(t) F(entry)^-1 - I, and its triangles since the "
-        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came, and "
+        "last of their points has touched; of skin that had no point until it was inside nobody knows when it came: "
         "it has no displacement",
         "u1",
         flags=ENTRY,
@@ -183,9 +183,8 @@ DISPLACEMENT = (
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position from which displacement counts (fields.reference), by default that at onset, half way between the "
-        "last frame without contact and the first with it; of points that are touched in passing alone, where they were "
-        "then",
+        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
+        "touched in passing alone, where they were then",
     ),
     Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
     Variable("displacement_std", FRAME_POINT, "mm", f"standard deviation of a component {SINCE}", "f4"),

@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..errors import PlayerError
 from .source import Asked, Source
 
-READS = "a recording (.cine, .mraw, .tif or .npy)"
+READS = "a recording (.cine, .mraw or .npy; .tif where tifffile is installed)"
 _SUFFIXES = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
 log = logging.getLogger("fingerflow.player")
 

@@ -69,17 +69,7 @@ def open_forces(
     times that contradict `sample_rate`.
     """
     location = Path(path)
-    check_file(location)
-    reader = READER_OF.get(location.suffix.lower())
-    if reader is None:
-        raise FingerflowError(
-            f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
-            f"{', '.join(READER_OF)}"
-        )
-    with reading(location, f"forces ({reader})"):
-        table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
-    if not table.columns:
-        raise FingerflowError(f"{location}: has no column of numbers")
+    table = _read_table(location)
     table.units.update({_name(table, column): unit for column, unit in (units or {}).items()})
     time, trigger = (None if one is None else _name(table, one) for one in (time, trigger))
     if isinstance(channels, Mapping):
@@ -191,6 +181,26 @@ def _wanted(
 
 def _is_time(name: str) -> bool:
     return re.split(r"[./]", name)[-1].strip().lower() in TIME_NAMES
+
+
+def force_columns(path: str | PathLike[str]) -> list[str]:
+    """Names of the columns of a file of forces, in its order. Raises FingerflowError where it cannot be read."""
+    return list(_read_table(Path(path)).columns)
+
+
+def _read_table(location: Path) -> Table:
+    check_file(location)
+    reader = READER_OF.get(location.suffix.lower())
+    if reader is None:
+        raise FingerflowError(
+            f"{location}: {location.suffix or 'a file without suffix'} does not hold forces; known are "
+            f"{', '.join(READER_OF)}"
+        )
+    with reading(location, f"forces ({reader})"):
+        table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
+    if not table.columns:
+        raise FingerflowError(f"{location}: has no column of numbers")
+    return table
 
 
 def _name(table: Table, column: Column) -> str:

@@ -4,6 +4,7 @@ import { make, select } from "./elements.js";
 const SLIDERS = { "contact.threshold": [0.02, 0.9, 0.01], "contact.median_px": [3, 31, 2], "contact.gross_radius_px": [1, 40, 1] };
 const TITLES = { recording: "Recording", background: "Background", calibration: "Calibration", forces: "Forces",
   contact: "Contact", tracking: "Points", fields: "Fields and elasticity", slip: "Slip", stream: "Stream" };
+const CHANNELS = new Set(["normal", "tangential", "trigger", "time"].map(name => `forces.${name}`));
 const OPEN = new Set(["contact"]);
 
 // `changed(key, value)` is called with null where a key is left out; `live` says that more of it will come.
@@ -18,9 +19,11 @@ export function makeForms(setup, changed) {
     group.dataset.table = table;
     made.push(group);
   }
-  const files = make("datalist", { id: "files" });
-  made.push(files);
-  updates.push(found => files.replaceChildren(...found.files.map(value => make("option", { value }))));
+  for (const name of ["files", "channels"]) {
+    const list = make("datalist", { id: name });
+    made.push(list);
+    updates.push(found => list.replaceChildren(...found[name].map(value => make("option", { value }))));
+  }
   const update = found => {
     updates.forEach(one => one(found));
     const wrong = new Map(found.problems.map(({ key, said }) => [key, said]));
@@ -95,11 +98,11 @@ function row(key, form, changed, updates) {
     if (form.odd) input.min = form.least;
     add(input, () => input.value === "" ? null : +input.value, value => { input.value = value ?? ""; });
   } else if (form.input === "toml") {
-    const input = make("input", { type: "text", placeholder });
+    const input = make("input", { type: "text", placeholder, list: CHANNELS.has(key) ? "channels" : "" });
     add(input, () => input.value === "" ? null : { toml: input.value },
       value => { input.value = value === null ? "" : typeof value === "string" ? value : JSON.stringify(value); });
   } else {
-    const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : "" });
+    const input = make("input", { type: "text", placeholder, list: form.input === "file" ? "files" : CHANNELS.has(key) ? "channels" : "" });
     add(input, () => input.value, value => { input.value = value ?? ""; });
   }
   field.append(make("small", { className: "said" }));

@@ -3,6 +3,7 @@ import { arrays, download, get, newest, post, postArrays, postText, say } from "
 import { $, digits, make, select, toggle, unitsOf, words } from "./elements.js";
 import * as marks from "./marks.js";
 import { UNKNOWN, scale } from "./colours.js";
+import { follow } from "./runs.js";
 
 const FIRST_MAPS = ["divergence", "displacement:length", "strain:exx"];
 const FIRST_CURVES = ["normal_force", "real_contact_area", "gross_contact_area", "median_divergence"];
@@ -86,6 +87,9 @@ export class ResultsView {
     $("panel").replaceChildren(...[
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
       facts.points ? make("div", { className: "card" }, make("h2", {}, "Chosen points"), this.point) : null,
+      make("div", { className: "card" }, make("div", { className: "bar" }, make("h2", {}, "Report"),
+        make("button", { id: "report", disabled: Boolean(wrong), onclick: () => this.report() }, "Write report"), make("span", { id: "report-link" })),
+        make("div", { id: "report-progress" })),
       make("details", { className: "card", open: facts.warnings.length > 0 && facts.warnings.length < 3 },
         make("summary", {}, facts.warnings.length ? `Warnings of this result (${facts.warnings.length})` : "No warnings"),
         facts.warnings.map(one => make("p", { className: "warned" }, one))),
@@ -266,6 +270,16 @@ export class ResultsView {
     if (!inside.size) say("no tracked point lies in what was drawn");
     else say("");
     this.choose([...inside]);
+  }
+  async report() {
+    try {
+      const state = await post("api/report", {});
+      $("report").disabled = true;
+      $("report-link").replaceChildren();
+      const { failed, to } = await follow("report", state, $("report-progress"));
+      $("report").disabled = false;
+      if (!failed) $("report-link").replaceChildren(make("a", { href: "report.html", target: "_blank", rel: "noopener", title: to }, "Open the report"));
+    } catch (error) { say(error.message); }
   }
   // Curves.
   courseBar() {

@@ -2,7 +2,9 @@
 import { arrays, get, newest, post, say } from "./net.js";
 import { $, digits, make, toggle } from "./elements.js";
 import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
+import { CalibrationCard } from "./calibration.js";
 import { makeForms } from "./forms.js";
+import { follow } from "./runs.js";
 
 const CORNERS = 40;  // of a region, at most
 const REACH = 9;  // screen px around an edge that take hold of it
@@ -14,11 +16,13 @@ export class Setup {
     this.points = null;
     this.forces = null;
     this.found = null;
+    this.question = null;  // { text, to }: whether a file may be replaced
     this.edited = newest(async () => this.send());
     this.pending = new Map();
   }
   get frames() { return this.facts?.recording?.frames || 0; }
   get first() { return 0; }
+  get sensor() { return this.facts.kind === "soft_sensor"; }
   async load() {
     this.take(await get("api/setup"));
     return this.facts.draft !== null;
@@ -30,7 +34,7 @@ export class Setup {
       hover: (x, y) => this.drawing ? "crosshair" : this.cursor(x, y) };
     $("layers").replaceChildren(
       toggle("contact", this.layer.contact, on => this.set("contact", on), "Where process will find real contact"),
-      toggle("points", this.layer.points, on => this.set("points", on), "The points that process would follow"),
+      toggle(this.sensor ? "markers" : "points", this.layer.points, on => this.set("points", on), "The points that process would follow"),
       toggle("topography on contact", this.layer.blend, on => this.set("blend", on),
         "The topography view laid over the contact view by the calibration: ridges should fall on ridges"),
       make("button", { id: "region", title: "Where skin may touch (contact view), or where points are chosen (topography view)",
@@ -46,37 +50,49 @@ export class Setup {
   }
   set(name, on) {
     this.layer[name] = on;
+    this.legend();
     this.app.show();
   }
   panel() {
     if (!this.facts.draft) return $("panel").replaceChildren(make("p", {}, "A result was opened. Name its scene to set it up."));
     this.form = makeForms(this.facts, (key, value) => this.edit(key, value));
     this.status = make("div", { id: "setup-status" });
+    this.asking = make("div");
     this.numbers = make("dl", { className: "numbers" });
     this.name = make("input", { type: "text", id: "scene-name", value: this.facts.draft.split(/[\\/]/).pop() });
     this.name.setAttribute("aria-label", "Scene file");
+    this.calibration = new CalibrationCard(facts => this.changed(facts));
     $("panel").replaceChildren(
       make("div", { className: "card" }, make("h2", {}, "Scene"), this.status,
         make("div", { className: "bar" }, this.name,
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
+        this.asking,
         toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
-      this.overlay = make("details", { className: "card", hidden: true }, make("summary", {}, "Picture of the calibration"),
-        make("img", { alt: "What the calibration found in its frames", loading: "lazy" })),
+      this.calibration.element,
       make("div", { className: "card forms" }, make("h2", {}, "Settings"), this.form.elements),
       make("details", { className: "card" }, make("summary", {}, "The file as it would be written"), make("pre", { id: "text" })));
     this.update();
+    this.ask(this.question);
   }
   take(facts) {
+    const moving = this.held && this.views[this.held.name];
     this.facts = facts;
     this.views = Object.fromEntries(Object.entries(facts.values?.views || {}).filter(([name, view]) =>
       name in VIEW && Array.isArray(view?.rows) && Array.isArray(view?.columns)));
+    // What has been moved since this was asked for stays where it is.
+    for (const [key, value] of this.pending) {
+      const [table, name, side] = key.split(".");
+      if (table === "views" && (side === "rows" || side === "columns") && this.views[name]) this.views[name] = { ...this.views[name], [side]: value };
+    }
+    if (this.held && this.views[this.held.name]) this.views[this.held.name] = moving;
   }
   update() {
     const { facts } = this;
     this.form.update(facts);
+    this.calibration.show(facts.calibration_picture);
     $("text").textContent = facts.text;
     const other = facts.problems.map(({ key, said }) => make("li", {}, make("b", {}, key), ` ${said}`));
     const warned = [...(facts.recording?.warnings || []), ...(this.forces?.warnings || []), ...(this.points?.warnings || [])];
@@ -97,11 +113,14 @@ export class Setup {
     const set = [...this.pending];
     if (!set.length) return;
     this.pending.clear();
-    const kind = this.facts.kind;
-    this.take(await post("api/edit", { set }));
+    const facts = await post("api/edit", { set });
     say("");
+    await this.changed(facts);
+  }
+  async changed(facts) {
+    this.take(facts);
     this.update();
-    if (kind !== this.facts.kind || set.some(([key]) => !key.startsWith("contact."))) await this.app.measure();
+    await this.app.measure();
     await this.app.show();
     this.later();
   }
@@ -117,7 +136,7 @@ export class Setup {
     } else {
       const found = await arrays("api/forces").catch(error => ({ why: error.message }));
       this.forces = found.arrays ? found : null;
-      this.points = await arrays("api/points").catch(error => ({ why: error.message }));
+      this.points = this.sensor ? null : await arrays("api/points").catch(error => ({ why: error.message }));
       say(found.why || "");
     }
     if (this.app.tab !== this) return;
@@ -129,8 +148,6 @@ export class Setup {
   });
   courses() {
     const found = this.forces?.arrays;
-    this.overlay.hidden = !this.forces?.calibration_picture;
-    if (!this.overlay.hidden) this.overlay.querySelector("img").src = "api/calibration.png";
     const names = Object.keys(found || {}).filter(name => name !== "time");
     $("courses").hidden = !names.length;
     if (!names.length) return;
@@ -152,7 +169,7 @@ export class Setup {
   }
   after(k) {
     const numbers = this.found?.numbers, rate = this.facts.recording?.frame_rate;
-    const time = numbers?.time ?? (rate ? k / rate : null);
+    const time = numbers?.time ?? (rate ? (k - (this.facts.values.recording?.trigger_frame ?? 0)) / rate : null);
     $("where").value = `frame ${k} of 0–${this.frames - 1}${time === null ? "" : `   ${digits(time, 4)} s`}`;
     if (!this.numbers) return;
     const forces = this.forces?.arrays, place = k - (this.forces?.first_frame || 0);
@@ -166,9 +183,9 @@ export class Setup {
     this.numbers.replaceChildren(...rows.filter(([, value]) => value !== undefined).map(([name, value, unit]) =>
       make("div", {}, make("dt", {}, name), make("dd", {}, digits(value), make("small", {}, ` ${unit}`)))));
     const why = this.found?.why_no_contact || (numbers?.counts === false ? "This frame does not count (recording.first_frame, last_frame)." : "");
-    if (why || !rows.some(([, value]) => value !== undefined)) {
-      this.numbers.append(make("p", { className: "soft" }, why || (this.facts.problems.length ? "Contact shows when the settings are complete." : "Loading …")));
-    }
+    const waits = this.facts.problems.length ? "Contact shows when the settings are complete." : this.layer.contact ? "Loading …" : "";
+    if (why || (waits && !rows.some(([, value]) => value !== undefined))) this.numbers.append(make("p", { className: "soft" }, why || waits));
+    if (this.sensor) this.legend();  // its markers are those of the frame
     if (this.forces) this.app.chart.cursor(place);
   }
   draw(pen, at, scale) {
@@ -179,7 +196,7 @@ export class Setup {
       drawEllipse(pen, at, placesIn(this.views, forces.mm_per_px, forces.topography_to_contact),
         numbers.ellipse_center, numbers.ellipse_semi_axes, numbers.ellipse_angle);
     }
-    const points = this.points?.arrays?.points, view = this.views.topography || this.views.camera;
+    const points = this.found?.arrays.markers || this.points?.arrays?.points, view = this.views.topography || this.views.camera;
     if (points && view && this.layer.points) {
       drawPoints(pen, at, (x, y) => [x + view.columns[0], y + view.rows[0]], points.values, () => "#7dff9b", { radius: Math.max(1.2, Math.min(4, 3 * scale)) });
     }
@@ -204,12 +221,13 @@ export class Setup {
     });
   }
   legend() {
-    const points = this.points?.arrays?.points;
+    const points = this.points?.arrays?.points, markers = this.found?.arrays.markers;
     const entries = [];
-    if (!this.facts.problems?.length) {
-      entries.push(make("span", {}, make("i", { className: "mask" }), "real contact"), make("span", {}, make("i", { className: "ellipse" }), "gross contact (ellipse)"));
+    if (!this.facts.problems?.length && this.layer.contact) {
+      entries.push(make("span", {}, make("i", { className: "mask" }), this.sensor ? "region in contact" : "real contact"), make("span", {}, make("i", { className: "ellipse" }), "gross contact (ellipse)"));
     }
-    if (points) entries.push(make("span", {}, make("i", { className: "point" }),
+    if (markers && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }), `${markers.shape[0]} markers in this frame`));
+    else if (points && this.layer.points) entries.push(make("span", {}, make("i", { className: "point" }),
       `${points.shape[0]} of ${this.facts.values.tracking?.points ?? 700} points, chosen in frame ${this.points.frame}`));
     else if (this.points?.why) entries.push(make("span", { className: "soft" }, `no points: ${this.points.why}`));
     $("legend").replaceChildren(...entries);
@@ -252,12 +270,16 @@ export class Setup {
   // Dragging of views.
   edge(x, y) {
     const reach = REACH / this.app.picture.view.scale;
-    for (const [name, { rows, columns }] of Object.entries(this.views).reverse()) {
-      const near = (value, edge) => Math.abs(value - edge) < reach;
+    let best = null, least = reach;
+    for (const [name, { rows, columns }] of Object.entries(this.views)) {
       if (x < columns[0] - reach || x > columns[1] + reach || y < rows[0] - reach || y > rows[1] + reach) continue;
-      const sides = { left: near(x, columns[0]), right: near(x, columns[1]), top: near(y, rows[0]), bottom: near(y, rows[1]) };
-      if (Object.values(sides).some(Boolean)) return { name, ...sides };
+      const off = { left: x - columns[0], right: columns[1] - x, top: y - rows[0], bottom: rows[1] - y };  // > 0 within
+      const nearest = Math.min(...Object.values(off).map(Math.abs)), within = Math.min(...Object.values(off)) > -0.5;
+      if (nearest - (within ? 0.5 : 0) >= least) continue;  // of two edges in one place, that of the view one points at
+      least = nearest - (within ? 0.5 : 0);
+      best = { name, ...Object.fromEntries(Object.entries(off).map(([side, value]) => [side, Math.abs(value) < reach])) };
     }
+    if (best) return best;
     for (const [name, { rows, columns }] of Object.entries(this.views)) {
       if (x > columns[0] && x < columns[1] && y > rows[0] && y < rows[1]) return { name, whole: true };
     }
@@ -304,43 +326,37 @@ export class Setup {
   }
   drop() {
     if (this.drawing) return this.closeRegion();
-    const { name } = this.held, { rows, columns } = this.views[name];
-    if (rows + "" === this.held.rows + "" && columns + "" === this.held.columns + "") return;
+    const { name, rows: from, columns: across } = this.held, { rows, columns } = this.views[name];
+    this.held = null;
+    if (rows + "" === from + "" && columns + "" === across + "") return;
     this.pending.set(`views.${name}.rows`, rows);
     this.edit(`views.${name}.columns`, columns);
   }
-  async write(replace) {
+  async write(replace, to = this.name.value) {
+    this.ask(null);
     try {
-      this.take(await post("api/write", { to: this.name.value, replace }));
+      this.take(await post("api/write", { to, replace }));
       say("");
       this.update();
     } catch (error) {
-      if (!error.asks) return say(error.message);
-      const ask = make("div", { className: "ask", id: "ask" }, make("p", {}, `${error.message}. Replace it?`),
-        make("button", { id: "replace", onclick: () => { ask.remove(); this.write(true); } }, "Replace"),
-        make("button", { onclick: () => ask.remove() }, "Keep it"));
-      $("ask")?.remove();
-      this.status.append(ask);
+      if (error.asks) this.ask({ text: `${error.message}. Replace it?`, to });
+      else say(error.message);
     }
+  }
+  // In a place of its own, drawn once: what else is updated meanwhile does not take it away under the pointer.
+  ask(question) {
+    this.question = question;
+    this.asking.replaceChildren(...(question ? [make("div", { className: "ask", id: "ask" }, make("p", {}, question.text),
+      make("button", { id: "replace", onclick: () => this.write(true, question.to) }, "Replace"),
+      make("button", { id: "keep", onclick: () => this.ask(null) }, "Keep it"))] : []));
   }
   async process() {
     try {
-      this.follow(await post("api/process", { all: Boolean(this.all) }));
+      const state = await post("api/process", { all: Boolean(this.all) });
+      $("process").disabled = true;
+      const { failed } = await follow("process", state, $("progress"));
+      $("process").disabled = false;
+      if (!failed) await this.app.openResult();
     } catch (error) { say(error.message); }
-  }
-  async follow(state) {
-    const bar = make("progress", { max: 1 }), words = make("span");
-    $("progress").replaceChildren(bar, words, make("button", { onclick: () => post("api/end", {}) }, "End"));
-    $("process").disabled = true;
-    while (state.running) {
-      if (state.of) bar.value = state.done / state.of;
-      words.textContent = state.of ? ` ${state.step} ${state.done} of ${state.of} ` : " starts ";
-      await new Promise(later => setTimeout(later, 400));
-      state = await get("api/progress");
-    }
-    const said = state.said.map(one => make("p", { className: "warned" }, one.replace(/^warning: /, "")));
-    $("progress").replaceChildren(...(state.failed ? [make("p", { className: "wrong" }, "It did not end well:"), ...said] : said.slice(0, -1)));
-    $("process").disabled = false;
-    if (!state.failed) await this.app.openResult();
   }
 }

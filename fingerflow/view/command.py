@@ -1,4 +1,4 @@
-"""`fingerflow process` in a process of its own, so that the page goes on; its bar tells how far it is."""
+"""A command of fingerflow in a process of its own, so that the page goes on; its bar tells how far it is."""
 
 import re
 import subprocess
@@ -15,26 +15,24 @@ _KEPT = 4000  # characters of what it says last
 _READ = 256  # bytes at a time
 
 
-class Processing:
-    """One run. Ending it leaves nothing half-written."""
+class Command:
+    """One run. Ending it leaves nothing half-written.
 
-    def __init__(self, scene: Path, to: Path, earlier: Path | None = None, variables: Sequence[str] = ()) -> None:
-        """`earlier` is a result of the same frames, of which what still holds is taken; no `variables` are all that
-        are computed by default.
-        """
+    Attributes:
+        to: what it writes.
+    """
+
+    def __init__(self, arguments: Sequence[str | Path], to: Path) -> None:
         self.to = to
-        options = [] if earlier is None else ["--from", str(earlier)]
-        for name in variables:
-            options += ["--variable", name]
         self._said = ""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "fingerflow", "process", str(scene), "--output", str(to), *options],
+            [sys.executable, "-m", "fingerflow", *map(str, arguments)],
             cwd=Path(fingerflow.__file__).resolve().parents[1],  # this package, not another that is installed
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )
-        self._listener = threading.Thread(target=self._listen, name="processing", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name="command", daemon=True)
         self._listener.start()
 
     def state(self) -> dict[str, Any]:
@@ -48,6 +46,7 @@ class Processing:
         return {
             "running": code is None,
             "failed": code not in (None, 0),
+            "ended_well": code == 0,
             "step": name,
             "done": int(done),
             "of": int(of),

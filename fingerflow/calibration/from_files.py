@@ -1,0 +1,77 @@
+"""From files of a ring and of a target to a calibration file, and the picture beside it of what was found."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from fingerflow.atomic_write import keep_others, spare, write_atomically
+from fingerflow.calibration.calibration import Calibration, is_calibration
+from fingerflow.calibration.edge import Array
+from fingerflow.calibration.from_frames import calibrate
+from fingerflow.calibration.overlay import draw_overlay
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings import open_recording
+from fingerflow.views import View
+
+FILE = "calibration.toml"
+
+
+def calibrate_files(
+    ring: Path | str,
+    target: Path | str | None = None,
+    background: Path | str | None = None,
+    views: Mapping[str, View] | None = None,
+    hole_radius_mm: float = 2.75,
+    output: Path | str = FILE,
+    overwrite: bool = False,
+) -> Calibration:
+    """Finds scale and view-to-view transform, and writes them; what was found is drawn beside the file, as a PNG.
+
+    Args:
+        ring: a picture, or a recording of which the first frame is taken; so are the other two.
+        target: with three discs; None for one view, which needs the scale alone.
+        background: the empty glass.
+        views: where "contact", and with a target "topography", lie in a frame. Those that are not given are the right
+            and the left half of a frame, or all of it without a target.
+        hole_radius_mm: of the ring.
+        output: the calibration file.
+        overwrite: replace a file of that name that is no calibration.
+
+    Raises:
+        FingerflowError: as of `calibrate`; a file cannot be read or written, would replace an input, or is not ours.
+    """
+    output, given = Path(output), dict(views or {})
+    if target is None and "topography" in given:
+        raise FingerflowError("a topography view needs a target: without one the calibration is a scale alone")
+    inputs = [None if one is None else Path(one) for one in (ring, target, background)]
+    ring_frame, target_frame, empty_frame = (None if one is None else _first_frame(one) for one in inputs)
+    assert ring_frame is not None
+    rows, columns = ring_frame.shape
+    half = 0 if target is None else columns // 2
+    halves = {"contact": View((0, rows), (half, columns))}
+    if target is not None:
+        halves["topography"] = View((0, rows), (0, half))
+    found = calibrate(target_frame, ring_frame, {**halves, **given}, hole_radius_mm, empty_frame)
+    picture = output.with_suffix(".png")
+    for path in (output, picture):
+        spare(path, *inputs)
+    keep_others(output, is_calibration, overwrite)
+    # The picture has no mark of its own: it is ours where the file beside it is.
+    keep_others(picture, lambda _: output.exists() and is_calibration(output), overwrite)
+
+    def write_both(part: Path) -> None:
+        part.write_text(found.to_toml(), encoding="utf-8")
+        write_atomically(picture, lambda part: draw_overlay(part, found, target_frame, ring_frame))
+
+    # Both or none: nothing but a renaming is left when the picture is there.
+    write_atomically(output, write_both)
+    return found
+
+
+def _first_frame(path: Path) -> Array:
+    with open_recording(path) as recording:
+        if not len(recording):
+            raise FingerflowError(f"{path} has no frame; one is needed")
+        frame: Array = recording[0]
+        if recording.unreadable:
+            raise FingerflowError(f"{path}: frame 0 {recording.unreadable[0]}; copy it again, or record it anew")
+        return frame

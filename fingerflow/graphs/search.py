@@ -1,0 +1,28 @@
+"""Where points of a key frame are that moved further than a frame finds them."""
+
+import torch
+from torch import Tensor, nn
+
+from fingerflow.ops.search import search_and_return
+
+
+class SearchGraph(nn.Module):
+    """An exhaustive search around expected places, there and back; settings as in `ops.track_points`."""
+
+    def __init__(self, window: int = 25, radius: int = 8, forward_backward_limit: float = 1.0) -> None:
+        super().__init__()
+        self.window = window
+        self.radius = radius
+        self.forward_backward_limit = forward_backward_limit
+
+    def forward(self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor) -> Tensor:
+        """Views (B, 1, H, W), points (B, N, 2) px of the key frame, and where they are expected.
+
+        Returns:
+            (B, N, 2) px, to about a pixel; NaN where the way back leads elsewhere.
+        """
+        batch, count = points.shape[:2]
+        image = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
+        given = (points.flatten(0, 1), prediction.flatten(0, 1), self.window, self.radius)
+        found, returns = search_and_return(key_view, topography_view, image, *given, self.forward_backward_limit)
+        return torch.where(returns[:, None], found, torch.nan).unflatten(0, (batch, count))

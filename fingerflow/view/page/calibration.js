@@ -1,0 +1,46 @@
+// Scale and transform from pictures of a ring and of a target, and the picture of what was found in them.
+import { post, say } from "./net.js";
+import { digits, make } from "./elements.js";
+
+const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
+  ["background", "empty glass", "none"]];
+
+// `found(facts)` is called with the scene, of which the new calibration is a part.
+export class CalibrationCard {
+  constructor(found) {
+    this.inputs = {};
+    const row = (name, label, attributes) => {
+      this.inputs[name] = make("input", attributes);
+      this.inputs[name].setAttribute("aria-label", `calibrate ${name}`);
+      return make("label", { className: "field" }, make("span", {}, label), this.inputs[name]);
+    };
+    const rows = FILES.map(([name, label, placeholder]) => row(name, label, { type: "text", placeholder, list: "files" }));
+    rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));
+    this.button = make("button", { id: "calibrate", onclick: () => this.run(found) }, "Find scale and transform");
+    this.said = make("div");
+    this.image = make("img", { id: "calibration-picture", alt: "What the calibration found in its pictures" });
+    this.link = make("a", { target: "_blank", rel: "noopener", title: "Open it in its own size", hidden: true }, this.image);
+    this.element = make("details", { className: "card", id: "calibration" }, make("summary", {}, "Calibrate from pictures"),
+      make("p", { className: "soft" }, "Drag the views first: the discs are looked for in them. Writes calibration.toml, and its picture, beside the scene."),
+      rows, make("div", { className: "bar" }, this.button), this.said, this.link);
+  }
+  async run(found) {
+    const asked = Object.fromEntries(Object.entries(this.inputs).map(([name, box]) => [name, name === "hole_radius_mm" ? +box.value : box.value]));
+    this.button.disabled = true;
+    try {
+      const facts = await post("api/calibrate", asked), { mm_per_px: scale, warnings } = facts.calibrated;
+      say("");
+      this.said.replaceChildren(make("p", { className: "good" }, `${digits(scale, 5)} mm per px. Look whether the outlines lie on what they are of:`),
+        ...warnings.map(one => make("p", { className: "warned" }, one)));
+      this.image.removeAttribute("src");  // the same address, another picture
+      found(facts);
+    } catch (error) {
+      say(error.message);
+    } finally { this.button.disabled = false; }
+  }
+  // Whether the calibration of the scene has a picture.
+  show(there) {
+    this.link.hidden = !there;
+    if (there && !this.image.src) this.link.href = this.image.src = `api/calibration.png?${Date.now()}`;
+  }
+}

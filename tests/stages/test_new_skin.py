@@ -1,0 +1,131 @@
+"""Points for skin that comes into contact and had none: a contact through which 3 mm of skin pass."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow import load_scene, process
+from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
+from fingerflow.result import open_result
+from fingerflow.stages.common_frame import common_frame
+from fingerflow.store import FileStore, MemoryStore
+from fingerflow.synthetic import write_recording
+from tests.stages.rolling import Rolling
+
+ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
+NOT_YET = TRACK_STATUS.index("not_chosen_yet")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Without the region of a stream, which holds all skin that will touch: `process` looks for itself."""
+    path: Path = tmp_path_factory.mktemp("rolling") / "rolling"
+    write_recording(path, ROLLING)
+    scene = path / "scene.toml"
+    lines = scene.read_text(encoding="utf-8").splitlines()
+    scene.write_text("\n".join(one for one in lines if not one.startswith("region = ")), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> xr.Dataset:
+    return process(load_scene(folder / "scene.toml"))
+
+
+def test_fields_are_known_all_along(result: xr.Dataset) -> None:
+    """With the points of the first choice alone, coverage falls to 0.64 and medians are NaN from frame 29 on. Truth is
+    uniform, so smoothing adds nothing: 1 um/mm is what errors of the frame of entry leave of 99.
+    """
+    assert result["field_coverage"].values.min() > 0.9
+    frames = range(8, ROLLING.n_frames, 3)
+    true = [ROLLING.truth.entry_gradient(_inside(frame), frame).trace(axis1=1, axis2=2) for frame in frames]
+    error = [result["median_divergence"].values[k] - np.nanmedian(one) for k, one in zip(frames, true, strict=True)]
+    assert np.abs(error).max() < 1e-3
+
+
+def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
+    """0.1 px, as a press's points: against truth, from the frame in which each was chosen."""
+    status, pixels = result["status"].values, result["position_px"].values
+    later = np.flatnonzero(status[0] == NOT_YET)
+    assert len(later) > 200
+    last = ROLLING.n_frames - 1
+    errors = []
+    for point in later:
+        chosen = int(np.argmax(status[:, point] != NOT_YET))
+        assert (status[:chosen, point] == NOT_YET).all()
+        assert np.isnan(pixels[:chosen, point]).all()
+        assert not result["in_contact"].values[:chosen, point].any()
+        if status[last, point] == TrackStatus.TRACKED:
+            true = ROLLING.truth.follow(pixels[chosen, point][None], chosen, last)[0]
+            errors.append(np.linalg.norm(pixels[last, point] - true))
+    assert np.median(errors) < 0.1
+    assert np.mean(np.array(errors) < 0.5) > 0.95
+
+
+def test_entry_is_their_own(result: xr.Dataset) -> None:
+    """To 0.15 mm of way, 3 frames: the border is known to 0.06 mm, and a touch counts from the frame after it."""
+    status, entry = result["status"].values, result["entry"].values
+    came = np.flatnonzero((status[0] == NOT_YET) & (entry == ENTRY.index("moved_in")))
+    assert len(came) > 50
+    places = ROLLING.truth.topography_positions(
+        np.stack([result["position_px"].values[int(np.argmax(status[:, k] != NOT_YET)), k] for k in came])
+    )
+    chosen = [int(np.argmax(status[:, k] != NOT_YET)) for k in came]
+    material = np.stack([ROLLING.truth.material(at[None], k)[0] for at, k in zip(places, chosen, strict=True)])
+    late = result["onset_frame"].values[came] - ROLLING.truth.onset_frame(material)
+    assert np.median(np.abs(late)) <= 3
+    inside = entry == ENTRY.index("chosen_inside")
+    assert np.isnan(result["displacement"].values[:, inside]).all()
+
+
+def test_the_same_in_a_file(folder: Path, result: xr.Dataset) -> None:
+    path = folder / "result.h5"
+    process(load_scene(folder / "scene.toml"), to=path)
+    with open_result(path) as stored:
+        for name in result.data_vars:
+            np.testing.assert_array_equal(stored[name].values, result[name].values, err_msg=str(name))
+
+
+@pytest.mark.parametrize("kind", ["memory", "file"])
+def test_results_grow_by_points(kind: str, tmp_path: Path) -> None:
+    known = by_name(TRACKING)
+    store = MemoryStore(known, 20) if kind == "memory" else FileStore(known, 20, tmp_path / "grown.h5")
+    for name in ("position", "status"):
+        store.create(name, point=4)
+    store["position"][np.arange(20)] = np.ones((20, 4, 2))
+    store.grow("point", 7, {"status": NOT_YET})
+    position, status = store["position"][slice(0, 20)], store["status"][slice(0, 20)]
+    assert (position[:, :4] == 1).all()
+    assert np.isnan(position[:, 4:]).all()
+    assert (status[:, :4] == 0).all()
+    assert (status[:, 4:] == NOT_YET).all()
+    assert store.create("in_contact").shape == (20, 7)
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
+    """Skin that moves as a whole has lain, at the first choice, where its place then less the motion is: exactly."""
+    places = np.random.default_rng(3).uniform(0, 10, (60, 2))
+    moved = places + np.arange(9)[:, None, None] * np.array([0.3, -0.1])
+    status = np.zeros((9, 60), np.uint8)
+    status[:4, 40:] = NOT_YET
+    if backward:
+        moved, status = moved[::-1], status[::-1]
+    position = np.where((status == NOT_YET)[..., None], np.nan, moved)
+    found = common_frame(position, status, 8 if backward else 0, backward)
+    np.testing.assert_allclose(found.places, places, atol=1e-12)
+    assert (found.chosen[40:] == 4).all()
+    assert found.later.sum() == 20
+
+
+def _inside(frame: int) -> np.ndarray:
+    """Material of a grid over the contact."""
+    ellipse = ROLLING.truth.ellipse(frame)
+    assert ellipse is not None
+    axis = np.linspace(-4, 4, 21)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    places = places[(places**2).sum(1) < 16] + ellipse.centre
+    return np.asarray(ROLLING.truth.material(places, frame))

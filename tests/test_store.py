@@ -1,0 +1,92 @@
+"""Results on their way: what a file holds is what memory would."""
+
+from pathlib import Path
+
+import h5netcdf
+import numpy as np
+import pytest
+import xarray as xr
+
+from fingerflow.plan import VARIABLES
+from fingerflow.result import load_result, read_own
+from fingerflow.store import FileStore, MemoryStore, Store
+
+FRAMES = 20
+NAMES = ("position", "status", "real_contact_area", "normal_force", "strain", "strain_energy_density")
+
+
+def _fill(store: Store, points: int) -> None:
+    random = np.random.default_rng(1)
+    store.create("position", point=points)
+    store.create("status", point=points)
+    for some in np.split(np.arange(FRAMES), [8, 16]):
+        store["position"][some] = random.normal(size=(len(some), points, 2))
+        if some[0] != 8:  # the rest is never written
+            store["status"][some] = random.integers(0, 9, (len(some), points))
+    store.put("real_contact_area", random.normal(size=FRAMES))
+    store.put("normal_force", random.normal(size=FRAMES), {"verdict": "text", "limit": 0.5})
+    store.put("strain", random.normal(size=(FRAMES, 2 * points, 3)), triangle=2 * points)
+    store.put("strain_energy_density", random.normal(size=(FRAMES, 2 * points)))
+    attributes = {"fingerflow_version": "0", "settings": "s" * 5000, "mm_per_px": 0.03}
+    store.finish(np.arange(FRAMES) / 10, np.arange(FRAMES) + 7, attributes)
+
+
+def _both(folder: Path, points: int) -> tuple[xr.Dataset, Path]:
+    memory = MemoryStore(VARIABLES, FRAMES)
+    _fill(memory, points)
+    path = folder / "result.h5"
+    with FileStore(VARIABLES, FRAMES, path) as file:
+        _fill(file, points)
+    return memory.dataset, path
+
+
+@pytest.mark.parametrize("points", [0, 300])
+def test_a_file_holds_what_memory_does(points: int, tmp_path: Path) -> None:
+    expected, path = _both(tmp_path, points)
+    stored = load_result(path)
+    xr.testing.assert_identical(stored.drop_attrs(), expected.drop_attrs())
+    assert list(stored.data_vars) == list(NAMES)
+    for name in expected.variables:
+        assert stored[name].dtype == expected[name].dtype or name in ("xy", "strain_component")
+        for key, value in expected[name].attrs.items():
+            np.testing.assert_array_equal(stored[name].attrs[key], value)
+    assert {name: stored.attrs[name] for name in expected.attrs} == expected.attrs
+
+
+def test_points_may_be_added(tmp_path: Path) -> None:
+    """Also to what was written before: empty, or with what stands for it."""
+    memory, path = MemoryStore(VARIABLES, FRAMES), tmp_path / "result.h5"
+    with FileStore(VARIABLES, FRAMES, path) as file:
+        for store in (memory, file):
+            store.create("position", point=300)
+            store.create("status")
+            first, last = np.arange(8), np.arange(8, FRAMES)
+            store["position"][first] = np.ones((8, 300, 2))
+            store.grow("point", 310, {"status": 3})
+            store["position"][last] = np.full((len(last), 310, 2), 2.0)
+            store.finish(np.arange(FRAMES) / 10, np.arange(FRAMES), {"fingerflow_version": "0"})
+    stored = load_result(path)
+    xr.testing.assert_identical(stored.drop_attrs(), memory.dataset.drop_attrs())
+    assert (stored["status"].values[:, 300:] == 3).all()
+    assert np.isnan(stored["position"].values[:8, 300:]).all()
+
+
+def test_the_file_is_netcdf4(tmp_path: Path) -> None:
+    """By a reader that knows dimensions by their scales alone."""
+    _, path = _both(tmp_path, 300)
+    with h5netcdf.File(path) as file:
+        sizes = {name: one.size for name, one in file.dimensions.items()}
+        assert sizes == {"frame": FRAMES, "point": 300, "xy": 2, "triangle": 600, "strain_component": 3}
+        assert set(file.variables) == {*NAMES, "frame", "time", "xy", "strain_component"}
+        assert file["strain"].dimensions == ("frame", "triangle", "strain_component")
+        assert file["strain"].attrs["coordinates"] == "time"
+
+
+def test_some_variables_of_a_file_are_those_of_the_whole(tmp_path: Path) -> None:
+    _, path = _both(tmp_path, 300)
+    whole, some = load_result(path), read_own(path, ("status", "strain", "no_such_variable"))
+    assert set(some.variables) == {"status", "strain", "time", "frame"}
+    for name in some.variables:
+        assert some[name].dims == whole[name].dims
+        np.testing.assert_array_equal(some[name].values, whole[name].values)
+    assert some.attrs["settings"] == whole.attrs["settings"]

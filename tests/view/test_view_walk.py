@@ -1,0 +1,116 @@
+"""From raw files of a press of a real finger to its report: with the page alone, and in a few lines of Python."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from fingerflow import load_scene
+from fingerflow.result import load_result
+from fingerflow.synthetic import Scene
+from fingerflow.view.server import Served
+from tests.own_press import VIEWS, press_of, write_raw_press
+from tests.view.walk import LAST, walk
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SLOW = 600_000  # ms, of a busy machine
+_BLOCK = re.compile(r"^```{code-block} python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def finger(shared_data: Path) -> Scene:
+    """The press whose files are walked with, and whose truth is known."""
+    return press_of(shared_data / "fingers" / "101_1.tif")
+
+
+@pytest.fixture(scope="module")
+def raw(finger: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its raw files; not to be written to."""
+    folder = tmp_path_factory.mktemp("own") / "trial"
+    write_raw_press(folder, finger)
+    return folder
+
+
+@pytest.fixture
+def files(raw: Path, tmp_path: Path) -> Path:
+    """The same for one test."""
+    folder = tmp_path / "trial"
+    folder.mkdir()
+    for one in raw.iterdir():
+        (folder / one.name).symlink_to(one)
+    return folder
+
+
+def is_as_true(folder: Path, finger: Scene) -> None:
+    """What the files that were written say of scale, transform and the last frame."""
+    scene, result, truth = load_scene(folder / "scene.toml"), load_result(folder / "result.h5"), finger.truth
+    calibration = scene.calibration
+    assert calibration.mm_per_px == pytest.approx(finger.mm_per_px, rel=1e-3)
+    corners = np.array([(0, 0, 1), (639, 0, 1), (0, 511, 1), (639, 511, 1)]).T
+    off = (np.array(calibration.topography_to_contact) - np.array(finger.topography_to_contact)) @ corners
+    assert np.abs(off).max() < 0.5  # px; the three discs are found to 0.05 px, and lie in the middle half of a view
+    for name, view in VIEWS.items():
+        assert (
+            np.abs(np.subtract(scene.views[name].rows + scene.views[name].columns, view.rows + view.columns)).max() < 2
+        )
+    assert float(result["normal_force"][LAST]) == pytest.approx(5.0, abs=0.01)
+    # Where a valley lies on the border of a real print nothing shows it: 2 to 4 % of area (`python -m bench prints`).
+    assert float(result["gross_contact_area"][LAST]) == pytest.approx(truth.gross_contact_area_mm2(LAST), rel=0.05)
+    # 1 % of area moves the median divergence by about 2 um/mm, and here the gross area is 3.7 % too small.
+    assert float(result["median_divergence"][LAST]) == pytest.approx(truth.medians(LAST).divergence, abs=5e-3)
+    assert float(result["tracked_share"][LAST]) > 0.95
+
+
+def test_by_the_page_alone(browser: Any, files: Path, finger: Scene) -> None:
+    seen: list[str] = []
+    pictures: dict[str, bytes] = {}
+    with Served(files / "press.tif") as served:
+        context = browser.new_context(viewport={"width": 1300, "height": 900})
+        page = context.new_page()
+        page.set_default_timeout(SLOW)
+        wrong: list[str] = []
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(served.address)
+        page.wait_for_selector("#picture[data-drawn]")
+
+        def look(name: str) -> None:
+            seen.append(name)
+            if name in ("views", "overlay"):
+                pictures[name] = page.locator("#picture").screenshot()
+
+        walk(page, look)
+        report = context.pages[-1]
+        assert report.locator("svg").count() > 20
+        # The report is a page of its own: it may not ask the server for anything.
+        assert report.evaluate("async () => { try { await fetch('/api/setup'); return 1; } catch { return 0; } }") == 0
+        context.close()
+        assert not wrong
+    assert seen == ["opened", "views", "calibrated", "overlay", "written", "result", "report"]
+    is_as_true(files, finger)
+    assert (files / "report.html").is_file()
+    assert (files / "overlay.mp4").is_file()
+
+    # Bright ridges of the one view lie on the dark ones of the other: in the middle of the contact neither is seen.
+    spread = {name: _middle_of_contact(picture).std() for name, picture in pictures.items()}
+    assert spread["overlay"] < 0.35 * spread["views"]
+
+
+def _middle_of_contact(picture: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Grey levels around the centre of the contact view, of the page's picture of a frame."""
+    grey = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).astype(np.float64)
+    rows, columns = grey.shape
+    return np.asarray(grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)])
+
+
+def test_in_a_few_lines_of_python(files: Path, finger: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the page of the documentation."""
+    (block,) = _BLOCK.findall((DOCS / "own_recording.md").read_text(encoding="utf-8"))
+    assert len([line for line in block.splitlines() if line.strip()]) < 15
+    monkeypatch.chdir(files)
+    names: dict[str, Any] = {"__name__": "page"}
+    exec(compile(block, "own_recording.md", "exec"), names)
+    is_as_true(files, finger)
+    assert (files / "report.html").is_file()

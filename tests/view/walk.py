@@ -1,0 +1,129 @@
+"""Through the page as somebody goes who has nothing but files: from a recording to its report, by mouse and keys."""
+
+from collections.abc import Callable
+from typing import Any
+
+from tests.own_press import FRAME_SHAPE, FRAMES, HOLE_RADIUS_MM, RATE, TRIGGER_FRAME, VIEWS
+
+LAST = FRAMES - 1
+_LAYER = "label.toggle:has-text('{}') input"
+_HELD = 4  # px
+Seen = Callable[[str], None]
+
+
+def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int) -> None:
+    """Between two places in px of the frame."""
+    box = page.locator("#picture").bounding_box()
+    scale = box["width"] / frame_width
+    (x0, y0), (x1, y1) = ((box["x"] + x * scale, box["y"] + y * scale) for x, y in (start, end))
+    page.mouse.move(x0, y0)
+    page.mouse.down()
+    page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
+    page.mouse.move(x1, y1)
+    page.mouse.up()
+
+
+def fill(page: Any, key: str, value: str) -> None:
+    """A key of the scene, in its field."""
+    field = page.locator(f'[data-key="{key}"]')
+    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
+    box = field.locator("input").first
+    box.fill(value)
+    box.press("Enter")
+
+
+def show_frame(page: Any, frame: int) -> None:
+    """By the slider."""
+    page.locator("#frame").evaluate(
+        f"element => {{ element.value = {frame}; element.dispatchEvent(new Event('input')); }}"
+    )
+    page.wait_for_selector(f"#picture[data-frame='{frame}']")
+
+
+def settled(page: Any) -> None:
+    """Until contact, points and forces of a complete scene are there."""
+    page.wait_for_selector("#picture[data-mask=true]")
+    page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+    page.wait_for_function("() => !document.querySelector('#panel').textContent.includes('Loading')")
+
+
+def walk(page: Any, seen: Seen) -> None:
+    """The page is open at the recording of `write_raw_press`, and shows its report in the end.
+
+    `seen` is told where there is something to look at, by a name.
+    """
+    page.wait_for_selector("#problems")
+    show_frame(page, LAST)
+    seen("opened")
+
+    # The views are the halves of the frame at first: their corners are dragged to where the light is.
+    height, width = FRAME_SHAPE
+    half = width / 2
+    for view, (left, right) in (("topography", (0, half)), ("contact", (half, width))):
+        (top, bottom), (first, end) = VIEWS[view].rows, VIEWS[view].columns
+        # Held a little inside the corner.
+        drag(page, (left + _HELD, _HELD), (first + _HELD, top + _HELD), width)
+        drag(page, (right - _HELD, height - _HELD), (end - _HELD, bottom - _HELD), width)
+    page.wait_for_function("() => !document.getElementById('text').textContent.includes('[0, ')")
+    fill(page, "recording.frame_rate", f"{RATE:g}")
+    fill(page, "recording.trigger_frame", str(TRIGGER_FRAME))
+    fill(page, "background.frames", "empty.tif")
+    fill(page, "background.dark", "dark.tif")
+    seen("views")
+
+    page.click("#calibration summary")
+    for name, value in {"ring": "ring.tif", "target": "target.tif", "background": "empty.tif"}.items():
+        page.fill(f'[aria-label="calibrate {name}"]', value)
+    page.fill('[aria-label="calibrate hole_radius_mm"]', str(HOLE_RADIUS_MM))
+    page.click("#calibrate")
+    page.wait_for_selector("#calibration-picture", state="visible")
+    page.wait_for_function("() => document.getElementById('calibration-picture').naturalWidth > 100")
+    settled(page)
+    seen("calibrated")
+    page.click("#calibration summary")
+
+    # Ridges of one view should fall on those of the other.
+    page.check(_LAYER.format("topography on contact"))
+    page.uncheck(_LAYER.format("points"))
+    page.uncheck("label.toggle:text-is('contact') input")
+    page.wait_for_selector("#picture[data-mask=false]")
+    seen("overlay")
+    page.uncheck(_LAYER.format("topography on contact"))
+    page.check(_LAYER.format("points"))
+    page.check("label.toggle:text-is('contact') input")
+
+    fill(page, "forces.file", "forces.csv")
+    page.wait_for_function("() => document.querySelectorAll('#channels option').length == 4")
+    fill(page, "forces.normal", "normal_force")
+    fill(page, "forces.tangential", "tangential_force")
+    fill(page, "forces.trigger", "trigger")
+    fill(page, "forces.trigger_level", "2.5")
+    page.wait_for_selector("#error:has-text('sign')")  # it is negative while the finger presses
+    fill(page, "forces.sign", "[-1, 1]")
+    page.wait_for_selector("#courses:not([hidden])")
+    settled(page)
+
+    # A threshold by hand, and back to the one that is found.
+    page.locator('[aria-label="contact.threshold number"]').evaluate(
+        "element => { element.value = 0.3; element.dispatchEvent(new Event('input')); }"
+    )
+    page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() == '0.3'")
+    page.select_option('[aria-label="contact.threshold"]', "reference_frame")
+    page.wait_for_function("() => document.querySelector('#panel dd').textContent.trim() != '0.3'")
+    settled(page)
+
+    page.click("#write")
+    page.wait_for_selector(".good:has-text('has these settings')")
+    seen("written")
+    page.click("#process")
+    page.wait_for_selector("#tab-results.on")
+    page.wait_for_selector(f"#picture[data-frame='{LAST}'][data-mask=true]")
+    seen("result")
+
+    page.click("#report")
+    page.wait_for_selector("#report-link a")
+    with page.context.expect_page() as opening:
+        page.click("#report-link a")
+    report = opening.value
+    report.wait_for_selector("h1")
+    seen("report")
