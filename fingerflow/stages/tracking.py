@@ -161,7 +161,7 @@ class TrackingStage(Stage):
         known = [] if first is None else [first]
         rest = images[len(known) :]
         if len(rest):
-            known.append(points.follow(rest, around))
+            known.append(points.follow(rest, Found._make(one[len(known) :] for one in around)))
         return points.looked_at(images, Found.joined(known), around)
 
     def _off_dust(self, images: Tensor, found: Found) -> Found:

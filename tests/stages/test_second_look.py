@@ -148,12 +148,12 @@ def test_a_press_loses_no_point_to_it(scene_path: Path) -> None:
 
 def test_points_that_fail_have_no_position_and_are_counted(scene_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The tracker is made to give another place for three points, 5 px off, from the tenth frame on."""
-    from fingerflow.stages.tracking import TrackingStage
+    from fingerflow.stages.chosen_points import ChosenPoints
 
-    step, seen = TrackingStage._step, [1]
+    step, seen = ChosenPoints._step, [1]
 
-    def beside(stage: TrackingStage, images: Tensor) -> Any:
-        found = step(stage, images)
+    def beside(points: ChosenPoints, images: Tensor, around: Any) -> Any:
+        found = step(points, images, around)
         numbers = torch.arange(seen[0], seen[0] + len(images))
         seen[0] += len(images)
         shifted = found.points.clone()
@@ -161,7 +161,7 @@ def test_points_that_fail_have_no_position_and_are_counted(scene_path: Path, mon
         return found._replace(points=shifted)
 
     plain = process(scene_path)
-    monkeypatch.setattr(TrackingStage, "_step", beside)
+    monkeypatch.setattr(ChosenPoints, "_step", beside)
     result = process(scene_path)
     status = result["status"].values
     differs = status == TrackStatus.WINDOW_DIFFERS
