@@ -113,7 +113,7 @@ def small(recipe: Recipe) -> Recipe:
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
     """The graphs of a recipe; what one gives the next ones take, in shape and type."""
     known = {
-        **dict.fromkeys(("contact_view", "topography_view"), images()),
+        **dict.fromkeys(("contact_view", "topography_view", "key_view"), images()),
         **dict.fromkeys(("background", "dark"), images(torch.float32)),
         "mask": images(torch.bool),
         "threshold": alone(),
@@ -144,12 +144,14 @@ STEPS = steps()
 
 _BROUGHT = "a constant is made in every call"
 _ONE_BY_ONE = "views are warped one after the other"
+_CUT_ONE_BY_ONE = "windows are cut out of one view after the other"
 #: What the modules do not meet yet, by step: the tests say when they do.
 WAITS = {
     "key with warps": _ONE_BY_ONE,
     "fields and medians": _BROUGHT,
     **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
     **{f"{recipe} renew": _ONE_BY_ONE for recipe in RECIPES},
+    **{f"{recipe} search": _CUT_ONE_BY_ONE for recipe in RECIPES},
 }
 
 
