@@ -47,7 +47,7 @@ class RestingDust:
 
     def __init__(self, image: Tensor, window: int) -> None:
         """`image` (1, 1, h, w), the first one, and the side of the points' windows, px."""
-        self._first, self._half = image.to(torch.float32, copy=True), window // 2
+        self._first, self._half = image.clone(), window // 2
         self._noise = float(estimate_noise(image)) ** 2
         self._sum = torch.zeros(image.shape, dtype=torch.float32, device=image.device)  # of differences to the first
         self._square = torch.zeros_like(self._sum)
@@ -98,18 +98,16 @@ class RestingDust:
         x, y = np.moveaxis(self._place, -1, 0)
         self._products += np.stack((x * x, x * y, y * y))
         self._known += known
-        more = image.float() - self._first
-        if image.is_floating_point():
-            more = more.nan_to_num(0.0, 0.0, 0.0)
+        more = (image.float() - self._first.float()).nan_to_num(0.0, 0.0, 0.0)
         self._sum += more
-        self._square.addcmul_(more, more)
+        self._square += more * more
         self._count += 1
         self._last = found
 
     def _find(self) -> None:
         """Adds what is found to rest by all pictures so far."""
         offset = self._sum / self._count
-        mean = self._first + offset
+        mean = self._first.float() + offset
         variance = self._square / self._count - offset * offset
         # At the border one component is not known, without which motion along ridges seems to be across them.
         right = F.pad((mean[..., 1:-1, 2:] - mean[..., 1:-1, :-2]) / 2, (1, 1, 1, 1))
@@ -120,12 +118,11 @@ class RestingDust:
         bound = xx * right * right + 2 * xy * right * down + yy * down * down
         # One sum tells which is larger.
         rests = box_sum(bound - _CLEARLY * (variance + self._noise), _BOX) > 0
-        if not rests.any():
-            return
         self.rests |= F.max_pool2d(F.pad(rests.float(), (_BOX // 2,) * 4), _BOX, 1, _BOX // 2) > 0
-        side = 2 * self._half + 1
-        padded = F.pad(self.rests.float(), (self._half,) * 4)
-        self._share = box_sum(padded, side)[0, 0] / side**2
+        if self.rests.any():
+            side = 2 * self._half + 1
+            padded = F.pad(self.rests.float(), (self._half,) * 4)
+            self._share = box_sum(padded, side)[0, 0] / side**2
 
     def _spread(self) -> NDArray[np.float64]:
         """(3, rows, columns) px^2: xx, xy, yy of Sigma in cells, of the 3 x 3 around that of least motion."""
