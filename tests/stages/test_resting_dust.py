@@ -14,14 +14,9 @@ from torch import Tensor
 from fingerflow import process
 from fingerflow.player.contract.variables import TRACK_STATUS
 from fingerflow.stages.resting_dust import RestingDust
-from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
-from fingerflow.synthetic.fingerprint import FingerprintTexture
+from fingerflow.synthetic import Press, rebuild_scene, write_recording
 
 SHAPE, WINDOW = (120, 160), 21
-SIZE: dict[str, Any] = {
-    **{"frame_shape": (192, 400), "finger": (3.0, 2.7), "semi_axes": (2.3, 1.9)},
-    **{"n_frames": 32, "frame_rate": 32.0, "frames_before_trigger": 1},
-}
 Picture = np.ndarray[Any, Any]
 
 
@@ -99,11 +94,12 @@ def test_what_cannot_be_told_is_not_said() -> None:
 
 
 def test_a_press_behind_dust_has_no_wrong_point_in_silence(tmp_path: Path) -> None:
-    """As densely as 300 specks on 512 x 640 px. 5.2 % of the tracked positions are more than 0.3 px off without it,
-    1.8 % with it. On the same press without dust it takes less than one in 100.
+    """As densely as 300 specks on 512 x 640 px. Of tracked positions that are more than 0.3 px off it leaves less than
+    one in 100, of 4 to 7 without it; on the same press without dust it takes less than one in 100.
     """
+    size: dict[str, Any] = {"frame_shape": (192, 400), "finger": (3.0, 2.7), "semi_axes": (2.3, 1.9)}
     clean, dusty = tmp_path / "clean", tmp_path / "dusty"
-    press = Press(**SIZE)
+    press = Press(n_frames=32, frame_rate=32.0, frames_before_trigger=1, **size)
     for folder in (clean, dusty):
         write_recording(folder, press)
     frames = np.load(dusty / "frames.npy")
@@ -121,13 +117,6 @@ def test_a_press_behind_dust_has_no_wrong_point_in_silence(tmp_path: Path) -> No
     material = truth.material(truth.topography_positions(position[0]), 0)
     true = np.stack([truth.topography_pixels(truth.positions(material, frame)) for frame in range(len(position))])
     error = np.linalg.norm(position - true, axis=-1)[status == 0]
-    assert (error > 0.3).mean() < 0.025
+    assert (error > 0.3).mean() < 0.01
     assert any("status dust_rests" in one for one in json.loads(result.attrs["warnings"]))
     assert not any("dust_rests" in one for one in json.loads(plain.attrs["warnings"]))
-
-
-def test_a_slide_of_plain_skin_loses_less_than_one_point_in_100(tmp_path: Path) -> None:
-    """Skin that rests, then slips past a border: its displacement is as far from Gaussian as it gets."""
-    write_recording(tmp_path / "slide", Slide(**SIZE, creep=0.2, travel=0.25, texture=FingerprintTexture()))
-    status = process(tmp_path / "slide" / "scene.toml", ["status"], device="cpu")["status"].values
-    assert (status == TRACK_STATUS.index("dust_rests")).mean() < 0.01
