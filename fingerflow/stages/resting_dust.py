@@ -10,7 +10,7 @@ from torch import Tensor
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.noise import estimate_noise
 
-_CLEARLY = 2.5  # times the variance of a pixel that skin in motion would have at least
+_CLEARLY = 3.0  # times the variance of a pixel that skin in motion would have at least
 _BOX = 5  # px, odd, over which both are averaged: about a speck; what is found is as much wider
 _STEP_PX = 0.25  # of motion of a quarter of the points between pictures that count
 _MOST_SPREAD = 9.0  # px^2: beyond half a ridge variance grows no more
@@ -30,7 +30,7 @@ class RestingDust:
     least E[grad f]' Sigma E[grad f] (Cacoullos 1982, Annals of Probability 10, 799: for Gaussian u; for any other to
     first order in u), and E[grad f] is the gradient of the mean picture: where skin moves, an edge in the mean costs
     variance. Dust has the edge without the variance. A pixel rests where that bound, in means over 5 x 5 px, exceeds
-    2.5 times the variance (noise counted twice). Of skin that moves as a whole it reached 0.9 times at most, three
+    three times the variance (noise counted twice). Of skin that moves as a whole it reached 0.9 times at most, three
     times on a synthetic press and slide, where motion differs from place to place, beyond the points.
 
     Displacements are integrated at fixed places, so that skin may come and go: from picture to picture the median of
@@ -111,7 +111,7 @@ class RestingDust:
         cells = torch.from_numpy(self._spread()).to(mean).repeat_interleave(_CELL, 1).repeat_interleave(_CELL, 2)
         xx, xy, yy = cells[:, :height, :width]
         bound = xx * right * right + 2 * xy * right * down + yy * down * down
-        # One sum tells which is larger.
+        # One sum tells: bound - 3 (variance + noise).
         rests = box_sum(bound - _CLEARLY * (variance + self._noise), _BOX) > 0
         self.rests |= F.max_pool2d(F.pad(rests.float(), (_BOX // 2,) * 4), _BOX, 1, _BOX // 2) > 0
         if self.rests.any():
