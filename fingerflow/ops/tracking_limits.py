@@ -20,7 +20,6 @@ class TrackStatus(IntEnum):
     FRAME_NOT_USABLE = 9  # the whole frame is no picture of the trial: a recording's results have it, no op gives it
     WINDOW_DIFFERS = 10  # its window is no longer the one that was chosen (`stages.second_look`); no op gives it either
     NOT_CHOSEN_YET = 11  # it was chosen in another frame, as skin came into contact there (`stages.new_skin`); no op
-    DUST_RESTS = 12  # its window holds what rests in the picture while skin moves (`stages.resting_dust`); no op
 
 
 class Number(IntEnum):

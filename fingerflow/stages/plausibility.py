@@ -94,19 +94,6 @@ def of_windows(share: Series, first_frame: int) -> list[str]:
     ]
 
 
-def of_dust(share: Series, first_frame: int) -> list[str]:
-    """Of the share of points that lie on what rests in the picture (frames,), NaN where there is none."""
-    some = np.flatnonzero(share > 0)
-    if not len(some):
-        return []
-    return [
-        f"parts of the picture rest while the skin moves, as dust on the glass or the lens does: up to "
-        f"{np.max(share[some]):.1%} of the points lie on it and have no position (status dust_rests), from frame "
-        f"{some.min() + first_frame} on. Before, where the skin had hardly moved, it could not be told: points there "
-        f"may lag by as much as they had moved. Clean the glass and the lens"
-    ]
-
-
 def of_gauge(gauge_mm: float, points: NDArray[np.floating], contact_mm: float) -> list[str]:
     """Of the gauge length, the points (N, 2) mm where they touched first, NaN for those that never did, and the least
     diameter of the largest contact.

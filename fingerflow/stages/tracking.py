@@ -26,7 +26,6 @@ from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.new_skin import Known, NewSkin
 from fingerflow.stages.regions import region_mask
-from fingerflow.stages.resting_dust import RestingDust
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -70,11 +69,10 @@ class TrackingStage(Stage):
         self._around: list[Tensor] = []  # numbers (A,) of the points before that each of these goes by
         self._density = 0.0  # points a px of the region of the first choice
         self._new_skin: NewSkin | None = None
-        self._dust: RestingDust | None = None
         self._full = False  # whether no more points may be chosen
         self._skipped: list[int] = []  # frames before the points were chosen
         self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
-        self._share, self._error, self._differs, self._dusty = np.full((4, len(trial)), np.nan)
+        self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
 
     @classmethod
     def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
@@ -133,7 +131,7 @@ class TrackingStage(Stage):
             for points, numbers in zip(self._chosen, self._around, strict=True):
                 around = part_of(beside(every), numbers) if every else _nothing(images)
                 every.append(self._go_on(points, images, None, around))
-        found = self._off_dust(images, beside(every))
+        found = beside(every)
         before = found.status.shape[1]
         new = self._choose_new(images[-1:], margin[-1:], Found._make(one[-1:] for one in found))
         if new is not None:
@@ -149,11 +147,9 @@ class TrackingStage(Stage):
             "in_contact": in_contact.cpu().numpy(),
         }.items():
             self.results[name][indices] = values
-        reasons = (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS, TrackStatus.DUST_RESTS)
-        tracked, differs, dusty = (status[:, :before] == one for one in reasons)
+        tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
         self._share[indices] = tracked.mean(1)
         self._differs[indices] = differs.mean(1)
-        self._dusty[indices] = dusty.mean(1)
         self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
 
     def _go_on(self, points: ChosenPoints, images: Tensor, first: Found | None, around: Found) -> Found:
@@ -164,23 +160,10 @@ class TrackingStage(Stage):
             known.append(points.follow(rest, Found._make(one[len(known) :] for one in around)))
         return points.looked_at(images, Found.joined(known), around)
 
-    def _off_dust(self, images: Tensor, found: Found) -> Found:
-        """What was found, without points whose windows hold dust that rests."""
-        if self._dust is None:
-            self._dust = RestingDust(images[:1], self._settings.window_px)
-        start = torch.cat([one.start for one in self._chosen], dim=1)[0]
-        dusty = self._dust.holds(images, found.points, start) & (found.status == TrackStatus.TRACKED)
-        return found._replace(
-            points=torch.where(dusty[..., None], torch.nan, found.points),
-            covariance=torch.where(dusty[..., None, None], torch.nan, found.covariance),
-            status=torch.where(dusty, int(TrackStatus.DUST_RESTS), found.status).to(found.status.dtype),
-        )
-
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
         self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
         self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
-        self.warnings.extend(plausibility.of_dust(self._dusty, first_frame))
         self.results.put("tracked_share", self._share)
         self.results.put("window_differs_share", self._differs)
         self.results.put("forward_backward_median", self._error)

@@ -142,7 +142,6 @@ TRACK_STATUS = (
     "frame_not_usable",
     "window_differs",
     "not_chosen_yet",
-    "dust_rests",
 )
 TRACKING = (
     Variable("position", ("frame", "point", "xy"), "mm", "position on the glass"),
