@@ -312,7 +312,7 @@ def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> N
     ):
         assert f"<h2>{shown}" in text, shown
     assert "median divergence" in text
-    told = re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)  # in which any four letters may follow each other
+    told = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", text)  # in which any four letters may follow each other
     assert "http" not in told.replace("http-equiv", "")  # self-contained
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 24
