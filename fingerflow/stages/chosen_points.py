@@ -62,7 +62,9 @@ class ChosenPoints:
         place: (1, N, 2) px, where points are, or are expected.
     """
 
-    def __init__(self, graphs: Graphs, settings: TrackingSettings, image: Tensor, points: Tensor, around: Tensor) -> None:
+    def __init__(
+        self, graphs: Graphs, settings: TrackingSettings, image: Tensor, points: Tensor, around: Tensor
+    ) -> None:
         """`image` (1, 1, h, w), `points` (1, N, 2) and `around` (1, A, 2) px in it."""
         self._graphs, self._settings = graphs, settings
         self._second = SecondLook(image, points[0], settings.window_px, around[0])
