@@ -96,7 +96,7 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._unlooked, self._look_after = 0, _RENEWAL_FRAMES  # frames since templates were looked at, until they are
+        self._unlooked = 0  # frames since templates were looked at
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -409,7 +409,7 @@ class Player:
         self._findings.count(found, area)
         if self._stepper.measures:
             self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= self._look_after:
+        if self._unlooked >= _RENEWAL_FRAMES:
             self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
@@ -443,10 +443,8 @@ class Player:
         key = self.restarts + self.keys
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
-        soon = work is not None and 2 * len(work.rows) > self.tracked
-        self._look_after = self._stepper.lag if soon else _RENEWAL_FRAMES  # no frame that may have begun
         if work is not None:
-            self._renewals.append(Renewing(index + 1 + self._look_after, key, work))
+            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
