@@ -47,6 +47,7 @@ def text_of(page: Any, selector: str) -> str:
 
 def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int = WIDTH) -> None:
     """Between two places in px of the frame."""
+    page.locator("#picture").scroll_into_view_if_needed()
     box = page.locator("#picture").bounding_box()
     scale = box["width"] / frame_width
     (x0, y0), (x1, y1) = ((box["x"] + x * scale, box["y"] + y * scale) for x, y in (start, end))

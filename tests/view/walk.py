@@ -13,6 +13,7 @@ Seen = Callable[[str], None]
 
 def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int) -> None:
     """Between two places in px of the frame."""
+    page.locator("#picture").scroll_into_view_if_needed()
     box = page.locator("#picture").bounding_box()
     scale = box["width"] / frame_width
     (x0, y0), (x1, y1) = ((box["x"] + x * scale, box["y"] + y * scale) for x, y in (start, end))
