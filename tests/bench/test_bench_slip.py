@@ -27,7 +27,14 @@ def test_trials_of_seeds_differ_and_come_back() -> None:
 
 
 def row(name: str, right: bool, frames: int, unknown: float, within: float | None, **ratios: float) -> dict[str, Cell]:
-    errors = {"ratio_error": None, "fit_error": None, **ratios}
+    errors = {
+        "ratio_error": None,
+        "fit_error": None,
+        "ratio_bound": None,
+        "ratio_shift": None,
+        "offset_5": None,
+        **ratios,
+    }
     worst = None if within is None else 0.1
     return {
         "trial": name, "right": right, "frames": frames, "unknown": unknown, "within_002": within, "worst": worst,
@@ -38,12 +45,14 @@ def row(name: str, right: bool, frames: int, unknown: float, within: float | Non
 def test_rows_are_counted() -> None:
     """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all."""
     rows = [
-        row("1", True, 100, 0.0, 100.0, ratio_error=0.04),
-        row("2", False, 50, 50.0, 0.0, ratio_error=-0.2),
+        row("1", True, 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
+        row("2", False, 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),
         row("3", True, 50, 100.0, None),
     ]
     total, *rest = slip.summed(rows)
     assert (total["right"], total["found"], total["frames"]) == (2, "of 3", 200)
+    assert total["ratio_bound"] == pytest.approx(0.04)
+    assert total["offset_5"] is None
     assert total["unknown"] == pytest.approx(100 * 75 / 200)
     assert total["within_002"] == pytest.approx(100 * 100 / 125)
     assert (total["worst"], total["ratio_error"], total["fit_error"]) == (0.1, 50.0, None)
