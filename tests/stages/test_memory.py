@@ -121,7 +121,7 @@ def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[[int], S
             tracemalloc.stop()
     a_frame = {to: (many - few) / 360 for to, (few, many) in bytes_of.items()}
     assert a_frame[file] < 1000  # some forty numbers, and places of chunks in the file
-    assert a_frame[file] < a_frame[None] / 2.5  # of  points: a real recording has 700
+    assert a_frame[file] < a_frame[None] / 2.5  # of few points: a real recording has 700
     xr.testing.assert_identical(
         load_result(file).drop_attrs(deep=False), process(scene).drop_attrs(deep=False).drop_encoding()
     )
