@@ -22,7 +22,7 @@ from .errors import PlayerError, first_line
 from .patient_file import PatientFile
 
 RESULTS_FORMAT = 2
-_AT_ONCE = 1 << 16  # bytes of records that are written together: what a killed process loses
+_AT_ONCE = 1 << 13  # bytes of records that are written together: what a killed process loses
 
 
 class StreamResults(NamedTuple):
