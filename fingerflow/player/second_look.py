@@ -8,7 +8,7 @@ import numpy as np
 
 from .arrays import Array
 from .contract.variables import TRACK_STATUS
-from .motion import TRUSTED, Motion
+from .motion import TRUSTED, Motion, known_of
 
 _NOT_CONVERGED = TRACK_STATUS.index("not_converged")
 _MANY, _FEWEST = 0.1, 8  # share of the points that were found in the last frames, of so many at least
@@ -108,8 +108,7 @@ class SecondLook:
             self._results = run(self._prediction)
 
     def _is_found(self) -> Array:
-        found: Array = np.asarray(np.isfinite(self._results["points"]).all(-1))
-        return found
+        return known_of(self._results["points"])
 
     def _lost(self) -> Array:
         """(1, N) of the points that are wanted, those that are not found."""

@@ -5,6 +5,7 @@ import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
@@ -15,6 +16,8 @@ import pytest
 from fingerflow import load_scene
 from fingerflow.result import load_result
 from fingerflow.view.server import Served
+from tests.view.walk import drag as drag_in
+from tests.view.walk import fill
 
 WIDTH = 240  # px of a frame
 SLOW = 120_000  # ms: torch is loaded, and a machine may be busy
@@ -45,25 +48,7 @@ def text_of(page: Any, selector: str) -> str:
     return str(page.inner_text(selector))
 
 
-def drag(page: Any, start: tuple[float, float], end: tuple[float, float], frame_width: int = WIDTH) -> None:
-    """Between two places in px of the frame."""
-    page.locator("#picture").scroll_into_view_if_needed()
-    box = page.locator("#picture").bounding_box()
-    scale = box["width"] / frame_width
-    (x0, y0), (x1, y1) = ((box["x"] + x * scale, box["y"] + y * scale) for x, y in (start, end))
-    page.mouse.move(x0, y0)
-    page.mouse.down()
-    page.mouse.move((x0 + x1) / 2, (y0 + y1) / 2)
-    page.mouse.move(x1, y1)
-    page.mouse.up()
-
-
-def fill(page: Any, key: str, value: str) -> None:
-    field = page.locator(f'[data-key="{key}"]')
-    page.evaluate("element => { element.closest('details').open = true; }", field.element_handle())
-    box = field.locator("input").first
-    box.fill(value)
-    box.press("Enter")
+drag = partial(drag_in, frame_width=WIDTH)
 
 
 def orange(page: Any) -> int:
