@@ -98,7 +98,7 @@ def test_compiled_preparation_is_the_portable_one(
     height: int, width: int, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Levels to some roundings of float32 (determinants of inverses cancel), cells at pixels to rounding, covariance
-    to 5e-5 of the largest: the smaller eigenvalue l of ridges in one direction is a difference of equal numbers, and
+    to 1e-4 of the largest: the smaller eigenvalue l of ridges in one direction is a difference of equal numbers, and
     l ln l, on which it depends, is steep at 0. For a batch with different noise, tensors from none to far above it, and
     holes in the mask."""
     generator = torch.Generator().manual_seed(height)
@@ -130,5 +130,5 @@ def test_compiled_preparation_is_the_portable_one(
     assert expected_spread.isnan().any()
     assert expected_spread.isfinite().any()
     largest = float(expected_spread.nan_to_num().abs().max())
-    torch.testing.assert_close(spread, expected_spread, rtol=0, atol=5e-5 * largest, equal_nan=True)
+    torch.testing.assert_close(spread, expected_spread, rtol=0, atol=1e-4 * largest, equal_nan=True)
     torch.testing.assert_close(pixels, expected_pixels, rtol=0, atol=5e-6)

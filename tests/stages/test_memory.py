@@ -3,7 +3,7 @@
 import gc
 import tracemalloc
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,17 @@ from fingerflow.recordings import Recording
 from fingerflow.result import load_result
 from fingerflow.scene import Scene
 from fingerflow.stages.contact import ContactStage
+
+
+@pytest.fixture(autouse=True)
+def _cycles_are_let_go() -> Iterator[None]:
+    """Cycles are collected once there are a quarter as many objects as in the whole process, of whatever was tested in it
+    before: what is there already does not count.
+    """
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 class Watch:
