@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 import torch
+from filelock import FileLock
 
 from bench.chromium import launch
 from fingerflow import kernels
 from fingerflow.synthetic import PartialSlip, write_recording
+from tests.small_trials import write_bundle_of_trials
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -49,6 +51,15 @@ def slip_trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
             text = text.replace(old, new)
         scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
     return folder
+
+
+@pytest.fixture(scope="session")
+def bundle_of_trials(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """What plays `small_trials`, not to be written to: exported once, in a minute, by the first that needs it."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own if worker_id == "master" else own.parent) / "bundle_of_trials"
+    with FileLock(f"{folder}.lock"):
+        return folder if folder.exists() else write_bundle_of_trials(folder)
 
 
 @pytest.fixture

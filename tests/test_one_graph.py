@@ -16,7 +16,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.player.providers import PROVIDERS
 from fingerflow.report import write_report
-from tests.small_trials import POINTS, write_bundle_of_trials, write_trial
+from tests.small_trials import POINTS, write_trial
 
 
 class Said(NamedTuple):
@@ -34,16 +34,15 @@ class Said(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
+def said(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path) -> Said:
     folder = tmp_path_factory.mktemp("one_graph")
     scene_file = write_trial(folder / "press")
     scene = fingerflow.load_scene(scene_file)
     recorded = [fingerflow.process(scene, engine=engine) for engine in ("torch", "onnx")]
-    write_bundle_of_trials(folder / "bundle")
     played = []
     for provider in ("cpu", "compiled"):
         options = ["--output", str(folder / provider), "--page", "off", "--provider", provider, "--no-spin"]
-        assert player.main([str(folder / "bundle"), "--scene", str(scene_file), "--threads", "1", *options]) == 0
+        assert player.main([str(bundle_of_trials), "--scene", str(scene_file), "--threads", "1", *options]) == 0
         played.append(player.read_results(folder / provider))
         assert not played[-1].header["warnings"]
         assert played[-1].header["provider"] == PROVIDERS[provider]

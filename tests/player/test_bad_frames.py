@@ -21,13 +21,11 @@ from fingerflow.player.frame_check import LONGEST, USABLE, FrameCheck
 from fingerflow.player.upkeep import ThresholdSearch
 from tests.small_trials import (
     FRAMES,
-    GRAPHS,
     HEIGHT,
     SPOILED,
     TRIALS,
     WIDTH,
     dim_contact,
-    write_bundle_of_trials,
     write_trial,
 )
 
@@ -55,11 +53,6 @@ class Small(NamedTuple):
         return found._replace(records=np.array(found.records))
 
 
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bundle_of_trials(tmp_path_factory.mktemp("bundles") / "bundle", (*GRAPHS, "contact"))
-
-
 def _made(kind: str, bundle: Path, folder: Path) -> Small:
     write_trial(folder / "trial", kind)
     frames = np.load(folder / "trial" / "frames.npy")
@@ -68,15 +61,15 @@ def _made(kind: str, bundle: Path, folder: Path) -> Small:
 
 
 @pytest.fixture(scope="module")
-def small(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
-    return _made("press", bundle, tmp_path_factory.mktemp("bad_frames"))
+def small(bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+    return _made("press", bundle_of_trials, tmp_path_factory.mktemp("bad_frames"))
 
 
 @pytest.fixture(scope="module", params=TRIALS)
-def trial(request: pytest.FixtureRequest, bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+def trial(request: pytest.FixtureRequest, bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
     if request.param == "press":
         return request.getfixturevalue("small")  # type: ignore[no-any-return]
-    return _made(request.param, bundle, tmp_path_factory.mktemp(request.param))
+    return _made(request.param, bundle_of_trials, tmp_path_factory.mktemp(request.param))
 
 
 def _status_of(records: Frames) -> dict[int, str]:

@@ -21,8 +21,8 @@ from fingerflow.stages.contact import ContactStage
 
 @pytest.fixture(autouse=True)
 def _cycles_are_let_go() -> Iterator[None]:
-    """Cycles are collected once there are a quarter as many objects as in the whole process, of whatever was tested in it
-    before: what is there already does not count.
+    """Cycles are collected once there are a quarter as many objects as the process has of all tests before: what is
+    there already does not count.
     """
     gc.collect()
     gc.freeze()
