@@ -48,11 +48,11 @@ class Session:
 
     def open(self) -> None:
         """Opens what the page asks for first; what cannot be opened it says itself."""
-        with contextlib.suppress(FingerflowError):
-            if self._result_path is not None:
+        if self._result_path is not None:
+            with contextlib.suppress(FingerflowError):
                 self.result()
-            else:
-                self.setup()
+        with contextlib.suppress(FingerflowError):
+            self.setup()
 
     def ready(self) -> Facts:
         """Loads what the first picture does without, while it is looked at: contact, points and forces come after."""

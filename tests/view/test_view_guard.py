@@ -4,6 +4,7 @@ import http.client
 import re
 import socket
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -101,3 +102,11 @@ def test_two_names_in_one_request_are_refused(served: Served, cookie: str) -> No
 def test_a_port_that_is_taken_is_named(served: Served, processed: Path) -> None:
     with pytest.raises(FingerflowError, match=f"port {served.port} .*give another --port"):
         Served(processed / "scene.toml", served.port)
+
+
+def test_every_module_of_the_page_is_asked_for_at_once() -> None:
+    """Else one waits for the other that imports it, and the first picture for all of them."""
+    page = resources.files("fingerflow.view") / "page"
+    scripts = {one.name for one in page.iterdir() if one.name.endswith(".js")} - {"main.js"}
+    assert len(scripts) > 5
+    assert set(re.findall(r'<link rel="modulepreload" href="(.*)">', (page / "index.html").read_text())) == scripts

@@ -24,16 +24,18 @@ export class ResultsView {
   async load() {
     this.facts = await get("api/result");
     this.views = this.facts.views || {};
-    this.triangles = this.facts.triangles ? (await arrays("api/result/triangles")).arrays.triangles.values : null;
     this.maps = new Map(this.facts.maps.map(one => [one.key, one]));
     this.curves = new Map(this.facts.curves.map(one => [one.key, one]));
     this.shown = FIRST_MAPS.find(key => this.maps.has(key)) || "";
-    this.range = this.shown ? await this.rangeOf(this.shown) : null;
     this.ticked = FIRST_CURVES.filter(key => this.curves.has(key));
     this.x = "time";
     this.chosen = [];
     this.history = null;
     this.arrows = this.facts.arrow_scale;
+    const [triangles, range] = await Promise.all([
+      this.facts.triangles ? arrays("api/result/triangles") : null, this.shown ? this.rangeOf(this.shown) : null]);
+    this.triangles = triangles?.arrays.triangles.values;
+    this.range = range;
   }
   async rangeOf(key) { return (await get(`api/result/range?key=${encodeURIComponent(key)}`)).range; }
   async enter() {
