@@ -7,7 +7,8 @@ rest are default settings. Two trials with --quick.
 
 - verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it is
   not; wrong where it says the other; none where it is "inconclusive". `critical` is that area, `critical_found` the
-  measured one, `found` the verdict and `why` its reason;
+  measured one, `found` the verdict and `why` its reason; by_area: whether the measured area alone, without regard to
+  its deviation, lies on the right side of the limit;
 - within_002: percent of the frames before full slip whose d² is off by 0.02 at most; `worst` the largest error,
   `unknown` the percent of these frames without a d²;
 - ratio_error: mu_k / mu_s over the true one, less 1, from the critical area of a trial that vanishes abruptly and is
@@ -112,6 +113,7 @@ def measured(seed: int) -> dict[str, Cell]:
     return {
         "trial": str(seed),
         "verdict": judged,
+        "by_area": verdict["critical_area"] is not None and (verdict["critical_area"] > SMALLEST_AREA) == abrupt,
         "found": verdict["outcome"],
         "critical": critical,
         "critical_found": verdict["critical_area"],
@@ -149,6 +151,7 @@ def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
     total: Row = {
         "trial": "all",
         "verdict": ", ".join(f"{sum(row['verdict'] == one for row in rows)} {one}" for one in _ORDER),
+        "by_area": sum(bool(row["by_area"]) for row in rows),
         "found": f"of {len(rows)}",
         "frames": int(frames),
         "unknown": 100 * (1 - sum(seen) / frames),

@@ -67,26 +67,30 @@ def calls() -> dict[str, Callable[[], Any]]:
     own: dict[str, Callable[[], Any]] = {
         name: lambda case=case: case.call(*case.inputs) for name, case in CASES.items()
     }
-    return of_flow | own | {
-        "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
-        "fill_holes": lambda: kernels.fill_holes(mask),
-        "largest_component": lambda: kernels.largest_component(mask),
-        "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
-        "mask_moments": lambda: kernels.mask_moments(mask),
-        "fit_ellipse": lambda: kernels.fit_ellipse(mask),
-        "real_contact_mask": lambda: kernels.real_contact_mask(
-            tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
-        ),
-        "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
-        "mean_response": lambda: kernels.mean_response(tall),
-        "halve": lambda: kernels.halve(tall),
-        "spline_coefficients": lambda: kernels.spline_coefficients(tall),
-        "dense_flow": lambda: ops.dense_flow(one, other),
-        "triangle_strain": lambda: triangle_strain(
-            points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
-        ),
-        "skin_chain": chain,
-    }
+    return (
+        of_flow
+        | own
+        | {
+            "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
+            "fill_holes": lambda: kernels.fill_holes(mask),
+            "largest_component": lambda: kernels.largest_component(mask),
+            "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
+            "mask_moments": lambda: kernels.mask_moments(mask),
+            "fit_ellipse": lambda: kernels.fit_ellipse(mask),
+            "real_contact_mask": lambda: kernels.real_contact_mask(
+                tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
+            ),
+            "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
+            "mean_response": lambda: kernels.mean_response(tall),
+            "halve": lambda: kernels.halve(tall),
+            "spline_coefficients": lambda: kernels.spline_coefficients(tall),
+            "dense_flow": lambda: ops.dense_flow(one, other),
+            "triangle_strain": lambda: triangle_strain(
+                points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
+            ),
+            "skin_chain": chain,
+        }
+    )
 
 
 @contextmanager
