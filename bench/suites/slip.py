@@ -5,8 +5,8 @@ A trial a seed, of `fingerflow.synthetic.PartialSlip`: mu_s of 0.5 to 1.5 and mu
 levels, force noise of 5 to 30 mN, 60 frames a second for 1.6 to 2.4 s. Points are tracked with windows of 17 px; the
 rest are default settings. Two trials with --quick.
 
-- verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it is
-  not; wrong where it says the other; none where it is "inconclusive". `critical` is that area, `critical_found` the
+- verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it
+  is not; wrong where it says the other; none where it is "inconclusive". `critical` is that area, `critical_found` the
   measured one, `found` the verdict and `why` its reason; by_area: whether the measured area alone, without regard to
   its deviation, lies on the right side of the limit;
 - within_002: percent of the frames before full slip whose d² is off by 0.02 at most; `worst` the largest error,
@@ -18,8 +18,7 @@ rest are default settings. Two trials with --quick.
   too large by 0.01 in all frames, half of `within_002`; offset_5, the offset of d² that moves the ratio by 5 %;
 - cpu_s: of `process`, one thread.
 
-The row `all` counts: right and wrong verdicts and none, percent of all frames, the worst of all, and the percent of the trials
-with a ratio whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So
+The row `all` counts: verdicts, percent of all frames, the worst of all, and the percent of the trials with a ratio whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So
 5 % in all trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures
 of real fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method
 on its own model.

@@ -39,7 +39,7 @@ _MEDIAN_S = 0.07  # s of a running median of the positions: of skin that goes on
 _SPEED_S = 0.05  # s over which a speed is taken
 _FRAMES = 64  # in memory at a time
 _FEWEST_POINTS = 3  # that slip, for a direction
-# Of the critical area, RMS of its error on the trials of `python -m bench slip` whose true one is above 0 and below 0.15.
+# Of the critical area: RMS of its error on the twelve trials of `bench slip` whose true one is above 0 and below 0.15.
 _CRITICAL_STD = 0.04
 _LEAST_LIMIT = 2.0  # times the deviation of a displacement: below, one in twenty points that stick is beyond the limit
 
@@ -51,8 +51,8 @@ class SlipStage(Stage):
 
     - "border": where displacement begins, as the windows of the points show it (`StuckBorder`): the model's own d^2.
       On 100 random trials with a camera's noise of 1 to 3 grey levels (`python -m bench slip`) d^2 is within 0.02 in
-      87 % of the frames, the worst frame of a trial is 0.026 off (median; 0.054 at most). 90 verdicts are right, none is
-      wrong, and 10 trials are inconclusive, as their critical area is found within 0.04 of the limit of 0.05; by the
+      87 % of the frames, the worst frame of a trial is 0.026 off (median; 0.054 at most). 90 verdicts are right, none
+      is wrong, and 10 trials are inconclusive, as their critical area is found within 0.04 of the limit of 0.05; by the
       area alone 96 would be right. mu_k / mu_s comes out to 5 % in 45 % of the trials that vanish abruptly by the
       critical area, in 55 % by the fit.
     - "displacement": less than stuck_mm, 40 um in Terekhov & Hayward (2011). Skin beside the stuck part has slipped by

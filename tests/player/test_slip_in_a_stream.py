@@ -86,8 +86,8 @@ def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[Part
     """Of those that are given, against where the skin of their first frame is.
 
     The rim jumps by 5 px within a few windows, which stretches it by a third and more: in the jump and the four frames
-    after it all are within 1 px, and nine in ten within 0.5 px (the worst before the jump is 0.9); another ridge is 14 px
-    away. When all jumps as one, all are within 0.5 px.
+    after it all are within 1 px, and nine in ten within 0.5 px (the worst before the jump is 0.9); another ridge is
+    14 px away. When all jumps as one, all are within 0.5 px.
     """
     trial, records = played
     rim, whole = (int(at) for at in np.searchsorted(trial.times, trial.jumps))
