@@ -137,8 +137,8 @@ class StuckBorder:
         clear, beyond = self._clear(float(levels[first]), width)
         held = inside & (length < FOLLOWED_MM)
         slow = held & (component < clear)
-        # The low levels are those of a narrow annulus at the rim. What does not reach the rim is none: below the level of
-        # a wide one it is noise.
+        # The low levels are those of a narrow annulus at the rim. What does not reach the rim is none: below the level
+        # of a wide one it is noise.
         filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
         slow |= filled & held & (component < self.followed)
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)

@@ -156,7 +156,7 @@ def sawtooth(trial: SimulatedTrial) -> np.ndarray:
 
 @pytest.mark.parametrize("mu_k", [0.72, 0.78])
 def test_a_critical_area_beside_the_limit_is_not_told_from_it(mu_k: float) -> None:
-    """Of 0.09 and 0.02, found as 0.07 and 0.03: no verdict with a deviation of 0.04, but all numbers; one with 0.004."""
+    """Of 0.09, 0.02, found as 0.07 and 0.03: no verdict with a deviation of 0.04, but all numbers; with 0.004 one."""
     trial = simulate_trial(0.8, mu_k, seed=2, area_noise=0, load_noise=0)
     series = trial.stuck_area, trial.load_ratio, trial.time
     plain, unsure, sure = (judge_trial(*series, std) for std in (0.0, 0.04, 0.004))
