@@ -19,9 +19,10 @@ rest are default settings. Two trials with --quick.
 - cpu_s: of `process`, one thread.
 
 The row `all` counts: verdicts, percent of all frames, the worst of all, and the percent of the trials with a ratio
-whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So 5 % in all trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures
-of real fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method
-on its own model.
+whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So 5 % in all
+trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures of real
+fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method on its
+own model.
 """
 
 import json
