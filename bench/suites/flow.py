@@ -16,7 +16,7 @@ their names say. Like fingerflow by default these hold grey levels constant: TV-
 (Charbonnier's penalty) of DIS with its gradient term off. The refinement as it is, and DeepFlow, which matches
 descriptors besides, hold the gradient constant too. Mean error in px:
 
-    grey levels: TV-L1 0.180; DIS refined 0.142; fingerflow 0.153, with Charbonnier's penalty 0.152
+    grey levels: TV-L1 0.180; DIS refined 0.142; fingerflow 0.154, with Charbonnier's penalty 0.152
     gradient:    DIS refined 0.110; DeepFlow 0.085; fingerflow 0.087, with Charbonnier's penalty 0.082
 
 In grey levels DIS, whose patches are compared without their mean and refined, is ahead by a fifteenth.

@@ -5,8 +5,10 @@ A trial a seed, of `fingerflow.synthetic.PartialSlip`: mu_s of 0.5 to 1.5 and mu
 levels, force noise of 5 to 30 mN, 60 frames a second for 1.6 to 2.4 s. Points are tracked with windows of 17 px; the
 rest are default settings. Two trials with --quick.
 
-- right: a verdict that says "vanishes abruptly" where the model's critical area is above 0.05, and "diminishes" where
-  it is not; `critical` is that area, `critical_found` the measured one, `found` the verdict;
+- verdict: right where it says "vanishes abruptly" and the model's critical area is above 0.05, or "diminishes" and it
+  is not; wrong where it says the other; none where it is "inconclusive". `critical` is that area, `critical_found` the
+  measured one, `found` the verdict and `why` its reason; by_area: whether the measured area alone, without regard to
+  its deviation, lies on the right side of the limit;
 - within_002: percent of the frames before full slip whose d² is off by 0.02 at most; `worst` the largest error,
   `unknown` the percent of these frames without a d²;
 - ratio_error: mu_k / mu_s over the true one, less 1, from the critical area of a trial that vanishes abruptly and is
@@ -16,11 +18,11 @@ rest are default settings. Two trials with --quick.
   too large by 0.01 in all frames, half of `within_002`; offset_5, the offset of d² that moves the ratio by 5 %;
 - cpu_s: of `process`, one thread.
 
-The row `all` counts: right verdicts and trials, percent of all frames, the worst of all, and the percent of the trials
-with a ratio whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So
-5 % in all trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures
-of real fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method
-on its own model.
+The row `all` counts: verdicts, percent of all frames, the worst of all, and the percent of the trials with a ratio
+whose `ratio_error` (`fit_error`) is 5 % at most; of the bound and what follows it gives the medians. So 5 % in all
+trials is not to be had with d² to 0.02, by any estimate: its `offset_5` says what that takes. In pictures of real
+fingers the border of the stuck part need not begin as the synthetic one does: these figures are of the method on its
+own model.
 """
 
 import json
@@ -41,7 +43,8 @@ from fingerflow.models.partial_slip import critical_stuck_area
 from fingerflow.models.partial_slip.verdict import SMALLEST_AREA
 from fingerflow.synthetic import Camera, PartialSlip, RidgeTexture, write_recording
 
-SEEDS = range(100, 171)
+SEEDS = range(100, 200)
+_ORDER = ("wrong", "none", "right")
 _NEAR = 0.02  # of d^2
 _CLOSE = 0.05  # of mu_k / mu_s
 _RATE = 60.0
@@ -49,7 +52,7 @@ _NOISE = 0.01  # of d^2, for the bound
 
 
 def run(quick: bool) -> list[Row]:
-    """The row of all trials and a row each, the wrong ones first."""
+    """The row of all trials and a row each, the wrong ones first, then those without a verdict."""
     return summed([measured(seed) for seed in (SEEDS[:2] if quick else SEEDS)])
 
 
@@ -102,13 +105,15 @@ def measured(seed: int) -> dict[str, Cell]:
     critical = float(critical_stuck_area(known.static_friction, known.kinetic_friction).nan_to_num(0.0))
     abrupt = critical > SMALLEST_AREA
     right = verdict["outcome"] == ("vanishes abruptly" if abrupt else "diminishes")
+    judged = "none" if verdict["outcome"] == "inconclusive" else "right" if right else "wrong"
     true_ratio = known.kinetic_friction / known.static_friction
     ratio = verdict["friction_ratio"] if abrupt and right else None
     bound = friction_bound(known, _NOISE, _NOISE) if abrupt else None
     fitted = fit["ratio"] if abrupt and fit.get("identified") else None
     return {
         "trial": str(seed),
-        "right": right,
+        "verdict": judged,
+        "by_area": verdict["critical_area"] is not None and (verdict["critical_area"] > SMALLEST_AREA) == abrupt,
         "found": verdict["outcome"],
         "critical": critical,
         "critical_found": verdict["critical_area"],
@@ -123,12 +128,12 @@ def measured(seed: int) -> dict[str, Cell]:
         "ratio_shift": None if bound is None else bound.shift,
         "offset_5": None if bound is None else _CLOSE * _NOISE / abs(bound.shift),
         "cpu_s": seconds,
-        "why": verdict["reason"] if not right else None,
+        "why": verdict["reason"],
     }
 
 
 def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
-    """The rows of trials after one that counts them, the wrong ones first."""
+    """The rows of trials after one that counts them, in `_ORDER`."""
     known = [row for row in rows if row["within_002"] is not None]
     frames = sum(number(row, "frames") for row in rows)
     seen = [number(row, "frames") * (1 - number(row, "unknown") / 100) for row in known]
@@ -145,7 +150,8 @@ def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
     }
     total: Row = {
         "trial": "all",
-        "right": sum(bool(row["right"]) for row in rows),
+        "verdict": ", ".join(f"{sum(row['verdict'] == one for row in rows)} {one}" for one in _ORDER),
+        "by_area": sum(bool(row["by_area"]) for row in rows),
         "found": f"of {len(rows)}",
         "frames": int(frames),
         "unknown": 100 * (1 - sum(seen) / frames),
@@ -155,4 +161,4 @@ def summed(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
         **{name: None if math.isnan(middle) else middle for name, middle in bounds.items()},
         "cpu_s": sum(number(row, "cpu_s") for row in rows),
     }
-    return [total, *sorted(rows, key=lambda row: bool(row["right"]))]
+    return [total, *sorted(rows, key=lambda row: _ORDER.index(str(row["verdict"])))]

@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.models.partial_slip.border import BorderFit, Seen, border_level, fit_border
+from fingerflow.ops.components import fill_holes
 from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.stages.slip_grid import Field, Mask, SlipGrid
 
@@ -134,7 +135,12 @@ class StuckBorder:
         first = int(np.argmax(levels >= at_border)) if (levels >= at_border).any() else len(levels) - 1
         width = radius * (1 - math.sqrt(min(float(share[first]), 1)))
         clear, beyond = self._clear(float(levels[first]), width)
-        slow = inside & (component < clear) & (length < FOLLOWED_MM)
+        held = inside & (length < FOLLOWED_MM)
+        slow = held & (component < clear)
+        # The low levels are those of a narrow annulus at the rim. What does not reach the rim is none: below the level
+        # of a wide one it is noise.
+        filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
+        slow |= filled & held & (component < self.followed)
         return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
 
     def _clear(self, level: float, width: float) -> tuple[float, float]:

@@ -9,10 +9,11 @@ from bench.suites import slip
 def test_two_trials() -> None:
     """Both verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""
     total, *rows = slip.run(quick=True)
-    assert (total["trial"], total["right"], total["found"]) == ("all", 2, "of 2")
+    assert (total["trial"], total["verdict"], total["found"]) == ("all", "0 wrong, 0 none, 2 right", "of 2")
     assert [row["trial"] for row in rows] == ["100", "101"]
     for row in rows:
         assert row["unknown"] == 0
+        assert "critical" in str(row["why"])
         assert number(row, "within_002") > 90
         assert number(row, "worst") < 0.05
     assert number(total, "worst") == max(number(row, "worst") for row in rows)
@@ -26,7 +27,7 @@ def test_trials_of_seeds_differ_and_come_back() -> None:
     assert outcomes == {True, False}
 
 
-def row(name: str, right: bool, frames: int, unknown: float, within: float | None, **ratios: float) -> dict[str, Cell]:
+def row(name: str, verdict: str, frames: int, unknown: float, within: float | None, **ratios: float) -> dict[str, Cell]:
     errors = {
         "ratio_error": None,
         "fit_error": None,
@@ -37,24 +38,26 @@ def row(name: str, right: bool, frames: int, unknown: float, within: float | Non
     }
     worst = None if within is None else 0.1
     return {
-        "trial": name, "right": right, "frames": frames, "unknown": unknown, "within_002": within, "worst": worst,
-        "cpu_s": 2.0, **errors,
+        "trial": name, "verdict": verdict, "by_area": verdict != "wrong", "frames": frames, "unknown": unknown,
+        "within_002": within, "worst": worst, "cpu_s": 2.0, **errors,
     }  # fmt: skip
 
 
 def test_rows_are_counted() -> None:
-    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all."""
+    """Shares are of frames, not of trials; a trial without d² counts as unknown, one without a ratio not at all; the
+    wrong ones come first."""
     rows = [
-        row("1", True, 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
-        row("2", False, 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),
-        row("3", True, 50, 100.0, None),
+        row("1", "right", 100, 0.0, 100.0, ratio_error=0.04, ratio_bound=0.03),
+        row("2", "wrong", 50, 50.0, 0.0, ratio_error=-0.2, ratio_bound=0.05),
+        row("3", "none", 50, 100.0, None),
     ]
     total, *rest = slip.summed(rows)
-    assert (total["right"], total["found"], total["frames"]) == (2, "of 3", 200)
+    assert (total["verdict"], total["found"], total["frames"]) == ("1 wrong, 1 none, 1 right", "of 3", 200)
+    assert total["by_area"] == 2
     assert total["ratio_bound"] == pytest.approx(0.04)
     assert total["offset_5"] is None
     assert total["unknown"] == pytest.approx(100 * 75 / 200)
     assert total["within_002"] == pytest.approx(100 * 100 / 125)
     assert (total["worst"], total["ratio_error"], total["fit_error"]) == (0.1, 50.0, None)
     assert total["cpu_s"] == 6
-    assert [one["trial"] for one in rest] == ["2", "1", "3"]
+    assert [one["trial"] for one in rest] == ["2", "3", "1"]

@@ -21,7 +21,7 @@ from typing import Any
 
 import torch
 
-from fingerflow import kernels
+from fingerflow import kernels, ops
 from fingerflow.kernels import library
 from fingerflow.models.skin_chain import press
 from fingerflow.ops.triangle_strain import triangle_strain
@@ -37,13 +37,14 @@ FOR_TESTS = {"limit_instruction_set", "inject_fault"}
 
 def calls() -> dict[str, Callable[[], Any]]:
     """What reaches every kernel, through the ops as far as they do."""
-    first, _, points, moved = scene()
+    first, second, points, moved = scene()
     mask = first > 110
     light = torch.full((1, 1, *first.shape[2:]), 200.0)
     tall = first.repeat(1, 1, 4, 1)  # work for several threads
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
-    moving = first.float().expand(-1, 2, -1, -1) / 100
+    one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
+    moving = one.float().expand(-1, 2, -1, -1) / 100
     friction = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
 
     def chain() -> Any:
@@ -51,30 +52,45 @@ def calls() -> dict[str, Callable[[], Any]]:
             pressed = press(friction, elements=9)
             return (pressed.position.detach(), *torch.autograd.grad(pressed.divergence.sum(), friction))
 
+    cells = torch.ones(2, 1, *(side // 2 for side in one.shape[2:]))
+    of_image = torch.ones(2)
+    # By themselves: where dense flow reaches them, its threads are there already.
+    of_flow: dict[str, Callable[[], Any]] = {
+        "flow_covariance": lambda: kernels.flow_covariance(cells.repeat(1, 3, 1, 1), *[of_image] * 3, 9.0),
+        "flow_levels": lambda: kernels.flow_levels(
+            cells.repeat(1, 3, 1, 1), cells[..., 1:], cells[..., 1:, :], cells, 3
+        ),
+        "flow_to_cells": lambda: kernels.flow_to_cells(moving, torch.ones_like(moving[:, :1])),
+        "flow_to_pixels": lambda: kernels.flow_to_pixels(cells.repeat(1, 2, 1, 1), cells, *one.shape[2:]),
+        "flow_warp": lambda: kernels.flow_warp(one.float(), moving),
+    }
     own: dict[str, Callable[[], Any]] = {
         name: lambda case=case: case.call(*case.inputs) for name, case in CASES.items()
     }
-    return own | {
-        "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
-        "fill_holes": lambda: kernels.fill_holes(mask),
-        "largest_component": lambda: kernels.largest_component(mask),
-        "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
-        "mask_moments": lambda: kernels.mask_moments(mask),
-        "fit_ellipse": lambda: kernels.fit_ellipse(mask),
-        "real_contact_mask": lambda: kernels.real_contact_mask(
-            tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
-        ),
-        "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
-        "mean_response": lambda: kernels.mean_response(tall),
-        "halve": lambda: kernels.halve(tall),
-        "spline_coefficients": lambda: kernels.spline_coefficients(tall),
-        "flow_to_cells": lambda: kernels.flow_to_cells(moving, light.expand_as(first) / 200),
-        "flow_warp": lambda: kernels.flow_warp(first.float(), moving),
-        "triangle_strain": lambda: triangle_strain(
-            points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
-        ),
-        "skin_chain": chain,
-    }
+    return (
+        of_flow
+        | own
+        | {
+            "dilate": lambda: kernels.dilate(mask, [0, 1, 0], False),
+            "fill_holes": lambda: kernels.fill_holes(mask),
+            "largest_component": lambda: kernels.largest_component(mask),
+            "apparent_contact": lambda: kernels.apparent_contact(mask, 8, 4),
+            "mask_moments": lambda: kernels.mask_moments(mask),
+            "fit_ellipse": lambda: kernels.fit_ellipse(mask),
+            "real_contact_mask": lambda: kernels.real_contact_mask(
+                tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
+            ),
+            "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
+            "mean_response": lambda: kernels.mean_response(tall),
+            "halve": lambda: kernels.halve(tall),
+            "spline_coefficients": lambda: kernels.spline_coefficients(tall),
+            "dense_flow": lambda: ops.dense_flow(one, other),
+            "triangle_strain": lambda: triangle_strain(
+                points[:1], triangles, moved, covariance, torch.ones(2, 3, dtype=torch.bool)
+            ),
+            "skin_chain": chain,
+        }
+    )
 
 
 @contextmanager

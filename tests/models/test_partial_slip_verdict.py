@@ -154,6 +154,25 @@ def sawtooth(trial: SimulatedTrial) -> np.ndarray:
     return trial.load_ratio * (1 - 0.25 * (5 * trial.time % 1))
 
 
+@pytest.mark.parametrize("mu_k", [0.72, 0.78])
+def test_a_critical_area_beside_the_limit_is_not_told_from_it(mu_k: float) -> None:
+    """Of 0.09, 0.02, found as 0.07 and 0.03: no verdict with a deviation of 0.04, but all numbers; with 0.004 one."""
+    trial = simulate_trial(0.8, mu_k, seed=2, area_noise=0, load_noise=0)
+    series = trial.stuck_area, trial.load_ratio, trial.time
+    plain, unsure, sure = (judge_trial(*series, std) for std in (0.0, 0.04, 0.004))
+    assert abs(plain.critical_area - 0.05) < 0.04
+    assert unsure.outcome == "inconclusive"
+    assert "with its standard deviation of 0.04 is not told from 0.05" in unsure.reason
+    assert unsure.critical_area == plain.critical_area
+    assert unsure.loading() == plain.loading() != slice(0, 0)
+    assert np.isnan(unsure.friction_ratio)
+    assert sure.outcome == plain.outcome == ("vanishes abruptly" if mu_k < 0.76 else "diminishes")
+    far = simulate_trial(0.8, 0.4, seed=2)
+    assert judge_trial(far.stuck_area, far.load_ratio, far.time, 0.04).outcome == "vanishes abruptly"
+    with pytest.raises(ValueError, match="critical_area_std must be 0 or more"):
+        judge_trial(*series, -0.1)
+
+
 def test_what_cannot_be_judged_says_why() -> None:
     trial = simulate_trial(0.8, 0.4, seed=8)
     area, load, time = trial.stuck_area, trial.load_ratio, trial.time

@@ -368,6 +368,17 @@ def test_stuck_ratio_by_dense_flow(by_dense_flow: xr.Dataset, slip_trials: Path)
     assert warnings_of(by_dense_flow) == []
 
 
+@pytest.mark.parametrize("way", [*NAMES, "dense flow"])
+def test_skin_that_rests_all_sticks(
+    way: str, results: dict[str, xr.Dataset], by_dense_flow: xr.Dataset, slip_trials: Path
+) -> None:
+    """Noise within the contact is no slip. At its rim it cannot be told from slip: up to 2 % by points."""
+    found = by_dense_flow if way == "dense flow" else results[way]
+    rests = slice(0, 6)
+    assert (shares(slip_trials / ("abrupt" if way == "dense flow" else way))[rests] == 1).all()
+    assert found["stuck_ratio"].values[rests].min() > (0.995 if way == "dense flow" else 0.975)
+
+
 def test_dense_flow_is_where_the_skin_went(by_dense_flow: xr.Dataset, slip_trials: Path) -> None:
     """To 3 um RMS in every eighth frame, in all cells of the contact; the difference from points is what it says."""
     trial, field = rebuild_scene(slip_trials / "abrupt"), by_dense_flow["skin_displacement"]

@@ -40,6 +40,7 @@ class TrialVerdict:
         corridor_frames: first and last index of the run of frames before the loss with T/N inside the corridor.
         corridor_area: largest d^2 in that run, and `corridor_ms`, how long the run lasted before the loss.
         critical_area: d^2_critic without the part that slow loading explains; 0 at least.
+        critical_area_std: its standard deviation, as given.
         critical_extent: d, its linear extent.
         collapse_frame: index of the last frame with the critical area.
         collapse_ms: how long the critical area takes to vanish: from 0.8 to 0.2 of it, over 0.6, because the first and
@@ -59,6 +60,7 @@ class TrialVerdict:
     corridor_area: float = math.nan
     corridor_ms: float = math.nan
     critical_area: float = math.nan
+    critical_area_std: float = math.nan
     critical_extent: float = math.nan
     collapse_frame: int = -1
     collapse_ms: float = math.nan
@@ -73,7 +75,9 @@ class TrialVerdict:
         return slice(0, self.collapse_frame + 1)
 
 
-def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -> TrialVerdict:
+def judge_trial(
+    stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike, critical_area_std: float = 0.0
+) -> TrialVerdict:
     """Does a minimal adhesion area exist in this trial? The corridor rule of Terekhov & Hayward 2011, section 3.
 
     T/N is taken just before the complete loss of adhesion, and the largest d^2 while T/N stays within 5 % of it. The
@@ -89,14 +93,19 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
         stuck_area: (F,) d^2 a frame: stuck area over contact area. NaN where it was not measured.
         load_ratio: (F,) T/N. NaN where there are no forces, as after the end of their file.
         time: (F,) s, increasing.
+        critical_area_std: standard deviation of the critical area. Where it is within that of the limit of 0.05, the
+            trial is "inconclusive", with all its numbers but the ratio of frictions.
 
     Single frames that are wrong have no say: both curves are smoothed by running medians over 50 ms, five frames at
     least.
 
     Raises:
-        ValueError: the arrays differ in length or have more than one dimension, or the time does not increase.
+        ValueError: the arrays differ in length or have more than one dimension, the time does not increase, or the
+            deviation is below 0 or not finite.
     """
     area, load, when = _checked(stuck_area, load_ratio, time)
+    if not 0 <= critical_area_std < math.inf:
+        raise ValueError(f"critical_area_std must be 0 or more, not {critical_area_std}")
     measured = np.isfinite(area) & np.isfinite(load)
     found = TrialVerdict(
         "inconclusive",
@@ -144,7 +153,7 @@ def judge_trial(stuck_area: ArrayLike, load_ratio: ArrayLike, time: ArrayLike) -
         return replace(found, reason=f"{gap:.2f} s without d² or T/N inside the corridor, over {_LARGEST_GAP_S:g} s")
     if not np.isfinite(load[: run[0]]).any():
         return replace(found, reason="T/N is inside the corridor from the first frame on: no loading was recorded")
-    return _judged(found, area, when, run)
+    return _judged(replace(found, critical_area_std=critical_area_std), area, when, run)
 
 
 def _judged(found: TrialVerdict, area: Values, when: Values, run: NDArray[np.intp]) -> TrialVerdict:
@@ -152,6 +161,11 @@ def _judged(found: TrialVerdict, area: Values, when: Values, run: NDArray[np.int
     largest = float(area[run].max())
     critical = max((largest - FADING_AREA) / (1 - FADING_AREA), 0.0)
     abrupt = critical > SMALLEST_AREA
+    outcome: Outcome = "vanishes abruptly" if abrupt else "diminishes"
+    against = f"{'over' if abrupt else 'not over'} {SMALLEST_AREA:g}"
+    if abs(critical - SMALLEST_AREA) < found.critical_area_std:
+        outcome = "inconclusive"
+        against = f"which with its standard deviation of {found.critical_area_std:g} is not told from {SMALLEST_AREA:g}"
     known = np.flatnonzero(np.isfinite(area[:loss]))
     last = int(known[area[known] >= critical][-1]) if abrupt else int(known[-1])
     number = (
@@ -159,8 +173,8 @@ def _judged(found: TrialVerdict, area: Values, when: Values, run: NDArray[np.int
     )
     return replace(
         found,
-        outcome="vanishes abruptly" if abrupt else "diminishes",
-        reason=f"{number}, {'over' if abrupt else 'not over'} {SMALLEST_AREA:g}",
+        outcome=outcome,
+        reason=f"{number}, {against}",
         printed_outcome="vanishes abruptly" if largest > SMALLEST_AREA else "diminishes",
         corridor_area=largest,
         corridor_ms=1000 * float(when[loss] - when[run[area[run].argmax()]]),
@@ -168,7 +182,7 @@ def _judged(found: TrialVerdict, area: Values, when: Values, run: NDArray[np.int
         critical_extent=math.sqrt(critical),
         collapse_frame=last,
         collapse_ms=_collapse_ms(area[: loss + 1], when, critical) if abrupt else math.nan,
-        friction_ratio=float(friction_ratio(critical)) if abrupt else math.nan,
+        friction_ratio=float(friction_ratio(critical)) if outcome == "vanishes abruptly" else math.nan,
     )
 
 
