@@ -20,7 +20,7 @@ TINY_PRESS = Press(
 # What a stream and `process` are compared on.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
 GRAPHS = ("background", "detect", "key", "renew", "search", "frame", "contact", "fields")
-SETTINGS = f"""
+_SHARED = f"""
 [tracking]
 points = {POINTS}
 window_px = 21
@@ -37,13 +37,9 @@ TRIALS: dict[str, Press | Slide] = {
 def write_trial(folder: Path, kind: str = "press") -> Path:
     """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
     write_recording(folder, TRIALS[kind])
-    return set_as_the_bundle(folder / "scene.toml")
-
-
-def set_as_the_bundle(scene: Path) -> Path:
-    """Gives a scene file that was written with a recording a threshold and the settings of the bundle."""
+    scene = folder / "scene.toml"
     text = scene.read_text(encoding="utf-8")
-    settings = f"[contact]\nthreshold = 0.27\n{SETTINGS}"
+    settings = f"[contact]\nthreshold = 0.27\n{_SHARED}"
     scene.write_text(text[: text.index("[contact]")] + settings + text[text.index("[stream]") :], encoding="utf-8")
     return scene
 
@@ -52,7 +48,7 @@ def write_bundle_of_trials(folder: Path) -> Path:
     """Exports the graphs that play these trials; what tests/export verifies is not verified again."""
     recipe = folder.with_name(f"{folder.name}.toml")
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
-    recipe.write_text(f"{views}{SETTINGS}[export]\ngraphs = {list(GRAPHS)}\n".replace("'", '"'), encoding="utf-8")
+    recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {list(GRAPHS)}\n".replace("'", '"'), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])
         export_bundle(recipe, folder)

@@ -1,19 +1,36 @@
 """The flag of slip in a played stream: not while nothing slips, and soon after it begins."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from fingerflow import player
+from fingerflow.export import export_bundle
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
-from tests.small_trials import HEIGHT, WIDTH, set_as_the_bundle
 
-STILL = 20
+HEIGHT, WIDTH, POINTS, STILL = 192, 240, 150, 20
+RECIPE = f"""
+[views]
+height = {HEIGHT}
+width = {WIDTH}
+[tracking]
+points = {POINTS}
+window_px = 15
+min_distance_px = 6.0
+[export]
+graphs = ["background", "detect", "key", "renew", "search", "frame", "fields"]
+"""
+SETTINGS = f"""
+[contact]
+threshold = 0.27
+[tracking]
+points = {POINTS}
+window_px = 15
+min_distance_px = 6.0
+"""
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path) -> tuple[PartialSlip, np.ndarray]:
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.ndarray]:
     """A trial that rests for 20 frames, is loaded, jumps before and after full slip; and the records of its stream."""
     folder = tmp_path_factory.mktemp("slip_stream")
     trial = PartialSlip(
@@ -28,9 +45,15 @@ def played(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path) -> 
         jumps=(0.7, 1.0),
     )
     write_recording(folder / "trial", trial)
-    file = set_as_the_bundle(folder / "trial" / "scene.toml")
+    file = folder / "trial" / "scene.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :], encoding="utf-8")
+    (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
+        export_bundle(folder / "recipe.toml", folder / "bundle")
     options = ["--output", str(folder / "results"), "--page", "off", "--provider", "cpu", "--no-spin", "--threads", "1"]
-    assert player.main([str(bundle_of_trials), "--scene", str(file), *options]) == 0
+    assert player.main([str(folder / "bundle"), "--scene", str(file), *options]) == 0
     known = rebuild_scene(folder / "trial")
     assert isinstance(known, PartialSlip)
     return known, np.asarray(player.read_results(folder / "results").records)
