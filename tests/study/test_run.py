@@ -177,7 +177,7 @@ def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
         ballast.unlink()
         assert _run(small, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
         pd.testing.assert_frame_equal(_table(small), undisturbed, check_exact=True)
-        assert not [one for one in small.results.rglob(".*")]
+        assert not list(small.results.rglob(".*"))
 
 
 def test_what_nobody_expected_is_a_row_with_its_traceback(
