@@ -74,7 +74,7 @@ class NewSkin:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
         rows, columns = np.indices(touching.shape)
-        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
+        at = _looked_at(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
         tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
         some = np.flatnonzero(self._may_be_empty(touching, place[tracked], way[tracked], far))
         if not len(some):
@@ -98,7 +98,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Cells, in a row, that touch or may be about to, and from whose middle no point (N, 2) is nearer than `far`.
+        """Cells, in a row, that touch or may be about to, with no point (N, 2) within `far` of where they are looked at.
 
         In a press there are hardly any: the nearest points are searched for these alone.
         """
@@ -106,11 +106,11 @@ class NewSkin:
         reach = int(_AHEAD * np.nanmax(np.abs(way), initial=0.0) / side) + 1
         window = np.ones((2 * min(reach, max(touching.shape)) + 1,) * 2, np.uint8)
         empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-        # Cells as far around that of each point as a middle can be within that distance.
-        around = np.arange(-int(far / side + 0.5), int(far / side + 0.5) + 1)
+        # Cells around that of each point that may be looked at within this distance of it.
+        around = np.arange(-int(far / side) - 1, int(far / side) + 2)
         cell = np.floor((place + 0.5) / side).astype(int)
         column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
-        across, down = (((some + 0.5) * side - 0.5 - place[:, k, None]) ** 2 for k, some in enumerate((column, row)))
+        across, down = ((_looked_at(some, self._cell) - place[:, k, None]) ** 2 for k, some in enumerate((column, row)))
         near = down[:, :, None] + across[:, None] <= far**2
         near &= ((row >= 0) & (row < touching.shape[0]))[:, :, None]
         near &= ((column >= 0) & (column < touching.shape[1]))[:, None]
@@ -154,3 +154,9 @@ class NewSkin:
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
         spacing = float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
         return np.asarray(distance < spacing / 2)
+
+
+def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
+    """Px along an axis: the middle of the cell that stands for `_STEP` of them."""
+    result: Points = (number * _STEP + 0.5) * cell_px - 0.5
+    return result
