@@ -98,7 +98,7 @@ class NewSkin:
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
     def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
-        """Cells, in a row, that touch or may be about to, with no point (N, 2) within `far` of where they are looked at.
+        """Cells, in a row, that touch or may be about to, and no point (N, 2) is within `far` of them.
 
         In a press there are hardly any: the nearest points are searched for these alone.
         """
