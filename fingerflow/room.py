@@ -53,10 +53,14 @@ def check_write(path: Path, bytes_more: int) -> None:
 
 
 def _check_free(path: Path, needed: float) -> None:
-    folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
-    free = shutil.disk_usage(folder).free
+    folder = path.parent
+    try:
+        free = shutil.disk_usage(folder).free
+    except FileNotFoundError:
+        folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
+        free = shutil.disk_usage(folder).free
     if needed > free:
         raise NoRoomError(
-            f"{folder}: {needed / _GB:.2f} GB are needed and {free / _GB:.2f} GB of the disk are free; nothing was "
-            f"left there. Make room, write to another disk, or ask for fewer outputs, points or frames"
+            f"{folder.absolute()}: {needed / _GB:.2f} GB are needed and {free / _GB:.2f} GB of the disk are free; "
+            f"nothing was left there. Make room, write to another disk, or ask for fewer outputs, points or frames"
         )

@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> int:
     _make_small()
     counts: Counter[tuple[str, str]] = Counter()
     faults: list[str] = []
-    with _disk() as (disk, mounted):
+    with disk_in_memory() as (disk, mounted):
         base = disk.parent / "base"
         endings = [one for one in ENDINGS if mounted or one not in ON_A_DISK]
         if not mounted:
@@ -184,7 +184,8 @@ def _make_small() -> None:
 
 
 @contextlib.contextmanager
-def _disk() -> Iterator[tuple[Path, bool]]:
+def disk_in_memory() -> Iterator[tuple[Path, bool]]:
+    """A folder, and whether a small file system could be mounted there."""
     top = Path(tempfile.mkdtemp(prefix="kills-"))
     disk = top / "disk"
     disk.mkdir()
@@ -248,9 +249,7 @@ def _run(
     elif ending in ("full disk", "freed disk"):
         wanted = sum(one.stat().st_size for one in reference.rglob("*") if one.is_file())
         free = int(at * 1.2 * wanted) + (KEPT_FREE if rng.random() < 0.7 else 0)
-        left = shutil.disk_usage(disk).free - free
-        with ballast.open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, max(left, 1))
+        leave_free(ballast, free)
         if ending == "freed disk":
             moment["operation"] = int(rng.random() * operations)
     else:
@@ -286,6 +285,13 @@ def _run(
         if state != "whole":
             faults.append(f"after the next run {name} is {state}")
     return faults + [f"after the next run: {one}" for one in _left_behind(folder, before, command)]
+
+
+def leave_free(ballast: Path, free: int) -> None:
+    """Makes this file as large as leaves so many bytes of its disk."""
+    ballast.unlink(missing_ok=True)
+    with ballast.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, max(shutil.disk_usage(ballast.parent).free - free, 1))
 
 
 def _state(command: Command, path: Path, reference: Path) -> str:

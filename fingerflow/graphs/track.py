@@ -131,14 +131,6 @@ class TrackGraph(nn.Module):
         return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
 
 
-def merged(templates: Templates, renewed: Templates, chosen: Tensor) -> Templates:
-    """Templates of (1, N) points with those of the chosen ones (L,) replaced by (1, L)."""
-    return Templates._make(
-        None if old is None or new is None else old.index_copy(1, chosen, new)
-        for old, new in zip(templates, renewed, strict=True)
-    )
-
-
 def multiplied(a: Tensor, b: Tensor) -> Tensor:
     """Products (K, 4, N) of matrices (K or 1, 4, N), by xx, xy, yx, yy."""
     rows, other = a.unflatten(1, (2, 2)), b.unflatten(1, (2, 2))

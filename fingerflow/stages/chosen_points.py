@@ -15,7 +15,6 @@ from fingerflow.graphs.track import (
     AgreementGraph,
     DeformationGraph,
     TrackGraph,
-    merged,
 )
 from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
@@ -230,7 +229,9 @@ class ChosenPoints:
 
     def _renew(self, chosen: Tensor, warp: Tensor) -> None:
         renewed = self._templates_of(self._key, self._templates.start[:, chosen], warp)
-        self._templates = merged(self._templates, renewed, chosen)
+        for old, new in zip(self._templates, renewed, strict=True):
+            if old is not None and new is not None:
+                old.index_copy_(1, chosen, new)  # in place: a few are renewed, and all are megabytes
         self._inverse_warp = self._inverse_warp.index_copy(1, chosen, inverse_2x2(warp))
 
     def _templates_of(self, key: Tensor, points: Tensor, warp: Tensor | None) -> Templates:

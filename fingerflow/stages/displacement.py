@@ -218,18 +218,18 @@ class DisplacementStage(Stage):
         """What the frames (n,), which follow those that `touch` has seen, have moved by since the touch of each."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
-        moved, noise = np.empty_like(position), np.empty_like(variance)
+        place, then = np.full_like(position, np.nan), np.full_like(variance, np.nan)
+        touching, begins = np.zeros((2, *variance.shape), dtype=bool)
         for k, frame in enumerate(indices):
-            if not self._usable[frame]:  # it ends no touch
-                moved[k] = noise[k] = np.nan
-                continue
-            touch.go_on(int(frame), covered[k], position[k], variance[k])
-            place, then, begins = touch.place, touch.variance, touch.start == frame
-            if self._fixed is not None:
-                place, then = self._fixed.place, self._fixed.deviation_px**2
-                begins = np.full(touch.points, frame == self.since.frame)
-            moved[k] = np.where(touch.length[:, None] > 0, position[k] - place, np.nan)
-            noise[k] = self._noise(variance[k], then, begins)
+            if self._usable[frame]:  # another one ends no touch
+                touch.go_on(int(frame), covered[k], position[k], variance[k])
+                place[k], then[k] = touch.place, touch.variance
+                touching[k], begins[k] = touch.length > 0, touch.start == frame
+        if self._fixed is not None:
+            place[:], then[:] = self._fixed.place, self._fixed.deviation_px**2
+            begins[:] = (indices == self.since.frame)[:, None]
+        moved = np.where(touching[..., None], position - place, np.nan)
+        noise = self._noise(variance, then, begins)
         noise *= np.float32(self._scale**2)
         noise[np.isnan(moved).any(-1)] = np.nan
         return Moved(moved, noise)
@@ -237,7 +237,7 @@ class DisplacementStage(Stage):
     def _noise(
         self, now: NDArray[np.float32], then: NDArray[np.float32], begins: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
-        """Variance (N,) px^2 of a component of the displacement, from those of the position now and then.
+        """Variance (n, N) px^2 of a component of the displacement, from those of the position now and then.
 
         Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
         of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame

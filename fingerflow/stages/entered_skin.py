@@ -71,8 +71,9 @@ def _neighbours_moved(
                 rows = position[slice(first, min(first + _FRAMES, position.shape[0]))]
             before = around[point][onset[around[point]] < onset[point]]
             way = np.linalg.norm(rows[onset[point] - first, before] - reference[before], axis=1)
-            if np.isfinite(way).any():
-                moved[point] = np.nanmedian(way)
+            way = np.sort(way[np.isfinite(way)])  # np.nanmedian takes ten times as long for so few
+            if len(way):
+                moved[point] = (way[(len(way) - 1) // 2] + way[len(way) // 2]) / 2
     return moved
 
 

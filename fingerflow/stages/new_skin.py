@@ -74,23 +74,50 @@ class NewSkin:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
         rows, columns = np.indices(touching.shape)
-        at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * _STEP + 0.5) * self._cell - 0.5
-        tracked = np.flatnonzero(known.tracked)
-        distance, nearest = cKDTree(place[tracked]).query(at)
-        nearest = tracked[nearest]
-        coming = at + _AHEAD * way[nearest]
-        empty = (self._in(touching, at) | self._in(touching, coming)) & (distance > self._window / 2 * self._per_px)
+        at = _looked_at(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
+        tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
+        some = np.flatnonzero(self._may_be_empty(touching, place[tracked], way[tracked], far))
+        if not len(some):
+            return None
+        tree = cKDTree(place[tracked])
+        distance, nearest = tree.query(at[some])
+        coming = at[some] + _AHEAD * way[tracked[nearest]]
+        empty = (self._in(touching, at[some]) | self._in(touching, coming)) & (distance > far)
         if not empty.any():
             return None
-        empty[empty] = cKDTree(place).query(at[empty])[0] > self._window / 2 * self._per_px
-        empty[empty] = self._is_new(at[empty], nearest[empty], known)
+        some, nearest = some[empty], tracked[nearest[empty]]
+        empty = cKDTree(place).query(at[some])[0] > far
+        empty[empty] = self._is_new(at[some[empty]], nearest[empty], known)
         if empty.sum() * (_STEP * self._cell) ** 2 < (self._window * self._per_px) ** 2:
             return None
+        nearest = tracked[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
         upstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0) * self._window * self._per_px
         wanted = np.any([self._in(touching, at + reach * upstream) for reach in _REACHES], axis=0)
         wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
+
+    def _may_be_empty(self, touching: Mask, place: Points, way: Points, far: float) -> Mask:
+        """Cells, in a row, that touch or may be about to, and no point (N, 2) is within `far` of them.
+
+        In a press there are hardly any: the nearest points are searched for these alone.
+        """
+        side = self._cell * _STEP
+        reach = int(_AHEAD * np.nanmax(np.abs(way), initial=0.0) / side) + 1
+        window = np.ones((2 * min(reach, max(touching.shape)) + 1,) * 2, np.uint8)
+        empty = cv2.dilate(touching.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+        # Cells around that of each point that may be looked at within this distance of it.
+        around = np.arange(-int(far / side) - 1, int(far / side) + 2)
+        cell = np.floor((place + 0.5) / side).astype(int)
+        column, row = (cell[:, k, None] + around for k in (0, 1))  # (N, K)
+        across, down = ((_looked_at(some, self._cell) - place[:, k, None]) ** 2 for k, some in enumerate((column, row)))
+        near = down[:, :, None] + across[:, None] <= far**2
+        near &= ((row >= 0) & (row < touching.shape[0]))[:, :, None]
+        near &= ((column >= 0) & (column < touching.shape[1]))[:, None]
+        number = row[:, :, None] * touching.shape[1] + column[:, None]
+        result: Mask = empty.ravel()
+        result[number[near]] = False
+        return result
 
     def _in(self, touching: Mask, at: Points) -> Mask:
         column, row = np.floor((at + 0.5) / (self._cell * _STEP)).astype(int).T
@@ -127,3 +154,9 @@ class NewSkin:
         distance = cv2.distanceTransform(away, cv2.DIST_L2, 5)
         spacing = float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
         return np.asarray(distance < spacing / 2)
+
+
+def _looked_at(number: NDArray[np.integer], cell_px: int) -> Points:
+    """Px along an axis: the middle of the cell that stands for `_STEP` of them."""
+    result: Points = (number * _STEP + 0.5) * cell_px - 0.5
+    return result

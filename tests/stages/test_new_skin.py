@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.spatial import cKDTree
 
 from fingerflow import load_scene, process
 from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
 from fingerflow.result import open_result
 from fingerflow.stages.common_frame import common_frame
+from fingerflow.stages.new_skin import NewSkin
 from fingerflow.store import FileStore, MemoryStore
 from fingerflow.synthetic import write_recording
 from tests.stages.rolling import Rolling
@@ -79,6 +81,25 @@ def test_entry_is_their_own(result: xr.Dataset) -> None:
     assert np.median(np.abs(late)) <= 3
     inside = entry == ENTRY.index("chosen_inside")
     assert np.isnan(result["displacement"].values[:, inside]).all()
+
+
+@pytest.mark.parametrize(("fastest", "far"), [(0.0, 12.5), (5.0, 12.5), (40.0, 3.0), (500.0, 60.0)])
+def test_no_empty_cell_is_passed_over(fastest: float, far: float) -> None:
+    """Cells are searched for the nearest point only where that may tell: against the search for all of them."""
+    rng = np.random.default_rng(int(fastest))
+    cell, shape = 8, (32, 40)
+    skin = NewSkin(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), cell, 25)
+    rows, columns = np.indices(shape)
+    touching = np.hypot(rows - 14, columns - 25) < 9
+    at = (np.stack((columns, rows), axis=-1).reshape(-1, 2) * 2 + 0.5) * cell - 0.5
+    place = rng.uniform((-30, -30), (670, 540), (120, 2))
+    way = rng.uniform(-fastest, fastest, (120, 2))
+    may = skin._may_be_empty(touching, place, way, far)
+    distance, nearest = cKDTree(place).query(at)
+    empty = (skin._in(touching, at) | skin._in(touching, at + 2 * way[nearest])) & (distance > far)
+    assert empty.any()
+    assert may[empty].all()
+    assert (distance[may] > far).all()
 
 
 def test_the_same_in_a_file(folder: Path, result: xr.Dataset) -> None:

@@ -1,5 +1,6 @@
 """What a study is told: a table or a pattern, and errors that name the row."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,23 @@ def _edit(folder: Path, old: str, new: str, file: str = "trials.csv") -> None:
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs/study.md").read_text(encoding="utf-8")
+    manifest, table = (re.findall(rf"^```{kind}\n(.*?)^```", page, re.M | re.S)[0] for kind in ("toml", "text"))
+    (tmp_path / "study.toml").write_text(manifest, encoding="utf-8")
+    (tmp_path / "trials.csv").write_text(table, encoding="utf-8")
+    (tmp_path / "answers.csv").write_text("participant,trial,answer\n01,1,0\n", encoding="utf-8")
+    (tmp_path / "empty.cine").touch()
+    for name in ("p01/0um/t1", "p01/2um/t2"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        for suffix in (".cine", ".csv"):
+            (tmp_path / name).with_suffix(suffix).touch()
+    study = load_manifest(tmp_path)
+    assert [entry.name for entry in study.trials] == ["01_0_1", "01_2_2"]
+    assert [entry.answer for entry in study.trials] == [True, False]  # what stands in the table counts
+    assert [study.scene_of(entry).tracking.points for entry in study.trials] == [700, 500]
 
 
 def test_scene_files_become_a_shared_scene_and_columns(study: Manifest, lab: Path) -> None:

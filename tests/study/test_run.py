@@ -26,6 +26,7 @@ from fingerflow.study.report import write_study_report
 from fingerflow.study.row import READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
+from tests.kills import KEPT_FREE, disk_in_memory, leave_free
 
 ROOT = Path(__file__).resolve().parents[2]
 _PROVENANCE = {"created", "stage_seconds"}
@@ -150,6 +151,33 @@ def test_a_full_disk_is_tried_again(study: Manifest, scheduler: str, monkeypatch
         patched.setattr("fingerflow.study.files.write_atomically", no_room)
         assert set(_run(study, scheduler, only="01_0_*").values()) == {FAILED}
     assert _run(study, scheduler, only="01_0_*") == {"01_0_1": MEASURED, "01_0_2": MEASURED}
+
+
+def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
+    """A small one: with room for some results, then for none and for no row either, then emptied."""
+    few = replace(study, trials=study.trials[:3])
+    _run(few, scheduler)
+    undisturbed = _table(few)
+    size = max(one.stat().st_size for one in few.results.rglob("*.h5"))
+    with disk_in_memory() as (disk, mounted):
+        if not mounted:
+            pytest.skip("no file system can be mounted here")
+        small, ballast = replace(few, results=disk / "results"), disk / "ballast"
+        leave_free(ballast, KEPT_FREE + 2 * size)
+        first = _run(small, scheduler)
+        assert set(first.values()) == {MEASURED, FAILED}
+        rows = {name: read_row(small.results / name) for name in first}
+        failed = {name for name, status in first.items() if status == FAILED}
+        assert all("of the disk are free" in row.reason for name, row in rows.items() if row and name in failed)
+        assert set(_table(small)["status"]) == {MEASURED, FAILED}
+        assert {one.entry.name for one in plan_run(small)} == failed
+        leave_free(ballast, 0)
+        assert _run(small, scheduler) == dict.fromkeys(sorted(failed), FAILED)
+        assert {name: read_row(small.results / name) for name in first} == rows  # as they were, none is half written
+        ballast.unlink()
+        assert _run(small, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
+        pd.testing.assert_frame_equal(_table(small), undisturbed, check_exact=True)
+        assert not list(small.results.rglob(".*"))
 
 
 def test_what_nobody_expected_is_a_row_with_its_traceback(
