@@ -58,7 +58,7 @@ def moved_in(position: Values, places: Points, onset: Numbers, reference: Points
 def with_neighbours(
     found: NDArray[np.bool_], places: Points, among: NDArray[np.bool_], reach_mm: float
 ) -> NDArray[np.bool_]:
-    """``found`` (N,) and those `among` the points of which most of the three nearest, within ``reach_mm``, are found."""
+    """``found`` (N,), and those `among` the points of which most of the three nearest within ``reach_mm`` are found."""
     some = np.flatnonzero(among)
     if len(some) <= _VOTERS:
         return found

@@ -44,6 +44,11 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
     true = [ROLLING.truth.entry_gradient(_inside(frame), frame).trace(axis1=1, axis2=2) for frame in frames]
     error = [result["median_divergence"].values[k] - np.nanmedian(one) for k, one in zip(frames, true, strict=True)]
     assert np.abs(error).max() < 1e-3
+    # The median lies in the flank of skin of the first frame, a third of the contact has come in since: noise of single
+    # fits moves it. 0.1 was stated by the errors of the points alone, and 3 of 18 frames lay within two of it.
+    stated = result["median_divergence_std"].values[list(frames)]
+    assert np.mean(np.abs(error) < 2 * stated) > 0.8
+    assert stated.max() < 1e-3
 
 
 def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
