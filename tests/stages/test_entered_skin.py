@@ -68,8 +68,8 @@ def test_one_point_among_those_that_moved_in() -> None:
 
 def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material: np.ndarray) -> None:
     """Against the same estimator on true positions: 3 um/mm in the median, of errors of the time of entry, and none of
-    smoothing; against truth itself 17 um/mm RMS. 3 are of smoothing, where divergence changes by 100 um/mm a mm, and most
-    is one point's, which the border seems to reach 15 frames early, as 0.06 mm are there: it misses by 88.
+    smoothing; against truth itself 17 um/mm RMS. 3 are of smoothing, where divergence changes by 100 um/mm a mm; the
+    rest is mostly one point, which the border seems to reach 15 frames early, as 0.06 mm are there: it misses by 88.
     """
     truth = SLIDE.truth
     entered = np.flatnonzero((result["entry"].values == MOVED_IN) & (truth.onset_frame(material) >= 0))
