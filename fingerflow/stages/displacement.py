@@ -20,7 +20,7 @@ from fingerflow.store import Values
 
 # Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
 # Measured on the shipped press, where the border is known.
-_BORDER_MM = 0.06
+BORDER_MM = 0.06
 _LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
@@ -45,11 +45,12 @@ class DisplacementStage(Stage):
 
     The reference is the first frame with contact, on average half a frame after it, as the papers count. What the skin
     has moved by then is missing: on synthetic presses at 300, 60 and 40 frames/s displacement is 1.2, 3.2 and 4.0 µm
-    too short in the last frame, and the median divergence at 40 frames/s 5 to 8 % too low, which no stated deviation
-    holds. Half way between that frame and the one before, displacement is 0.7, 1.0 and 0.8 µm too short, and the median
-    divergence moves up by 0.1 to 0.6 µm/mm at 300 frames/s, by 1.5 to 3 at 40. Followed forward and backward in time it
-    is the same: at 40 frames/s both give the median divergence to 1 % and the energy to 6 %, as they choose their
-    points in another picture, and as many points more or fewer change as much.
+    too short in the last frame, and the median divergence at 40 frames/s 5 to 8 % too low, which the deviation of the
+    medians holds (`MedianBias`), and that of the points does not. Half way between that frame and the one before,
+    displacement is 0.7, 1.0 and 0.8 µm too short, and the median divergence moves up by 0.1 to 0.6 µm/mm at 300
+    frames/s, by 1.5 to 3 at 40. Followed forward and backward in time it is the same: at 40 frames/s both give the
+    median divergence to 1 % and the energy to 6 %, as they choose their points in another picture, and as many points
+    more or fewer change as much.
 
     Attributes:
         since: that.
@@ -253,7 +254,7 @@ class DisplacementStage(Stage):
         mean.
 
         The time is known to a frame, uniformly within it: 1/12 frame^2, or the square of the frames since the last
-        usable one over 12; and the place of the border to `_BORDER_MM`, which takes it as many frames as neighbouring
+        usable one over 12; and the place of the border to `BORDER_MM`, which takes it as many frames as neighbouring
         points are apart in time. Both change from one neighbour to the next, as the border crosses several between two
         frames or one ridge after the other, so errors are taken as independent. A point that touches in the first frame
         has no onset: its displacement counts from that frame.
@@ -270,7 +271,7 @@ class DisplacementStage(Stage):
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
         frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
-        variance = gap**2 / 12 + (_BORDER_MM * frames_per_mm) ** 2
+        variance = gap**2 / 12 + (BORDER_MM * frames_per_mm) ** 2
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
         before, after = np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)
         before, after = (np.where(np.isfinite(self._place(k)).all(-1), k, onset) for k in (before, after))

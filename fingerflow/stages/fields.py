@@ -16,6 +16,7 @@ from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.entered_skin import EntryGradients
+from fingerflow.stages.median_bias import MedianBias
 from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -59,6 +60,7 @@ class FieldsStage(Stage):
         self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
 
         moved = self.trial.stage(DisplacementStage)
+        self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
@@ -74,9 +76,10 @@ class FieldsStage(Stage):
         )
         covariance = self.inputs.tensor(displacement.covariance(moved))
         if self._entry is None:
-            found = self._graph(self._reference, self.inputs.tensor(moved.displacement), covariance, ellipse)
+            apart, rest = None, self.inputs.tensor(moved.displacement)
+            found = self._graph(self._reference, rest, covariance, ellipse)
         else:
-            found = self._with_entered(self._entry, batch.indices, moved, covariance, ellipse)
+            found, apart, rest = self._with_entered(self._entry, batch.indices, moved, covariance, ellipse)
         for name in self._given:
             self.results[name][batch.indices] = getattr(found, name).cpu().numpy()
         residual = rigid_residual(self._reference, self.inputs.tensor(moved.displacement)).cpu().numpy()
@@ -89,11 +92,14 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
+        self._bias.look(batch, self._reference, rest, ellipse, found.median, found.median_std, apart)
 
     def _with_entered(
         self, entry: EntryGradients, frames: NDArray[np.intp], moved: Moved, covariance: Tensor, ellipse: GrossEllipse
-    ) -> Fields:
-        """Fields of skin that moved into the contact since its entry, of the rest without it, and medians of both."""
+    ) -> tuple[Fields, Apart, Tensor]:
+        """Fields of skin that moved into the contact since its entry, of the rest without it, and medians of both; what
+        they take of the one kind, and the displacement (n, N, 2) of the other.
+        """
         device, measure = self.inputs.device, self._settings.strain
         displacement = self.inputs.tensor(moved.displacement)
         touching = displacement[:, entry.entered].isfinite().all(-1)
@@ -121,6 +127,7 @@ class FieldsStage(Stage):
         ):
             assert values is not None
             values[:, entry.entered] = own.to(values)
+        apart = Apart(*(self.inputs.tensor(one) for one in (place, fields.numpy(), std.numpy())))
         medians = [
             area_medians(
                 self._reference,
@@ -129,16 +136,17 @@ class FieldsStage(Stage):
                 gauge_length=self.inputs.gauge_length_mm,
                 measure=measure,
                 covariance=covariance[some],
-                apart=Apart(*(self.inputs.tensor(one[some]) for one in (place, fields.numpy(), std.numpy()))),
+                apart=Apart(*(one[some] for one in apart)),
             )
             for some in torch.arange(len(frames), device=device).split(_AT_ONCE)
         ]
         median, median_std, share = (torch.cat(parts) for parts in zip(*medians, strict=True))
-        return found._replace(median=median, median_std=median_std, known_share=share)
+        return found._replace(median=median, median_std=median_std, known_share=share), apart, rest
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)
         self.results.put("field_coverage", self._known)
+        self._median_std = np.sqrt(self._median_std**2 + self._bias.square())
         times, window = self.inputs.times, self._settings.rate_window_s
         for name, columns, has_rate in _MEDIANS:
             measure = {"measure": self._settings.strain} if name == "strain" else {}

@@ -19,7 +19,9 @@ class StrainStage(Stage):
     """Strain on the Delaunay triangles of the reference positions, and of skin that moved into the contact on its own
     (`CountedSkin`).
 
-    The energy is that of the skin: what the errors of the points add to it on average is taken off.
+    The energy is that of the skin in contact: of triangles that have touched as a whole and of which two corners are in
+    the contact now, as skin that has left it keeps its strain. What the errors of the points add to it on average is
+    taken off.
     """
 
     name = "strain"
@@ -63,12 +65,13 @@ class StrainStage(Stage):
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         frames = torch.from_numpy(batch.indices).to(self.inputs.device)
+        touching = self.results["in_contact"][batch.indices][:, self._skin.triangles].sum(-1, dtype=np.intp) >= 2
         found = triangle_strain(
             self._reference,
             self._corners,
             self.inputs.tensor(moved),
             self.inputs.tensor(covariance),
-            frames[:, None] >= self._begins,
+            (frames[:, None] >= self._begins) & torch.from_numpy(touching).to(self.inputs.device),
             self._shared,
             measure=self._settings.strain,
             young_modulus_mpa=self._settings.young_modulus_mpa,

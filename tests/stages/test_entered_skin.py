@@ -11,9 +11,11 @@ from fingerflow import load_scene, process
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.player.contract.variables import ENTRY
+from fingerflow.stages.entered_skin import with_neighbours
 from fingerflow.synthetic import Slide, write_recording
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
+STEP_MM = 0.1
 MOVED_IN, LAST = ENTRY.index("moved_in"), SLIDE.n_frames - 1
 
 
@@ -31,18 +33,43 @@ def material(result: xr.Dataset) -> np.ndarray:
 
 
 def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
-    """All points of which truth says so, but a quarter: those within a step of the border at rest, which is known to
-    0.06 mm, so that they touch in the first frame or have moved by too little to tell."""
+    """All points of which truth says so, but those within a step of the border at rest, which is known to 0.06 mm, so
+    that they touch in the first frame. A tenth is missing, a fifth where points are not compared with neighbours."""
     after_start = SLIDE.truth.onset_time(material) > SLIDE.times[SLIDE.frames_before_trigger]
     found = result["entry"].values == MOVED_IN
     assert after_start.sum() > 30
-    assert (found & after_start).sum() >= 0.75 * after_start.sum()
+    assert (found & after_start).sum() >= 0.85 * after_start.sum()
     assert (found & ~after_start).sum() <= 0.15 * found.sum()
+
+
+def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
+    """Truth counts each skin from its own entry; without what moved in it is another, 17.0 for 24.7 um/mm. Divergence
+    is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm, and stated so.
+    """
+    frames, measured = range(50, LAST + 1, 6), result["median_divergence"].values
+    true = [np.median(SLIDE.truth.entry_gradient(_inside(k), k).trace(axis1=1, axis2=2)) for k in frames]
+    error = measured[list(frames)] - true
+    assert np.abs(error).max() < 4e-3
+    stated = result["median_divergence_std"].values[list(frames)]
+    assert (np.abs(error) < 2 * stated).all()
+    assert stated.max() < 5e-3
+
+
+def test_one_point_among_those_that_moved_in() -> None:
+    """Of a band that moved in, with one point that is not found; and of single ones that are."""
+    places = np.stack(np.meshgrid(np.arange(8) * 0.3, np.arange(2) * 0.3), axis=-1).reshape(-1, 2)
+    band, every = np.ones(16, dtype=bool), np.ones(16, dtype=bool)
+    band[5] = False
+    assert with_neighbours(band, places, every, 0.8).all()
+    assert not with_neighbours(band, places, band, 0.8)[5]  # touched in the first frame: not among them
+    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all are far away
+    assert (with_neighbours(~band, places, every, 0.8) == ~band).all()
 
 
 def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material: np.ndarray) -> None:
     """Against the same estimator on true positions: 3 um/mm in the median, of errors of the time of entry, and none of
-    smoothing; against truth itself 10 um/mm RMS, of smoothing over 1.6 mm where divergence changes by 100 um/mm a mm.
+    smoothing; against truth itself 17 um/mm RMS. 3 are of smoothing, where divergence changes by 100 um/mm a mm; the
+    rest is mostly one point, which the border seems to reach 15 frames early, as 0.06 mm are there: it misses by 88.
     """
     truth = SLIDE.truth
     entered = np.flatnonzero((result["entry"].values == MOVED_IN) & (truth.onset_frame(material) >= 0))
@@ -63,27 +90,21 @@ def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material
     assert abs(np.median(error)) < 3
     exact = truth.entry_gradient(material, LAST)[entered]
     error = 1000 * (measured - exact[:, 0, 0] - exact[:, 1, 1])[known]
-    assert np.sqrt((error**2).mean()) < 15
+    assert np.sqrt((error**2).mean()) < 20
     assert np.abs(measured[known]).max() < 0.3
 
 
 def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset) -> None:
     """Truth: the energy of F(t) F(entry)^-1 over the skin in contact. By places of onset it came to 1000 times that."""
     truth = SLIDE.truth
-    ellipse = truth.ellipse(LAST)
-    assert ellipse is not None
-    step = 0.1
-    axis = np.arange(-6, 6, step)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
-    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
-    gradient = truth.entry_gradient(truth.material(places[inside], LAST), LAST)
+    gradient = truth.entry_gradient(_inside(LAST), LAST)
     deformation = np.eye(2) + gradient
     strain = (deformation.transpose(0, 2, 1) @ deformation - np.eye(2)) / 2
     young, poisson = 1.0, 0.4
     trace = np.trace(strain, axis1=1, axis2=2)
     shear, bulk = young / (1 + poisson), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     density = (shear * (strain**2).sum((1, 2)) + bulk * trace**2) / 2
-    true = np.nansum(density / np.linalg.det(deformation)) * step**2 * 2.0
+    true = np.nansum(density / np.linalg.det(deformation)) * STEP_MM**2 * 2.0
     assert 0.5 < result["strain_energy"].values[LAST] / true < 2
     assert result["field_coverage"].values[LAST] > 0.9
 
@@ -113,3 +134,13 @@ def test_medians_are_of_old_and_new_skin_together() -> None:
     assert without.median.isnan().all()
     moved = Apart(apart.place + 6.0, fields, apart.std)  # nobody is near: nothing is known there
     assert area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=moved).known.item() < 0.6
+
+
+def _inside(frame: int) -> np.ndarray:
+    """Material of a grid over the contact."""
+    ellipse = SLIDE.truth.ellipse(frame)
+    assert ellipse is not None
+    axis = np.arange(-6, 6, STEP_MM)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
+    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
+    return np.asarray(SLIDE.truth.material(places[inside], frame))

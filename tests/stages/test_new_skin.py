@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 from scipy.spatial import cKDTree
 
@@ -46,6 +47,24 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
     true = [ROLLING.truth.entry_gradient(_inside(frame), frame).trace(axis1=1, axis2=2) for frame in frames]
     error = [result["median_divergence"].values[k] - np.nanmedian(one) for k, one in zip(frames, true, strict=True)]
     assert np.abs(error).max() < 1e-3
+    # The median lies in the flank of skin of the first frame, a third of the contact has come in since: noise of single
+    # fits moves it. 0.1 was stated by the errors of the points alone, and 3 of 18 frames lay within two of it.
+    stated = result["median_divergence_std"].values[list(frames)]
+    assert np.mean(np.abs(error) < 2 * stated) > 0.8
+    assert stated.max() < 1e-3
+
+
+def test_energy_is_of_the_skin_in_contact(result: xr.Dataset) -> None:
+    """A tenth: triangles of the border count whole. With skin that has left on the other side it was 1.6 times that."""
+    gradient = ROLLING.truth.entry_gradient(_inside(ROLLING.n_frames - 1, 0.1), ROLLING.n_frames - 1)
+    deformation = np.eye(2) + gradient
+    strain = (deformation.transpose(0, 2, 1) @ deformation - np.eye(2)) / 2
+    young, poisson = 1.0, 0.4
+    lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    trace = np.trace(strain, axis1=1, axis2=2)
+    density = (young / (1 + poisson) * (strain**2).sum((1, 2)) + lame * trace**2) / 2
+    true = 2.0 * (density / np.linalg.det(deformation)).sum() * 0.1**2
+    assert result["strain_energy"].values[-1] == pytest.approx(true, rel=0.1)
 
 
 def test_new_points_are_where_their_skin_is(result: xr.Dataset) -> None:
@@ -142,11 +161,11 @@ def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
     assert found.later.sum() == 20
 
 
-def _inside(frame: int) -> np.ndarray:
+def _inside(frame: int, step: float = 0.4) -> np.ndarray:
     """Material of a grid over the contact."""
     ellipse = ROLLING.truth.ellipse(frame)
     assert ellipse is not None
-    axis = np.linspace(-4, 4, 21)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    places = places[(places**2).sum(1) < 16] + ellipse.centre
-    return np.asarray(ROLLING.truth.material(places, frame))
+    axis = np.arange(-6, 6, step)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
+    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
+    return np.asarray(ROLLING.truth.material(places[inside], frame))

@@ -20,6 +20,7 @@ from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
 from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.median_bias import MedianBias
 from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.strain import StrainStage
 
@@ -102,7 +103,7 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     deviation = np.full(pixels.shape[:2], motion.noise, np.float32)
     deviation[0] = 0
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
-    place = np.linalg.norm(points, axis=1) + displacement._BORDER_MM * draw.standard_normal(len(points))
+    place = np.linalg.norm(points, axis=1) + displacement.BORDER_MM * draw.standard_normal(len(points))
     return trial_of(
         given := inputs(),
         contact(),
@@ -166,10 +167,12 @@ MOST = {"noise": {"median": 1.35}, "onset": {"median": 1.5, "energy": 1.5}}
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
-def test_errors_are_as_large_as_stated(kind: str) -> None:
+def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within a quarter; 40 copies know the deviation of one number to 11 %, of hundreds far better.
 
-    Of medians the scatter counts: what all copies have in common comes from the frames in which the border is seen."""
+    Of medians the scatter counts: what all copies have in common comes from the frames in which the border is seen. So
+    their deviation is that by the errors of the points; what else is in it has tests with presses and slides."""
+    monkeypatch.setattr(MedianBias, "square", lambda bias: np.zeros((FRAMES, 5)))
     motion, points = MOTIONS[kind], material()
     errors: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
     stated: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}

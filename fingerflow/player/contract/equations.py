@@ -7,6 +7,11 @@ covariance of what follows it, to first order. E, ν and h are fields.young_modu
 """
 
 _STD = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
+_MEDIAN_STD = (
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late², g the derivatives by what it is computed from, Δ the change by twice "
+    "the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
+    "onset"
+)
 _RATE = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
 _STRAIN = (
     "e_xx = u_x + (u_x² + v_x²)/2, e_yy = v_y + (u_y² + v_y²)/2, e_xy = (u_y + v_x)/2 + (u_x u_y + v_x v_y)/2; "
@@ -59,12 +64,12 @@ EQUATIONS: dict[str, str] = {
     "curl_std": _STD,
     "field_coverage": "share of 800 places evenly over the gross contact's ellipse at which a plane is fitted",
     "median_divergence": "median of the divergence at 800 places evenly over the gross contact's ellipse",
-    "median_divergence_std": _STD,
+    "median_divergence_std": _MEDIAN_STD,
     "median_divergence_rate": _RATE,
     "median_curl": "median of the curl at 800 places evenly over the gross contact's ellipse",
-    "median_curl_std": _STD,
+    "median_curl_std": _MEDIAN_STD,
     "median_strain": f"median over 800 places evenly over the gross contact's ellipse of {_STRAIN}",
-    "median_strain_std": _STD,
+    "median_strain_std": _MEDIAN_STD,
     "median_strain_rate": _RATE,
     "triangles": "Delaunay triangulation of reference_position",
     "strain": f"{_STRAIN}; u_x ... of the triangle: linear between its corners",

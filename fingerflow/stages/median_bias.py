@@ -1,0 +1,98 @@
+"""What medians over the contact are uncertain by beside the errors of the points: gauge, border and the first contact.
+
+None of it falls as there are more points. Tests with truth: a press, a slide and a contact through which skin passes.
+"""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.graphs import GrossEllipse
+from fingerflow.ops.area_medians import Apart, area_medians
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.strain import curl, divergence, green_lagrange
+from fingerflow.stages.displacement import BORDER_MM, DisplacementStage
+from fingerflow.stages.series import nanmedian
+from fingerflow.stages.stage import Batch
+
+EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at so often, and between linear
+
+
+class MedianBias:
+    """Of medians over T frames of divergence, curl and strain (exx, eyy, exy).
+
+    It has three parts:
+
+    - the difference to medians by twice the gauge length. Of smoothing alone it is three times the error, as that goes
+      with the square of the length; where the contact has skin of two kinds, so that the median lies in the flank of
+      one of them, single fits move it by their noise, which twice the length has a quarter of.
+    - the difference to medians over an ellipse that is smaller by what the place of its border is uncertain by.
+    - the median of the gradient of what skin has moved in half the time between two frames at its onset
+      (`DisplacementStage.late`), which displacement is too short by.
+
+    The first two are differences of noisy numbers: what the points' errors make of them, by the deviation of the
+    median, is taken off their squares.
+    """
+
+    def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
+        self._gauge, self._measure = gauge_mm, measure
+        self._seen = np.full((frames, 5), np.nan)  # square, of the first two
+        self._late_median = np.zeros((frames, 5))
+        self._late: NDArray[np.float64] | None = None
+        if moved.late.any():
+            counts = moved.reference.copy()
+            counts[moved.entered] = np.nan
+            late = torch.from_numpy(moved.late)
+            fit = local_gradients(torch.from_numpy(counts)[None], late[None], gauge_length=gauge_mm)
+            gradient = fit.gradient[0]
+            first = divergence(gradient)[:, None], curl(gradient)[:, None]
+            self._late = torch.cat((*first, green_lagrange(gradient, measure)), dim=1).numpy()
+
+    def look(
+        self,
+        batch: Batch,
+        reference: Tensor,
+        displacement: Tensor,
+        ellipse: GrossEllipse,
+        median: Tensor,
+        std: Tensor,
+        apart: Apart | None = None,
+    ) -> None:
+        """At these n frames: arguments and results (n, 5) of `area_medians`."""
+        if self._late is not None:
+            known = displacement.isfinite().all(-1).cpu().numpy()
+            self._late_median[batch.indices] = nanmedian(np.where(known[..., None], self._late, np.nan))
+        last = len(self._seen) - 1
+        for k in np.flatnonzero((batch.indices % EVERY == 0) | (batch.indices == last)):
+            some = slice(k, k + 1)
+            beside = None if apart is None else Apart(*(one[some] for one in apart))
+            center, semi_axes, angle = (one[some] for one in ellipse)
+            square = torch.zeros_like(median[some])
+            for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
+                other = area_medians(
+                    reference,
+                    displacement[some],
+                    center,
+                    semi_axes - smaller,
+                    angle,
+                    gauge_length=gauge,
+                    measure=self._measure,
+                    apart=beside,
+                )
+                square += ((other.median - median[some]).square() - std[some].square()).clamp_min(0)
+            self._seen[batch.indices[k]] = square.cpu().numpy()[0]
+
+    def square(self) -> NDArray[np.float64]:
+        """(T, 5), to be added to the variance.
+
+        Where a contact is too small for twice the gauge length it is that of the nearest frame in which it is not, and
+        NaN where that is so all along.
+        """
+        frames = np.arange(len(self._seen))
+        result = self._late_median**2
+        for column in range(5):
+            known = np.isfinite(self._seen[:, column])
+            seen = self._seen[known, column]
+            result[:, column] += np.interp(frames, frames[known], seen) if known.any() else np.nan
+        return result
