@@ -14,7 +14,7 @@ from fingerflow.ops.strain_uncertainty import field_sensitivity
 from fingerflow.player.contract.variables import FIELDS
 from fingerflow.stages import plausibility
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.displacement import DisplacementStage, Moved
+from fingerflow.stages.displacement import DisplacementStage, Moved, Points
 from fingerflow.stages.entered_skin import EntryGradients
 from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
@@ -59,6 +59,9 @@ class FieldsStage(Stage):
         self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
 
         moved = self.trial.stage(DisplacementStage)
+        # Skin that moved into the contact counts from its entry with its neighbours.
+        self._counts_late = (moved.late != 0).any(1)
+        self._counts_late[moved.entered] = False
         self._entry = None
         if len(moved.entered):
             self._entry = EntryGradients(moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
@@ -89,6 +92,27 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
+        if self._counts_late.any():
+            self._add_late_onsets(batch.indices, moved.displacement, ellipse)
+
+    def _add_late_onsets(self, frames: NDArray[np.intp], displacement: Points, ellipse: GrossEllipse) -> None:
+        """Adds to the deviations of the medians by how much these differ where displacement counts from half way
+        between the first frame with contact and the one before, which is when contact came on average.
+
+        What skin moves by until that frame is the same for neighbours, and not for all of the contact: medians are off
+        by it to one side, the more the fewer frames a second.
+        """
+        moved = self.trial.stage(DisplacementStage)
+        some = np.setdiff1d(np.arange(len(moved.late)), moved.entered)
+        late = self.inputs.tensor(np.nan_to_num(moved.late[some]))
+        since = self.inputs.tensor(displacement[:, some])
+        reference = self._reference[:, some]
+        first, half_way = (
+            area_medians(one, other, *ellipse, gauge_length=self.inputs.gauge_length_mm, measure=self._settings.strain)
+            for one, other in ((reference, since), (reference - late, since + late))
+        )
+        apart = (half_way.median - first.median).nan_to_num(0.0).cpu().numpy()
+        self._median_std[frames] = np.hypot(self._median_std[frames], apart)
 
     def _with_entered(
         self, entry: EntryGradients, frames: NDArray[np.intp], moved: Moved, covariance: Tensor, ellipse: GrossEllipse

@@ -193,7 +193,10 @@ DISPLACEMENT = (
 
 _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
-_ALONE = "by the errors of the points alone: those of the ellipse and of the places of onset come on top"
+_ALONE = (
+    "by the errors of the points, and by what the skin moves from the contact to the first frame that shows it; those "
+    "of the ellipse and of the places of onset come on top"
+)
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
     Variable("curl", FRAME_POINT, "rad", f"curl of the displacement {SINCE}", "f4"),
