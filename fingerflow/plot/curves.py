@@ -54,7 +54,7 @@ def contact_axes(result: xr.Dataset, axes: Axes | None = None, against: str | No
 def median_divergence(result: xr.Dataset, axes: Axes | None = None, against: str | None = None) -> Axes:
     """Median divergence and curl (µm/mm) over the gross contact, with bands of two standard deviations.
 
-    The standard deviation is that by the errors of the points alone. Arguments as of `contact_area`.
+    The standard deviation is without the errors of the ellipse. Arguments as of `contact_area`.
     """
     need(result, "median_divergence")
     curves = [

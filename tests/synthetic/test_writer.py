@@ -39,7 +39,7 @@ def test_a_full_disk_is_said(where: tuple[Any, str], tmp_path: Path, monkeypatch
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(*where, full, raising=False)
-    with pytest.raises(FingerflowError, match="press cannot be written .No space left on device.; make room"):
+    with pytest.raises(FingerflowError, match=r"press cannot be written \(No space left on device\); make"):
         write_recording(tmp_path / "press", Press(**SMALL))
     assert list(tmp_path.iterdir()) == []
 
