@@ -135,7 +135,8 @@ def _stated(folder: Path, frames: Array) -> Run:
     kept = folder / "stated.npz"
     if not kept.exists():
         run = _run(folder, "recorded", frames)
-        np.savez(kept, status=run.status, of_point=run.of_point, **run.numbers)
+        arrays: dict[str, Any] = {"status": run.status, "of_point": run.of_point, **run.numbers}
+        np.savez(kept, **arrays)
     with np.load(kept) as stored:
         numbers = dict(stored)
     return Run(numbers.pop("status"), numbers.pop("of_point"), numbers)
@@ -167,7 +168,9 @@ def _run(folder: Path, way: str, frames: Array) -> Run:
         files = ["--scene", str(folder / "scene.toml"), "--source", str(folder / "frames.npy"), "--output", str(output)]
         assert player.main([str(bundle), *files, "--page", "off", "--provider", "compiled", "--threads", "1"]) == 0
         records = player.read_results(output).records
-        numbers = {name: np.array(records[name]) for name in (*NUMBERS, "restart") if name in records.dtype.names}
+        numbers = {
+            name: np.array(records[name]) for name in (*NUMBERS, "restart") if name in (records.dtype.names or ())
+        }
         return Run(np.array(records["frame_status"]), np.array(records["status"]), numbers)
 
 
