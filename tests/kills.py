@@ -155,7 +155,8 @@ def main(arguments: list[str] | None = None) -> int:
         costs = _references(base, names)
         for number in range(asked.count):
             # Each command meets each ending in turn.
-            name, ending = names[number % len(names)], endings[(number // len(names) + number) % len(endings)]
+            turn, which = divmod(number, len(names))
+            name, ending = names[which], endings[(turn + which) % len(endings)]
             said = _run(COMMANDS[name], base, disk, ending, rng, *costs[name])
             counts[name, ending] += 1
             for fault in said:

@@ -11,7 +11,9 @@ from .arrays import Array
 from .contract.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 
 USABLE = FRAME_STATUS.index("usable")
-_DARK, _SATURATED, _JUMPS = (FRAME_STATUS.index(name) for name in ("dark", "saturated", "jumps_and_returns"))
+_DARK, _SATURATED, _REPEATED, _JUMPS = (
+    FRAME_STATUS.index(name) for name in ("dark", "saturated", "repeated", "jumps_and_returns")
+)
 # As `fingerflow.ops.frame_distances` has them: blocks wider than ridges, some 20,000 pixels read.
 _BLOCK_PX, _BLOCKS, _SAMPLES = 24, 16, (128, 160)
 LONGEST = 3  # frames in a row that may jump: a picture that stays for a fourth is the new state of the trial
@@ -20,6 +22,8 @@ _LOST = 0.25  # of the points of the frame before, at once
 _FEWEST = 8  # points, below which their number says nothing
 _LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
 _STEPS = 8  # between usable frames that are remembered
+_KNOWN, _RECENT, _REPEATED_SHARE = 8, 16, 0.2  # frames; beyond that share of them the camera gives fewer than it says
+_LIT = 0.3  # of the glass's light, that a line of the empty glass has at least
 _FLICKER, _CHANGES = 8, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
 
 
@@ -30,9 +34,11 @@ class FrameCheck:
     has come from another moment, is torn or shifted, where points are lost with it and are not to be
     found elsewhere, as after a jump of the skin; where nine tenths of the contact
     view become lighter or darker at once, it is the lamp: a contact never covers all of it. One that flickers does so
-    again and again, and its frames count. `process` knows the frames behind a frame too, a stream does not: what stays
+    again and again, and its frames count. Lines of the contact view without light have been lost. `process` knows the
+    frames behind a frame too, a stream does not: what stays
     for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
-    count. Repeated frames are not told.
+    count. A frame that is the one before, pixel by pixel, is told once eight frames have come that differ, and where
+    no more than a fifth does so. A frame of another moment whose points are found is not told.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
@@ -42,14 +48,17 @@ class FrameCheck:
     def __init__(self, glass: Array, dark: Array, bit_depth: int) -> None:
         self._rows, self._columns = (_means(side, most) for side, most in zip(glass.shape, _SAMPLES, strict=True))
         self._black = float(self._blocks(dark).mean())
-        empty = self._blocks(glass)
+        empty, lines = self._blocks(glass), self._lines(glass)
+        self._lit = lines - self._black > _LIT * (lines.mean() - self._black)
         self._least = self._black + DARK_SHARE * (float(empty.mean()) - self._black)
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: dict[str, Array] | None = None
         self._number = self._tracked = self._jumped = 0
+        self._lacks_lines = False
         self._before: deque[float] = deque(maxlen=_STEPS)
-        self._previous: Array | None = None  # blocks of the contact view of the frame before, whether it counts or not
+        self._previous: dict[str, Array] | None = None  # blocks of the frame before, whether it counts or not
+        self._same: deque[bool] = deque(maxlen=_RECENT)  # whether frames were the one before
         self._changes: deque[bool] = deque(maxlen=_CHANGES)  # of its light, by more than half of the limit
 
     def look(self, views: Mapping[str, Array]) -> tuple[dict[str, Array], int]:
@@ -60,6 +69,8 @@ class FrameCheck:
             return blocks, _DARK
         if self._tells_saturated and float((contact > self._top).mean()) > SATURATED_SHARE:
             return blocks, _SATURATED
+        if (self._lit & (self._lines(views["contact_view"][0, 0]) < self._least)).any():
+            return blocks, _JUMPS
         return blocks, USABLE
 
     def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int, elsewhere: bool) -> int:
@@ -71,13 +82,18 @@ class FrameCheck:
             tracked: points found in it.
             elsewhere: whether many were found far from where their motion leads (`SecondLook`).
         """
-        if status != USABLE:
+        if status not in (USABLE, _JUMPS):
             return status
         step, light = 0.0, 0.0
-        contact = blocks["contact_view"]
-        if self._previous is not None:
-            self._changes.append(_change_of_light(contact, self._previous) > _LIGHT / 2)
-        self._previous = contact
+        contact, previous = blocks["contact_view"], self._previous
+        if previous is not None:
+            same = all(np.array_equal(blocks[name], previous[name]) for name in blocks)
+            self._same.append(same)
+            self._changes.append(_change_of_light(contact, previous["contact_view"]) > _LIGHT / 2)
+            if same and len(self._same) > _KNOWN and sum(self._same) <= _REPEATED_SHARE * len(self._same):
+                return _REPEATED
+        self._previous = blocks
+        lacks_lines = status == _JUMPS and not self._lacks_lines
         if self._last is not None:
             # The motion of frames that were dropped or did not count comes on top.
             gap = max(1, min(number - self._number, LONGEST + 1))
@@ -87,13 +103,19 @@ class FrameCheck:
             usual = max(self._before, default=_LEAST)
             lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked and not elsewhere
             far = lost and step > max(_LEAST, _FAR * gap * usual)
-            if (far or light > _LIGHT) and self._jumped < LONGEST:
+            if (far or lacks_lines or light > _LIGHT) and self._jumped < LONGEST:
                 self._jumped += 1
                 return _JUMPS
             if not self._jumped:
                 self._before.append(step / gap)
         self._last, self._number, self._tracked, self._jumped = blocks, number, tracked, 0
+        self._lacks_lines = status == _JUMPS
         return USABLE
+
+    def _lines(self, view: Array) -> Array:
+        """(rows,) means of the rows that are read of a view (H, W)."""
+        means: Array = view[self._rows[0] // 2 :: self._rows[0], self._columns[0] // 2 :: self._columns[0]].mean(1)
+        return means
 
     def _blocks(self, view: Array) -> Array:
         """(rows, columns) float32, means of blocks of a view (H, W)."""

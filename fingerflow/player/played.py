@@ -46,7 +46,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
     if path is None and not synthetic:
         path = options.bundle / "scene.toml"
     scene = side_by_side(bundle.height, bundle.width) if path is None else load_scene(path)
-    check_scene(scene, bundle)
+    check_scene(scene, bundle, path)
     black = np.zeros((bundle.height, bundle.width), np.float32)
     if synthetic:
         gauge = bundle.recipe.get("fields", {}).get("gauge_length_mm") if path is None else None

@@ -129,31 +129,31 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
         )
 
 
-def check_scene(scene: Scene, bundle: Bundle) -> None:
-    """Whether a bundle can play the scene.
+def check_scene(scene: Scene, bundle: Bundle, path: Path | None) -> None:
+    """Whether a bundle can play the scene of a file, or the drawn one.
 
     Raises PlayerError where the views are not of the bundle's size, or a threshold or a reference is asked for that a
     stream cannot have.
     """
-    size = (bundle.height, bundle.width)
+    size, said = (bundle.height, bundle.width), "" if path is None else f"{path}: "
     for name, view in (("contact", scene.contact), ("topography", scene.topography)):
         if view.shape != size:
             raise PlayerError(
-                f"views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
+                f"{said}views.{name} of the scene is {view.shape[0]} x {view.shape[1]} px, the bundle was exported for "
                 f"{size[0]} x {size[1]}; correct rows and columns, or export one with views of that size"
             )
     if scene.threshold == "per_frame":
         raise PlayerError(
-            "contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that is "
-            'known before it comes: give a number, such as 0.25, or "reference_frame", which is measured while the '
+            f"{said}contact.threshold of the scene is 'per_frame'; a stream computes each frame with a threshold that "
+            'is known before it comes: give a number, such as 0.25, or "reference_frame", which is measured while the '
             "contact grows; `fingerflow process` of the recording takes one of each frame"
         )
     since = scene.asked.get("fields.reference", "onset")
     if since != "onset":
         raise PlayerError(
-            f"fields.reference of the scene is {since!r}; the graphs of a stream count displacement from each point's "
-            'own onset of contact: leave the key out, or take "onset"; `fingerflow process` of the recording counts '
-            "from any frame"
+            f"{said}fields.reference of the scene is {since!r}; the graphs of a stream count displacement from each "
+            "point's own onset of contact: leave the key out, or take 'onset'; `fingerflow process` of the recording "
+            "counts from any frame"
         )
 
 

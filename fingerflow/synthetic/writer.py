@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -63,8 +64,12 @@ def write_recording(folder: Path, scene: Scene) -> None:
         (unfinished / "scene.toml").write_text(_scene_file(scene), encoding="utf-8")
         (unfinished / "truth.json").write_text(_truth_file(scene, unfinished), encoding="utf-8")
         unfinished.rename(folder)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(unfinished, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise FingerflowError(
+                f"{folder} cannot be written ({error.strerror or error}); make room there, or name another place"
+            ) from error
         raise
 
 
@@ -100,6 +105,10 @@ def _make(folder: Path) -> None:
 def _write_frames(path: Path, scene: Scene) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
+    if hasattr(os, "posix_fallocate"):
+        # On a full disk writing to memory that is mapped would end the process by SIGBUS.
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
 
     def write(number: int) -> None:
         frames[number] = scene.render(number)

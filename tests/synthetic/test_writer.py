@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,19 @@ SMALL: dict[str, Any] = {
     "finger": (1.0, 0.8),
     "semi_axes": (0.7, 0.6),
 }
+
+
+@pytest.mark.parametrize("where", [(os, "posix_fallocate"), (np, "savetxt")])
+def test_a_full_disk_is_said(where: tuple[Any, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Room for the frames is taken before they are written: memory that is mapped would end the process."""
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(*where, full, raising=False)
+    with pytest.raises(FingerflowError, match=r"press cannot be written \(No space left on device\); make"):
+        write_recording(tmp_path / "press", Press(**SMALL))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -59,8 +59,8 @@ def is_as_true(folder: Path, finger: Scene) -> None:
     assert float(result["normal_force"][LAST]) == pytest.approx(5.0, abs=0.01)
     # Where a valley lies on the border of a real print nothing shows it: 2 to 4 % of area (`python -m bench prints`).
     assert float(result["gross_contact_area"][LAST]) == pytest.approx(truth.gross_contact_area_mm2(LAST), rel=0.05)
-    # 1.4 um/mm too large here, and at most 1.9 off in other frames of this press. Half a frame at onset makes it 1.4 too
-    # small at 40 Hz (`MedianBias`), a border that is found 3.7 % of area too near makes it larger.
+    # 1.4 um/mm too large here, and at most 1.9 off in other frames of this press. Half a frame at onset makes it 1.4
+    # too small at 40 Hz (`MedianBias`), a border that is found 3.7 % of area too near makes it larger.
     error = abs(float(result["median_divergence"][LAST]) - truth.medians(LAST).divergence)
     assert error < 2.5e-3
     assert error < float(result["median_divergence_std"][LAST]) < 5e-3
