@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -82,17 +83,18 @@ def test_a_fault_has_its_own_exception_and_the_name_of_the_kernel(
 
 @pytest.mark.parametrize("thread", [CALLER, POOL])
 def test_a_fault_on_either_kind_of_thread(thread: int) -> None:
-    """The caller takes a piece in every call, the pool in nearly every one."""
+    """Which thread takes a piece is up to the system: on a busy machine all may go to one kind for a while."""
     frames = FRAMES.repeat(16, 1, 2, 1)
-    right, thrown = kernels.median(frames, 9), 0
+    right, thrown = kernels.median(frames, 9), False
     kernels.inject_fault(NO_MEMORY, -1, thread)
-    for _ in range(50):
+    end = time.monotonic() + 30
+    while not thrown and time.monotonic() < end:
         try:
             assert torch.equal(kernels.median(frames, 9), right)
         except MemoryError:
-            thrown += 1
+            thrown = True
     kernels.inject_fault(0)
-    assert thrown > 0
+    assert thrown
     assert torch.equal(kernels.median(frames, 9), right)
 
 
