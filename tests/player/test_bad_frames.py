@@ -284,7 +284,7 @@ def test_skin_that_moves_is_no_jump() -> None:
     assert check.see(20, {"contact_view": place + 5 * step}, USABLE, 10, False) == USABLE
     assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10, False) == USABLE
     assert check.see(22, {"contact_view": place}, USABLE, 10, False) == USABLE
-    assert check.see(23, {"contact_view": place}, USABLE, 100, False) == USABLE
+    assert check.see(23, {"contact_view": place + 0.1 * step}, USABLE, 100, False) == USABLE
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2])
