@@ -8,6 +8,7 @@ import logging
 import os
 import tempfile
 import time
+import warnings
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -23,6 +24,7 @@ from fingerflow.export.standard_model import need_packages, standard_model
 M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
 _OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
+_PATIENCE = 60.0  # s of exporting, before it is said what takes so long
 log = logging.getLogger(__name__)
 
 
@@ -69,7 +71,15 @@ class OnnxRuntime:
             part.write_bytes(model.SerializeToString(deterministic=True))
             part.replace(file)
             seconds = time.perf_counter() - begun
-            self.exported, self.seconds = self.exported + 1, self.seconds + seconds
+            before, self.seconds = self.seconds, self.seconds + seconds
+            self.exported += 1
+            if before < _PATIENCE <= self.seconds:
+                warnings.warn(
+                    f"{self.exported} graphs have been exported to ONNX, which took {self.seconds:.0f} s, and there may "
+                    "be more to come: one for each number of points that are followed together, which changes where skin "
+                    f"enters or is searched for. They are kept in {self.folder} for the next time; engine torch needs none",
+                    stacklevel=2,
+                )
             log.info("%s exported to ONNX in %.1f s: %s", leaves.title, seconds, file)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = self.threads

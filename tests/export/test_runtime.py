@@ -63,6 +63,16 @@ def test_a_module_gives_the_same(runtime: OnnxRuntime, batch: int, second: bool)
     assert runtime.seconds > 0
 
 
+def test_what_takes_long_is_said_once(runtime: OnnxRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fingerflow.export.runtime._PATIENCE", 1e-9)
+    executed = runtime(Scaled(3.0))
+    with pytest.warns(UserWarning, match="1 graphs have been exported") as said:
+        for count in (3, 4):
+            executed.largest(torch.ones(1, 4, count))
+    assert len(said) == 1
+    assert str(runtime.folder) in str(said[0].message)
+
+
 def test_graphs_are_kept_for_the_next_time(runtime: OnnxRuntime) -> None:
     """By settings, buffers and shapes."""
     frames = torch.ones(1, 4, 6)
