@@ -75,9 +75,10 @@ class OnnxRuntime:
             self.exported += 1
             if before < _PATIENCE <= self.seconds:
                 warnings.warn(
-                    f"{self.exported} graphs have been exported to ONNX, which took {self.seconds:.0f} s, and there may "
-                    "be more to come: one for each number of points that are followed together, which changes where skin "
-                    f"enters or is searched for. They are kept in {self.folder} for the next time; engine torch needs none",
+                    f"{self.exported} graphs have been exported to ONNX, which took {self.seconds:.0f} s, and there "
+                    "may be more to come: one for each number of points that are followed together, which changes "
+                    f"where skin enters or is searched for. They are kept in {self.folder} for the next time; engine "
+                    "torch needs none",
                     stacklevel=2,
                 )
             log.info("%s exported to ONNX in %.1f s: %s", leaves.title, seconds, file)
