@@ -94,7 +94,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
     def broken(self: Scene, frame: int) -> None:
         raise OSError("no space left")
 
-    for name, failure, error in (("dark", no_light, KeyboardInterrupt), ("render", broken, OSError)):
+    for name, failure, error in (("dark", no_light, KeyboardInterrupt), ("render", broken, FingerflowError)):
         monkeypatch.setattr(Press, name, failure)
         with pytest.raises(error):
             write_recording(tmp_path / "trial", Press(**SMALL))
