@@ -25,8 +25,8 @@ class Line:
 def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
     """Forces, areas, divergence, curl, displacement and energy at these frames, each ± one standard deviation.
 
-    Of divergence and curl that is `MedianBias` beside the errors of the points, of energy what follows from these. Areas
-    have no such model: theirs is the scatter from frame to frame, see `scatter`.
+    Of divergence and curl that is `MedianBias` beside the errors of the points, of energy what follows from these. Of
+    areas it is the scatter from frame to frame, see `scatter`.
     """
     places = [one.frame for one in frames]
     lines = [Line("time", "s", tuple(f"{value:.3f}" for value in result["time"].values[places]))]
