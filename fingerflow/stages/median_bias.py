@@ -37,7 +37,8 @@ class MedianBias:
 
     def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
         self._gauge, self._measure = gauge_mm, measure
-        self._seen = np.full((frames, 5), np.nan)  # square, of the first two
+        self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
+        self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
         self._late_median = np.zeros((frames, 5))
         self._late: NDArray[np.float64] | None = None
         if moved.late.any():
@@ -63,8 +64,7 @@ class MedianBias:
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._late_median[batch.indices] = nanmedian(np.where(known[..., None], self._late, np.nan))
-        last = len(self._seen) - 1
-        for k in np.flatnonzero((batch.indices % EVERY == 0) | (batch.indices == last)):
+        for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
             beside = None if apart is None else Apart(*(one[some] for one in apart))
             center, semi_axes, angle = (one[some] for one in ellipse)
@@ -81,7 +81,7 @@ class MedianBias:
                     apart=beside,
                 )
                 square += ((other.median - median[some]).square() - std[some].square()).clamp_min(0)
-            self._seen[batch.indices[k]] = square.cpu().numpy()[0]
+            self._seen[np.searchsorted(self._looks, batch.indices[k])] = square.cpu().numpy()[0]
 
     def square(self) -> NDArray[np.float64]:
         """(T, 5), to be added to the variance.
@@ -89,10 +89,10 @@ class MedianBias:
         Where a contact is too small for twice the gauge length it is that of the nearest frame in which it is not, and
         NaN where that is so all along.
         """
-        frames = np.arange(len(self._seen))
+        frames = np.arange(len(self._late_median))
         result = self._late_median**2
         for column in range(5):
             known = np.isfinite(self._seen[:, column])
             seen = self._seen[known, column]
-            result[:, column] += np.interp(frames, frames[known], seen) if known.any() else np.nan
+            result[:, column] += np.interp(frames, self._looks[known], seen) if known.any() else np.nan
         return result

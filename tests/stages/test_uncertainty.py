@@ -263,7 +263,8 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
 
 def test_medians_state_what_they_miss_before_the_onset() -> None:
     """Points count from the first frame with contact, half a frame late on average: all medians are off to one side by
-    what skin is stretched meanwhile, 0.8 um/mm here, and the errors of the points alone are a third of that."""
+    what skin is stretched meanwhile, 0.8 um/mm here, and the errors of the points alone are a third of that. What is
+    stated holds a border that is off too, which here it is not."""
     motion, points = Motion((0.0, 0.0), ((0.001, 0.0), (0.0, 0.001)), 0.005), material()
     found = measured(tracked(motion, points, 0))
     true = exact(motion, points, found, 0.0, False)
@@ -271,4 +272,4 @@ def test_medians_state_what_they_miss_before_the_onset() -> None:
         values_of(one, name)[20:] for one, name in ((found, "median_divergence"), (found, "median_divergence_std"))
     )
     error = error - values_of(true, "median_divergence")[20:]
-    assert 0.5 < np.sqrt(np.mean((error / stated) ** 2)) < 1.5
+    assert 0.4 < np.sqrt(np.mean((error / stated) ** 2)) < 1.5
