@@ -51,7 +51,7 @@ class SlipStage(Stage):
 
     - "border": where displacement begins, as the windows of the points show it (`StuckBorder`): the model's own d^2.
       On 100 random trials with a camera's noise of 1 to 3 grey levels (`python -m bench slip`) d^2 is within 0.02 in
-      88 % of the frames, the worst frame of a trial is 0.026 off (median; 0.054 at most). 90 verdicts are right, none
+      88 % of the frames, the worst frame of a trial is 0.024 off (median; 0.054 at most). 90 verdicts are right, none
       is wrong, and 10 trials are inconclusive, as their critical area is found within 0.04 of the limit of 0.05; by the
       area alone 96 would be right. mu_k / mu_s comes out to 5 % in 45 % of the trials that vanish abruptly by the
       critical area, in 55 % by the fit.
