@@ -21,7 +21,7 @@ extensions = [
     "plain_docstrings",
     "generated_pages",
 ]
-exclude_patterns = ["site", "build_tools", "jupyter_execute"]
+exclude_patterns = [".jupyter_cache", "site", "build_tools", "jupyter_execute"]
 
 # Docstrings are plain text in which `this` is code.
 default_role = "code"
