@@ -13,6 +13,7 @@ from fingerflow.ops.local_fit import local_gradients
 from fingerflow.player.contract.variables import ENTRY
 from fingerflow.stages.entered_skin import with_neighbours
 from fingerflow.synthetic import Slide, write_recording
+from tests.contact_grid import skin_in_contact
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
 STEP_MM = 0.1
@@ -47,7 +48,10 @@ def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
     is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm, and stated so.
     """
     frames, measured = range(50, LAST + 1, 6), result["median_divergence"].values
-    true = [np.median(SLIDE.truth.entry_gradient(_inside(k), k).trace(axis1=1, axis2=2)) for k in frames]
+    true = [
+        np.median(SLIDE.truth.entry_gradient(skin_in_contact(SLIDE, k, STEP_MM), k).trace(axis1=1, axis2=2))
+        for k in frames
+    ]
     error = measured[list(frames)] - true
     assert np.abs(error).max() < 4e-3
     stated = result["median_divergence_std"].values[list(frames)]
@@ -97,7 +101,7 @@ def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material
 def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset) -> None:
     """Truth: the energy of F(t) F(entry)^-1 over the skin in contact. By places of onset it came to 1000 times that."""
     truth = SLIDE.truth
-    gradient = truth.entry_gradient(_inside(LAST), LAST)
+    gradient = truth.entry_gradient(skin_in_contact(SLIDE, LAST, STEP_MM), LAST)
     deformation = np.eye(2) + gradient
     strain = (deformation.transpose(0, 2, 1) @ deformation - np.eye(2)) / 2
     young, poisson = 1.0, 0.4
@@ -134,13 +138,3 @@ def test_medians_are_of_old_and_new_skin_together() -> None:
     assert without.median.isnan().all()
     moved = Apart(apart.place + 6.0, fields, apart.std)  # nobody is near: nothing is known there
     assert area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=moved).known.item() < 0.6
-
-
-def _inside(frame: int) -> np.ndarray:
-    """Material of a grid over the contact."""
-    ellipse = SLIDE.truth.ellipse(frame)
-    assert ellipse is not None
-    axis = np.arange(-6, 6, STEP_MM)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
-    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
-    return np.asarray(SLIDE.truth.material(places[inside], frame))

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import xarray as xr
 from scipy.spatial import cKDTree
 
@@ -16,6 +15,7 @@ from fingerflow.stages.common_frame import common_frame
 from fingerflow.stages.new_skin import NewSkin
 from fingerflow.store import FileStore, MemoryStore
 from fingerflow.synthetic import write_recording
+from tests.contact_grid import skin_in_contact
 from tests.stages.rolling import Rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
@@ -44,7 +44,10 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
     """
     assert result["field_coverage"].values.min() > 0.9
     frames = range(8, ROLLING.n_frames, 3)
-    true = [ROLLING.truth.entry_gradient(_inside(frame), frame).trace(axis1=1, axis2=2) for frame in frames]
+    true = [
+        ROLLING.truth.entry_gradient(skin_in_contact(ROLLING, frame, 0.4), frame).trace(axis1=1, axis2=2)
+        for frame in frames
+    ]
     error = [result["median_divergence"].values[k] - np.nanmedian(one) for k, one in zip(frames, true, strict=True)]
     assert np.abs(error).max() < 1e-3
     # The median lies in the flank of skin of the first frame, a third of the contact has come in since: noise of single
@@ -56,7 +59,7 @@ def test_fields_are_known_all_along(result: xr.Dataset) -> None:
 
 def test_energy_is_of_the_skin_in_contact(result: xr.Dataset) -> None:
     """A tenth: triangles of the border count whole. With skin that has left on the other side it was 1.6 times that."""
-    gradient = ROLLING.truth.entry_gradient(_inside(ROLLING.n_frames - 1, 0.1), ROLLING.n_frames - 1)
+    gradient = ROLLING.truth.entry_gradient(skin_in_contact(ROLLING, ROLLING.n_frames - 1, 0.1), ROLLING.n_frames - 1)
     deformation = np.eye(2) + gradient
     strain = (deformation.transpose(0, 2, 1) @ deformation - np.eye(2)) / 2
     young, poisson = 1.0, 0.4
@@ -159,13 +162,3 @@ def test_common_frame_of_a_rigid_motion(backward: bool) -> None:
     np.testing.assert_allclose(found.places, places, atol=1e-12)
     assert (found.chosen[40:] == 4).all()
     assert found.later.sum() == 20
-
-
-def _inside(frame: int, step: float = 0.4) -> np.ndarray:
-    """Material of a grid over the contact."""
-    ellipse = ROLLING.truth.ellipse(frame)
-    assert ellipse is not None
-    axis = np.arange(-6, 6, step)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
-    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
-    return np.asarray(ROLLING.truth.material(places[inside], frame))
