@@ -9,6 +9,7 @@ import pytest
 
 from fingerflow.export import export_bundle
 from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic.scenes import Scene
 
 Frame = np.ndarray[Any, Any]
 
@@ -36,7 +37,12 @@ TRIALS: dict[str, Press | Slide] = {
 
 def write_trial(folder: Path, kind: str = "press") -> Path:
     """Writes the recording of a trial; its scene file, with a given threshold and the settings of the bundle."""
-    write_recording(folder, TRIALS[kind])
+    return write_scene_of_bundle(folder, TRIALS[kind])
+
+
+def write_scene_of_bundle(folder: Path, trial: Scene) -> Path:
+    """Writes the recording of a trial of any kind, views of `HEIGHT` x `WIDTH` px, and the scene file as above."""
+    write_recording(folder, trial)
     scene = folder / "scene.toml"
     text = scene.read_text(encoding="utf-8")
     settings = f"[contact]\nthreshold = 0.27\n{_SHARED}"

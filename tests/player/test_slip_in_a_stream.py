@@ -1,36 +1,19 @@
 """The flag of slip in a played stream: not while nothing slips, and soon after it begins."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fingerflow import player
-from fingerflow.export import export_bundle
-from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+from fingerflow.synthetic import PartialSlip, rebuild_scene
+from tests.small_trials import HEIGHT, WIDTH, write_scene_of_bundle
 
-HEIGHT, WIDTH, POINTS, STILL = 192, 240, 150, 20
-RECIPE = f"""
-[views]
-height = {HEIGHT}
-width = {WIDTH}
-[tracking]
-points = {POINTS}
-window_px = 15
-min_distance_px = 6.0
-[export]
-graphs = ["background", "detect", "key", "renew", "search", "frame", "fields"]
-"""
-SETTINGS = f"""
-[contact]
-threshold = 0.27
-[tracking]
-points = {POINTS}
-window_px = 15
-min_distance_px = 6.0
-"""
+STILL = 20
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.ndarray]:
+def played(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path) -> tuple[PartialSlip, np.ndarray]:
     """A trial that rests for 20 frames, is loaded, jumps before and after full slip; and the records of its stream."""
     folder = tmp_path_factory.mktemp("slip_stream")
     trial = PartialSlip(
@@ -44,16 +27,9 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.nd
         travel=0.8,
         jumps=(0.7, 1.0),
     )
-    write_recording(folder / "trial", trial)
-    file = folder / "trial" / "scene.toml"
-    text = file.read_text(encoding="utf-8")
-    file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :], encoding="utf-8")
-    (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
-        export_bundle(folder / "recipe.toml", folder / "bundle")
+    file = write_scene_of_bundle(folder / "trial", trial)
     options = ["--output", str(folder / "results"), "--page", "off", "--provider", "cpu", "--no-spin", "--threads", "1"]
-    assert player.main([str(folder / "bundle"), "--scene", str(file), *options]) == 0
+    assert player.main([str(bundle_of_trials), "--scene", str(file), *options]) == 0
     known = rebuild_scene(folder / "trial")
     assert isinstance(known, PartialSlip)
     return known, np.asarray(player.read_results(folder / "results").records)
@@ -85,21 +61,22 @@ def test_the_flag_comes_with_the_first_skin_that_slips(played: tuple[PartialSlip
 def test_no_point_of_a_stream_is_on_other_skin_through_a_jump(played: tuple[PartialSlip, np.ndarray]) -> None:
     """Of those that are given, against where the skin of their first frame is.
 
-    The rim jumps by 5 px within a few windows, which stretches it by a third and more: in the jump and the four frames
-    after it all are within 1 px, and nine in ten within 0.5 px (the worst before the jump is 0.9); another ridge is
-    14 px away. When all jumps as one, all are within 0.5 px.
+    The rim jumps by 5 px within one window of 21 px, which then gives the mean of what it sees, up to 1.5 px from its
+    middle; with windows of 15 px it is 1 px. Another ridge is 14 px away. When all jumps as one, what the rim has
+    added before stays, and nothing is added.
     """
     trial, records = played
     rim, whole = (int(at) for at in np.searchsorted(trial.times, trial.jumps))
     for frame in range(rim, rim + 5):
         error = _errors(trial, records, frame)
-        assert len(error) > 70, frame
-        assert error.max() < 1, frame
-        assert (error < 0.5).mean() > 0.88, frame
+        assert len(error) > 55, frame
+        assert error.max() < 2, frame
+        assert (error < 0.5).mean() > 0.8, frame
     for frame in range(whole, whole + 10):
         error = _errors(trial, records, frame)
-        assert len(error) > 130, frame
-        assert error.max() < 0.5, frame
+        assert len(error) > 100, frame
+        assert error.max() < 2, frame
+        assert (error < 0.5).mean() > 0.9, frame
 
 
 def _errors(trial: PartialSlip, records: np.ndarray, frame: int) -> np.ndarray:
