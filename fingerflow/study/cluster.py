@@ -3,10 +3,12 @@
 import logging
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import chain, islice
+from threading import Event, Thread
 from typing import Any, TypeVar
 
 from tqdm import tqdm
@@ -17,6 +19,7 @@ _IN_FLIGHT = 3  # tasks a worker: one that runs, others that wait beside it
 _RENEWED_AFTER = 200  # tasks a worker, after which all are replaced by fresh ones: whatever leaks goes with them
 _ADDRESS = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 _CONNECT = "20s"  # to reach a scheduler
+_LOOK = 5.0  # s between two looks how many workers there are
 _KEPT = "What is finished is kept; run the same command again for the rest"
 
 Task = TypeVar("Task")
@@ -88,10 +91,9 @@ def _go_through(
         names[future.key] = name
         return future
 
-    many = max(1, sum(client.nthreads().values()))
     try:
-        with _interrupt_once():
-            waiting = as_completed([submit(*one) for one in islice(tasks, max(2, _IN_FLIGHT * many))])
+        with _interrupt_once(), _Workers(client) as workers:
+            waiting = as_completed([submit(*one) for one in islice(tasks, workers.room())])
             for future in waiting:
                 if future.status == "finished":
                     yield future.result()
@@ -100,7 +102,7 @@ def _go_through(
                 else:
                     raise Interrupted(f"the scheduler was lost. {_KEPT}")
                 del names[future.key]
-                for one in islice(tasks, 1):
+                for one in islice(tasks, max(0, workers.room() - len(names))):
                     waiting.add(submit(*one))
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted. {_KEPT}") from None
@@ -111,6 +113,43 @@ def _go_through(
         if isinstance(error, (OSError, TimeoutError)) or client.status != "running":
             raise Interrupted(f"the scheduler was lost ({error}). {_KEPT}") from error
         raise
+
+
+class _Workers:
+    """How many the workers of a cluster are, which come and go.
+
+    A cluster whose workers have not come yet, or are gone, may get some: it is waited for, and that is said.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._ended = client, Event()
+        self._threads: int = sum(client.nthreads().values())
+
+    def __enter__(self) -> "_Workers":
+        Thread(target=self._look, name="workers", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+
+    def room(self) -> int:
+        """Tasks that may be in flight."""
+        return max(2, _IN_FLIGHT * self._threads)
+
+    def _look(self) -> None:
+        said = False
+        while not self._ended.wait(_LOOK):
+            try:
+                self._threads = sum(self._client.nthreads().values())
+                place = self._client.scheduler.address
+            except Exception:  # the scheduler is lost, which is said elsewhere
+                return
+            if not self._threads and not said:
+                tqdm.write(
+                    f"warning: no worker is at {place}, so nothing is processed; waiting until one comes",
+                    file=sys.stderr,
+                )
+            said = not self._threads
 
 
 @contextmanager

@@ -58,7 +58,9 @@ def test_there_is_no_torch(python: Path) -> None:
 
 
 def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> None:
-    command, environment = _command(python, stream, "--source", "synthetic", "--rate", "300")
+    command, environment = _command(
+        python, stream, "--source", "synthetic", "--rate", "100"
+    )  # which a machine that has other work keeps up with
     with subprocess.Popen(command, env=environment, cwd=stream.bundle, stderr=subprocess.PIPE, text=True) as running:
         path = stream.folder / "results" / "records.bin"
         deadline = time.monotonic() + 60
@@ -70,10 +72,10 @@ def test_a_killed_stream_leaves_whole_results(python: Path, stream: Stream) -> N
         running.kill()
         running.communicate()
     records, header, events = player.read_results(stream.folder / "results")
-    assert len(records) >= 300
+    assert len(records) >= 100
     np.testing.assert_array_equal(records["frame"], np.arange(len(records)))
     assert np.isfinite(records["position_px"]).all()
-    np.testing.assert_allclose(np.diff(records["time"]), 1 / 300, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(records["time"]), 1 / 100, rtol=1e-6)
     assert (header["source"], events[0]["points"]) == ("synthetic", POINTS)
 
 

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 from distributed import LocalCluster
@@ -49,8 +50,14 @@ def study(lab: Path) -> Manifest:
 
 @pytest.fixture(scope="session")
 def scheduler() -> Iterator[str]:
-    """The address of a scheduler whose one worker is a thread here: no process has to load torch."""
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
-    ) as cluster:
+    """The address of a scheduler whose one worker is a thread here: no process has to load torch.
+
+    A test of another room may stand in the way of that thread for minutes: it is not given up for that.
+    """
+    with (
+        dask.config.set({"distributed.scheduler.worker-ttl": None}),
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
+        ) as cluster,
+    ):
         yield str(cluster.scheduler_address)

@@ -1,8 +1,13 @@
 """Tasks on workers: each comes back once, whatever happens to the worker."""
 
 import os
+import time
+from collections.abc import Iterator
+from threading import Thread
+from typing import Any
 
 import pytest
+from distributed import LocalCluster
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study import cluster
@@ -19,7 +24,12 @@ def _fails_at_three(number: int) -> int:
     return number
 
 
-def _raise(name: str, error: BaseException) -> tuple[int, int]:
+def _waits(number: int) -> int:
+    time.sleep(0.1)
+    return number
+
+
+def _raise(name: str, error: BaseException) -> Any:
     raise error
 
 
@@ -55,3 +65,39 @@ def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", "1s")
     with pytest.raises(FingerflowError, match=r"no cluster can be had from tcp://127\.0\.0\.1:9"):
         list(over_workers(_process, iter([("task", 1)]), 1, _raise, "tcp://127.0.0.1:9", progress=False))
+
+
+def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One in flight a thread and two beside it, of those that have come by then."""
+    monkeypatch.setattr(cluster, "_LOOK", 0.05)
+    said = ""
+    asked = 0
+
+    def tasks() -> Iterator[tuple[str, int]]:
+        nonlocal asked
+        for asked in range(1, 21):
+            yield f"task-{asked}", asked
+
+    with LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp://") as empty:
+
+        def come() -> None:
+            nonlocal said
+            while "no worker is at tcp://" not in said:
+                time.sleep(0.05)
+                said += capfd.readouterr().err
+            empty.scale(4)
+
+        coming = Thread(target=come, daemon=True)
+        coming.start()
+        results = over_workers(_waits, tasks(), 20, _raise, str(empty.scheduler_address), progress=False)
+        first = next(results)
+        assert asked <= 3
+        time.sleep(0.5)  # ten looks
+        second = next(results)
+        assert asked >= 13
+        found = [first, second, *results]
+        coming.join()
+    assert sorted(found) == list(range(1, 21))
+    assert said.count("no worker is at") == 1
