@@ -272,8 +272,8 @@ def test_block_means_are_those_of_the_recorded_form(shape: tuple[int, int]) -> N
 
 
 def test_skin_that_moves_is_no_jump() -> None:
-    """Blocks that change by up to three times as much as before, with points lost, are motion; so is any step while
-    points are found."""
+    """Blocks that change by up to three times as much as before, with points lost, are motion; so is any step that is
+    not taken back."""
     generator = np.random.default_rng(2)
     glass = np.full((192, 240), 200.0)
     check = FrameCheck(glass, 0 * glass, 8)
@@ -282,9 +282,26 @@ def test_skin_that_moves_is_no_jump() -> None:
         place = place + 2 * step
         assert check.see(number, {"contact_view": place}, USABLE, 100, False) == USABLE
     assert check.see(20, {"contact_view": place + 5 * step}, USABLE, 10, False) == USABLE
-    assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10, False) == USABLE
-    assert check.see(22, {"contact_view": place}, USABLE, 10, False) == USABLE
-    assert check.see(23, {"contact_view": place + 0.1 * step}, USABLE, 100, False) == USABLE
+    assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10, False) is None
+    assert check.settle({"contact_view": place + 61 * step}) == USABLE
+    assert check.see(22, {"contact_view": place + 61 * step}, USABLE, 10, False) == USABLE
+
+
+def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
+    """The third of sixteen frames that come back is motion; so is one behind which nothing is known."""
+    generator = np.random.default_rng(2)
+    glass = np.full((192, 240), 200.0)
+    check = FrameCheck(glass, 0 * glass, 8)
+    place, away = 150 + 20 * generator.standard_normal((2, 8, 10))
+    status = []
+    for number in range(40):
+        blocks = {"contact_view": away if number in (10, 14, 18) else place}
+        found = check.see(number, blocks, USABLE, 100, False)
+        status.append(check.settle({"contact_view": place}) if found is None else found)
+    assert [FRAME_STATUS[status[k]] for k in (10, 14, 18)] == ["jumps_and_returns"] * 2 + ["usable"]
+    assert sum(one != USABLE for one in status) == 2
+    assert check.see(40, {"contact_view": away}, USABLE, 100, False) is None
+    assert check.settle(None) == USABLE
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2])
