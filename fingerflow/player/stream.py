@@ -26,6 +26,7 @@ from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
 from .records import RecordLayout
+from .renewal import RENEWAL_FRAMES, Pace
 from .results import Sink
 from .scene import Scene
 from .settings import Settings
@@ -41,7 +42,6 @@ _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
 _REKEY_SHARE = 0.8
 _PAGE = "page"  # somebody asked for other points
-_RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after which what is renewed counts
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -97,7 +97,7 @@ class Player:
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
         self._in_doubt: tuple[Slot, int] | None = None  # a frame of which the next one says whether it counts
-        self._unlooked = 0  # frames since templates were looked at
+        self._unlooked, self._pace = 0, Pace(int(bundle.recipe["tracking"]["window_px"]))
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -414,7 +414,7 @@ class Player:
         if self._stepper.measures:
             area = float(outputs["real_area_px"][0])
             self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= _RENEWAL_FRAMES:
+        if self._unlooked >= self._pace.frames:
             self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
@@ -475,11 +475,14 @@ class Player:
         return self._records.put((place, None))
 
     def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
+        """Those that are to be renewed count after as many frames again; where skin is fast, as soon as may be."""
         key = self.restarts + self.keys
+        self._pace.see(key, index, outputs["warp"])
+        later = RENEWAL_FRAMES if self._pace.frames == RENEWAL_FRAMES else self._stepper.lag
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:
-            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + later, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
