@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fingerflow import player
-from fingerflow.export import export_bundle
 from fingerflow.synthetic import PartialSlip, rebuild_scene, write_recording
+from tests.small_trials import export_unverified
 
 HEIGHT, WIDTH, POINTS, STILL = 192, 240, 150, 20
 RECIPE = f"""
@@ -49,9 +49,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartialSlip, np.nd
     text = file.read_text(encoding="utf-8")
     file.write_text(text[: text.index("[contact]")] + SETTINGS + text[text.index("[stream]") :], encoding="utf-8")
     (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])  # tests/export verifies
-        export_bundle(folder / "recipe.toml", folder / "bundle")
+    export_unverified(folder / "recipe.toml", folder / "bundle")
     options = ["--output", str(folder / "results"), "--page", "off", "--provider", "cpu", "--no-spin", "--threads", "1"]
     assert player.main([str(folder / "bundle"), "--scene", str(file), *options]) == 0
     known = rebuild_scene(folder / "trial")
