@@ -3,10 +3,10 @@
 Each kind of bad frame is put at ten places, one in each tenth of the recording and, of the tenth with the largest
 force, in that frame; places are drawn by a seeded generator and are the same for all kinds. The recording is processed,
 or played by the exported bundle, and compared with the clean one: the bad frames by their status and by NaN, all other
-frames by how far each number is from the clean run's, over the clean run's stated deviation (areas, which state none:
-in per cent of the largest). A number is wrong that is further off than three times that deviation, an area that is off
-by more than the tests allow, and one that is missing where the clean run has it, unless the status of the point, or for
-a median `field_coverage`, says why.
+frames by how far each number is from the clean run's, over the stated deviation, the larger of both runs' (areas, which
+state none: in per cent of the largest). A number is wrong that is further off than three times that deviation, an area
+that is off by more than the tests allow, and one that is missing where the clean run has it, unless the status of the
+point, or for a median `field_coverage`, says why.
 """
 
 from __future__ import annotations
@@ -219,7 +219,8 @@ def _off(
         missing = np.isnan(after) & np.isfinite(before)
         wrong = int((off > area_limit).sum() + missing.sum())
         return f"{np.nanmax(off, initial=0):17.2%} ({wrong:4})", wrong
-    deviation = stated.numbers[DEVIATIONS[name]][counted]
+    own = run.numbers.get(DEVIATIONS[name], stated.numbers[DEVIATIONS[name]])
+    deviation = np.fmax(stated.numbers[DEVIATIONS[name]], own)[counted]
     if name in OF_POINTS:
         before, after, deviation = before[:, same], after[:, same], deviation[:, same]
         missing = (run.of_point[counted][:, same] == TRACKED) & (name == "position_px")
