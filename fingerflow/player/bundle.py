@@ -44,6 +44,11 @@ class Bundle:
         return int(self.recipe["views"]["bit_depth"])
 
     @property
+    def window_px(self) -> int:
+        """Side of the window around a point."""
+        return int(self.recipe["tracking"]["window_px"])
+
+    @property
     def dtype(self) -> np.dtype[Any]:
         """Of a pixel."""
         return np.dtype(np.uint8 if self.bit_depth == 8 else np.uint16)
@@ -77,7 +82,7 @@ def load_bundle(folder: Path) -> Bundle:
             hashes={name: graphs[name]["sha256"] for name in names},
             files={name: folder / graphs[name]["file"] for name in names},
         )
-        _ = bundle.height, bundle.width, bundle.dtype
+        _ = bundle.height, bundle.width, bundle.dtype, bundle.window_px
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"

@@ -97,7 +97,7 @@ class Player:
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
         self._in_doubt: tuple[Slot, int] | None = None  # a frame of which the next one says whether it counts
-        self._unlooked, self._pace = 0, Pace(int(bundle.recipe["tracking"]["window_px"]))
+        self._unlooked, self._pace = 0, Pace(bundle.window_px)
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
