@@ -132,7 +132,9 @@ def cases() -> dict[str, Case]:
         "SearchGraph": Case(SearchGraph(11), (first, second.roll(6, 3), points, points)),
         "FollowGraph": Case(follow, (second, points, held)),
         "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
-        "SinceOnsetGraph": Case(SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, turn, scale, *of_ellipse)),
+        "SinceOnsetGraph": Case(
+            SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, unreached, turn, scale, *of_ellipse)
+        ),
     }
 
 

@@ -51,14 +51,19 @@ def write_scene_of_bundle(folder: Path, trial: Scene) -> Path:
 
 
 def write_bundle_of_trials(folder: Path) -> Path:
-    """Exports the graphs that play these trials; what tests/export verifies is not verified again."""
+    """Exports the graphs that play these trials."""
     recipe = folder.with_name(f"{folder.name}.toml")
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
     recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {list(GRAPHS)}\n".replace("'", '"'), encoding="utf-8")
+    export_unverified(recipe, folder)
+    return folder
+
+
+def export_unverified(recipe: Path, folder: Path) -> None:
+    """Exports a bundle without the verification, which takes longest and which tests/export has."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fingerflow.export.bundle.verify", lambda *_: [])
         export_bundle(recipe, folder)
-    return folder
 
 
 def _torn(frame: Frame) -> Frame:

@@ -44,7 +44,7 @@ UNITS = {
     ),
     **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
     **dict.fromkeys(("key_image", "key_noise"), "counts"),
-    **dict.fromkeys(("covered", "reached", "next_reached"), "1"),
+    **dict.fromkeys(("covered", "reached", "next_reached", "entry", "next_entry", "moved_in"), "1"),
     "mm_per_px": "mm/px",
     "angle": "rad",
     "response": "counts^2/px^2",
@@ -160,8 +160,8 @@ def build(
         "fields": (
             SinceOnsetGraph(recipe.fields.gauge_length_mm),
             (
-                *("points", "covered", "reference", "reached", "topography_to_contact", "mm_per_px"),
-                *("center", "semi_axes", "angle"),
+                *("points", "covered", "reference", "reached", "entry", "topography_to_contact"),
+                *("mm_per_px", "center", "semi_axes", "angle"),
             ),
             SinceOnset._fields,
         ),

@@ -9,10 +9,12 @@ from torch import Tensor
 
 from fingerflow.export.build import RENEWED, SEARCHED, Graph
 from fingerflow.export.recipe import GraphName, Recipe
+from fingerflow.ops.entry import MOVED_IN
 from fingerflow.synthetic import Camera, Press
 
 _SHIPPED = (512, 640)  # px of the views that the default press is made for
 _BORDER = 0.6  # of the contact for the fields, as a share of half the view
+_MOVED_IN = 0.1  # within it are points that moved in
 _KEY, _FRAME = 180, 183  # of its frames: skin under contact that moves and spreads
 
 
@@ -70,6 +72,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "reference": _reference(points, size),
         "reached": (radius < _BORDER - 0.05).to(torch.uint8),
         "covered": (radius < _BORDER).to(torch.uint8),
+        "entry": MOVED_IN * (radius < _MOVED_IN).to(torch.uint8),
         "warp": _warp(points),
         "mm_per_px": torch.tensor([pictures.mm_per_px]),
         **dict(zip(("center", "semi_axes", "angle"), _ellipse(batch, size), strict=True)),

@@ -13,7 +13,7 @@ import numpy as np
 
 from .errors import PlayerError
 
-BUNDLE_FORMAT = 2
+BUNDLE_FORMAT = 3
 GRAPHS = ("frame", "fields", "detect", "key", "renew", "search", "background")  # without which nothing can be played
 MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 
@@ -42,6 +42,11 @@ class Bundle:
     def bit_depth(self) -> int:
         """Of a pixel, 8 to 16."""
         return int(self.recipe["views"]["bit_depth"])
+
+    @property
+    def window_px(self) -> int:
+        """Side of the window around a point."""
+        return int(self.recipe["tracking"]["window_px"])
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -77,7 +82,7 @@ def load_bundle(folder: Path) -> Bundle:
             hashes={name: graphs[name]["sha256"] for name in names},
             files={name: folder / graphs[name]["file"] for name in names},
         )
-        _ = bundle.height, bundle.width, bundle.dtype
+        _ = bundle.height, bundle.width, bundle.dtype, bundle.window_px
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,11 +18,13 @@ _DARK, _SATURATED, _REPEATED, _JUMPS = (
 # As `fingerflow.ops.frame_distances` has them: blocks wider than ridges, some 20,000 pixels read.
 _BLOCK_PX, _BLOCKS, _SAMPLES = 24, 16, (128, 160)
 LONGEST = 3  # frames in a row that may jump: a picture that stays for a fourth is the new state of the trial
+_THERE_AND_BACK = 4.0  # times as far from both neighbours as these are from each other, as `process` has it
 _FAR, _LEAST = 3.0, 0.03  # times the steps before, and of the light of a row of blocks; skin that slips moves 0.07
 _LOST = 0.25  # of the points of the frame before, at once
 _FEWEST = 8  # points, below which their number says nothing
 _LIGHT, _FEWEST_BLOCKS = 0.15, 16  # change of light (its logarithm) over nine tenths of at least so many blocks
 _STEPS = 8  # between usable frames that are remembered
+_RETURNS = 2  # in so many frames, beyond which they are the finger's
 _KNOWN, _RECENT, _REPEATED_SHARE = 8, 16, 0.2  # frames; beyond that share of them the camera gives fewer than it says
 _LIT = 0.3  # of the glass's light, that a line of the empty glass has at least
 _FLICKER, _CHANGES = 8, 16  # changes of light, of so many frames, that are a lamp that flickers: its frames count
@@ -37,8 +40,10 @@ class FrameCheck:
     again and again, and its frames count. Lines of the contact view without light have been lost. `process` knows the
     frames behind a frame too, a stream does not: what stays
     for more than `LONGEST` frames is taken for the new state, and of one that stays the first `LONGEST` frames do not
-    count. A frame that is the one before, pixel by pixel, is told once eight frames have come that differ, and where
-    no more than a fifth does so. A frame of another moment whose points are found is not told.
+    count. A far frame whose points are found may be of another moment, or skin that jumps: the next frame says which,
+    and it waits for that. Where more than a tenth of the last frames came back, a finger vibrates, and they count. A
+    frame of which all block means are those of the one before is told once eight frames have come that differ, and
+    where no more than a fifth does so.
 
     Args:
         glass, dark: (H, W) contact view of the empty glass, and without light.
@@ -54,6 +59,8 @@ class FrameCheck:
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: dict[str, Array] | None = None
+        self._doubtful: _Doubtful | None = None
+        self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames were there and back
         self._number = self._tracked = self._jumped = 0
         self._lacks_lines = False
         self._before: deque[float] = deque(maxlen=_STEPS)
@@ -73,8 +80,8 @@ class FrameCheck:
             return blocks, _JUMPS
         return blocks, USABLE
 
-    def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int, elsewhere: bool) -> int:
-        """The status of a frame, in their order.
+    def see(self, number: int, blocks: dict[str, Array], status: int, tracked: int, elsewhere: bool) -> int | None:
+        """The status of a frame, in their order; None where `settle` is to say it, before the next frame is seen.
 
         Args:
             number: of the frame.
@@ -97,19 +104,42 @@ class FrameCheck:
         if self._last is not None:
             # The motion of frames that were dropped or did not count comes on top.
             gap = max(1, min(number - self._number, LONGEST + 1))
-            step = max(_farthest_row(blocks[name], self._last[name]) for name in blocks)
+            step = float(_steps(blocks, self._last).max())
             if sum(self._changes) < _FLICKER:
                 light = _change_of_light(contact, self._last["contact_view"])
             usual = max(self._before, default=_LEAST)
             lost = self._tracked >= _FEWEST and tracked < (1 - _LOST) * self._tracked and not elsewhere
-            far = lost and step > max(_LEAST, _FAR * gap * usual)
-            if (far or lacks_lines or light > _LIGHT) and self._jumped < LONGEST:
+            far = step > max(_LEAST, _FAR * gap * usual)
+            if ((far and lost) or lacks_lines or light > _LIGHT) and self._jumped < LONGEST:
                 self._jumped += 1
                 return _JUMPS
+            if far and not self._jumped:
+                self._doubtful = _Doubtful(number, blocks, tracked, step / gap, usual)
+                return None
             if not self._jumped:
                 self._before.append(step / gap)
+        self._returned.append(False)
         self._last, self._number, self._tracked, self._jumped = blocks, number, tracked, 0
         self._lacks_lines = status == _JUMPS
+        return USABLE
+
+    def settle(self, following: dict[str, Array] | None) -> int:
+        """The status of the frame of which `see` could not say it.
+
+        Args:
+            following: block means of the next frame; None where there is none, or none that could count.
+        """
+        one, self._doubtful = self._doubtful, None
+        assert one is not None
+        assert self._last is not None
+        if following is not None and sum(self._returned) < _RETURNS:
+            away = np.minimum(_steps(one.blocks, self._last), _steps(following, one.blocks))
+            if (away > _THERE_AND_BACK * np.maximum(_steps(following, self._last), one.usual)).any():
+                self._returned.append(True)
+                return _JUMPS
+        self._returned.append(False)
+        self._before.append(one.step)
+        self._last, self._number, self._tracked = one.blocks, one.number, one.tracked
         return USABLE
 
     def _lines(self, view: Array) -> Array:
@@ -137,11 +167,26 @@ def _means(side: int, most: int) -> tuple[int, Array]:
     return every, weights
 
 
-def _farthest_row(blocks: Array, before: Array) -> float:
-    """How far a row of blocks is at most from that before, over the light of its frame, whatever the lamp does."""
+class _Doubtful(NamedTuple):
+    """A frame of which the next one says whether it counts, its step a frame, and what is usual."""
+
+    number: int
+    blocks: dict[str, Array]
+    tracked: int
+    step: float
+    usual: float
+
+
+def _steps(blocks: Mapping[str, Array], before: Mapping[str, Array]) -> Array:
+    """How far each row of blocks, of all views, is from that before, over the light of its frame, whatever the lamp
+    does.
+    """
     tiny = np.finfo(np.float32).tiny
-    now, then = blocks / max(float(blocks.mean()), tiny), before / max(float(before.mean()), tiny)
-    return float(np.abs(now - then).mean(1).max())
+    rows = []
+    for name, one in blocks.items():
+        now, then = one / max(float(one.mean()), tiny), before[name] / max(float(before[name].mean()), tiny)
+        rows.append(np.abs(now - then).mean(1))
+    return np.concatenate(rows)
 
 
 def _change_of_light(blocks: Array, before: Array) -> float:

@@ -94,7 +94,8 @@ class Stepper:
         self._numbers = [0 for _ in sides]  # of the frames
         self._jolted: list[Array | None] = [None for _ in sides]  # `SecondLook`
         self._measured = [math.nan for _ in sides]
-        self._motions = [Motion.at_rest(np.empty((1, 0, 2)), 0) for _ in sides]
+        self._latest = Motion.at_rest(np.empty((1, 0, 2)), 0)  # after the last frame that was finished
+        self._motions = [self._latest for _ in sides]  # what was known when each frame had ended
         constants = self._constants("frame", inputs["frame"], {"prediction", *held})
         self._bindings = [self._binding(side, constants) for side in sides]
         self._begun = self._finished = 0
@@ -136,15 +137,15 @@ class Stepper:
         for value in self._states[self._finished % 2].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
-        motion = self._motions[(self._begun - 1) % len(self._motions)].of_others(points, slot.number)
-        self._motions = [motion for _ in self._motions]
+        self._latest = self._latest.of_others(points, slot.number)
+        self._motions = [self._latest for _ in self._motions]
         self.key(slot, points)
 
     def key(self, slot: Slot, points: Array) -> None:
         """Makes a frame the one with which the next ones are compared, from the points (1, N, 2) found in it."""
         self._hold(self._run("key", {"topography_view": slot.views["topography_view"], "points": points}))
         self._key_view[...] = slot.views["topography_view"]
-        self._motions = [motion.without(points) for motion in self._motions]
+        self._latest, *self._motions = (motion.without(points) for motion in (self._latest, *self._motions))
         self.keyed = count_known(points)
 
     def stale(self, outputs: Mapping[str, Array], besides: Array) -> Renewal | None:
@@ -211,8 +212,7 @@ class Stepper:
             self._engine.frame.run_with_iobinding(self._bindings[side])
             return self._results[side]
 
-        before, expected = self._motions[(side - 1) % len(self._motions)], self._expected[side].numpy()
-        look = SecondLook(before, slot.number, expected, self._results[side])
+        look = SecondLook(self._latest, slot.number, self._expected[side].numpy(), self._results[side])
         look.take(run, partial(self._search, slot), self._searched)
         self._jolted[side] = look.jolted
         return look
@@ -228,14 +228,21 @@ class Stepper:
         return count_known(self._results[side]["points"])
 
     def skip(self, side: int) -> None:
-        """In place of `finish`, of a frame that does not count: motion and states are as before it."""
-        self._motions[side] = self._motions[(side - 1) % len(self._motions)]
+        """In place of `finish`, of a frame that does not count: motion and states are as before it. One that counts
+        after all, as the next one shows, is then finished `late`.
+        """
+        self._motions[side] = self._latest
 
-    def finish(self, side: int) -> dict[str, Array]:
-        """Outputs by name, (1, ...), of a frame that has run; valid until the next one is finished."""
+    def finish(self, side: int, late: bool = False) -> dict[str, Array]:
+        """Outputs by name, (1, ...), of a frame that has run; valid until the next one is finished.
+
+        From a frame that is finished late no other takes where points are expected before the next one has ended: it
+        may have begun.
+        """
         results, number = self._results[side], self._numbers[side]
-        before = self._motions[(side - 1) % len(self._motions)]
-        self._motions[side] = before.see(results["points"], number, results["by_neighbours"], self._jolted[side])
+        self._latest = self._latest.see(results["points"], number, results["by_neighbours"], self._jolted[side])
+        if not late:
+            self._motions[side] = self._latest
         binding = self._field_bindings[self._finished % 2]
         for name in self._of_frame:
             binding.bind_ortvalue_input(name, self._values[side][name])

@@ -26,6 +26,7 @@ from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
 from .records import RecordLayout
+from .renewal import RENEWAL_FRAMES, Pace
 from .results import Sink
 from .scene import Scene
 from .settings import Settings
@@ -41,7 +42,6 @@ _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
 _REKEY_SHARE = 0.8
 _PAGE = "page"  # somebody asked for other points
-_RENEWAL_FRAMES = 8  # frames after which templates are looked at, and after which what is renewed counts
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
@@ -71,9 +71,9 @@ class Player:
         self.provider = provider
         self._stepper, self._sink, self._layout = stepper, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, some computed, one drawn on the page, one becomes the key frame; the others wait.
-        # Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3 + stepper.lag)]
+        # One slot is being filled, some computed, one is in doubt, one drawn on the page, one becomes the key frame;
+        # the others wait. Their number is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 4 + stepper.lag)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
@@ -96,7 +96,8 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
         self._first = math.nan
         self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._unlooked = 0  # frames since templates were looked at
+        self._in_doubt: tuple[Slot, int] | None = None  # a frame of which the next one says whether it counts
+        self._unlooked, self._pace = 0, Pace(bundle.window_px)
         self._search = ThresholdSearch(stepper.lag)
         self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
         self._change: Change | None = None
@@ -313,6 +314,9 @@ class Player:
                 self._order.done(number, (slot, side))
                 # Not while frames are ended: others would wait.
                 any(one.work.prepare_piece(self._stepper.prepared) for one in tuple(self._renewals))
+            with self._beginning:  # by the first of these threads that gets here
+                if self._order.wait_for_all():
+                    self._settle(None)
         except BaseException:
             self._order.stop()
             raise
@@ -350,6 +354,7 @@ class Player:
         templates = self._renewals[0].work.templates(self._stepper.prepared) if due else {}
         if not self._order.wait_for_all():  # they read what changes now
             return False
+        self._settle(slot)
         if starting:
             self._restart(index, slot, self._stepper.choose(slot), "start")
         if threshold is not None:
@@ -392,24 +397,24 @@ class Player:
     def _end(self, computed: tuple[Slot, int]) -> bool:
         """Hands a record on and decides whether something is to change; False where the stream has failed."""
         slot, side = computed
+        if not self._settle(slot):
+            return False
         index = self.processed
-        place = index % len(self._room)
         elsewhere = slot.status == USABLE and self._stepper.look_again(slot, side).elsewhere
         found = self._stepper.found_in(side)
         status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
         self._unlooked += 1
+        if status is None:
+            self._in_doubt = slot, side
+            self._stepper.skip(side)
+            return True
         if status != USABLE:
-            return self._skip(slot, side, place, status)
-        outputs = self._stepper.finish(side)
-        self.tracked = found
-        self._layout.fill(self._fields, place, outputs)
-        self._fill(slot, place, status)
-        self._fill_slip(outputs, place)
-        area = float(outputs["real_area_px"][0])
-        self._findings.count(found, area)
+            return self._skip(slot, side, status)
+        place, outputs = self._finish(slot, side)
         if self._stepper.measures:
+            area = float(outputs["real_area_px"][0])
             self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= _RENEWAL_FRAMES:
+        if self._unlooked >= self._pace.frames:
             self._unlooked = 0
             self._look_at_templates(index, outputs)
         drawn = None
@@ -423,8 +428,38 @@ class Player:
             self._free.put(slot)
         return self._records.put((place, drawn))
 
-    def _skip(self, slot: Slot, side: int, place: int, status: int) -> bool:
+    def _finish(self, slot: Slot, side: int, late: bool = False) -> tuple[int, dict[str, Array]]:
+        """Fills the record of a frame that counts; its place, and what the graphs gave."""
+        place = self.processed % len(self._room)
+        outputs = self._stepper.finish(side, late)
+        self.tracked = self._stepper.found_in(side)
+        self._layout.fill(self._fields, place, outputs)
+        self._fill(slot, place, USABLE)
+        self._fill_slip(outputs, place)
+        self._findings.count(self.tracked, float(outputs["real_area_px"][0]))
+        return place, outputs
+
+    def _settle(self, following: Slot | None) -> bool:
+        """The record of a frame that was in doubt, as the one behind it is known; False where the stream has failed.
+
+        Nothing else is learnt from it: frames behind it may have begun, and what they are given is not to depend on how
+        far they have got.
+        """
+        if self._in_doubt is None:
+            return True
+        (slot, side), self._in_doubt = self._in_doubt, None
+        status = self._check.settle(None if following is None or following.status != USABLE else following.blocks)
+        if status != USABLE:
+            return self._skip(slot, side, status)
+        if self._stepper.measured(side) is not None:
+            self._search.passed_over()
+        place, _ = self._finish(slot, side, late=True)
+        self._free.put(slot)
+        return self._records.put((place, None))
+
+    def _skip(self, slot: Slot, side: int, status: int) -> bool:
         """A frame that is no picture of the trial: its numbers are NaN, and nothing is learnt from it."""
+        place = self.processed % len(self._room)
         self._stepper.skip(side)
         if self._stepper.measured(side) is not None:
             self._search.passed_over()
@@ -440,11 +475,14 @@ class Player:
         return self._records.put((place, None))
 
     def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
+        """Those that are to be renewed count after as many frames again; where skin is fast, as soon as may be."""
         key = self.restarts + self.keys
+        self._pace.see(key, index, outputs["warp"])
+        later = RENEWAL_FRAMES if self._pace.frames == RENEWAL_FRAMES else self._stepper.lag
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:
-            self._renewals.append(Renewing(index + 1 + _RENEWAL_FRAMES, key, work))
+            self._renewals.append(Renewing(index + 1 + later, key, work))
 
     def _cause_to_change(self, slot: Slot, index: int) -> str:
         """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError, cKDTree
 from torch import Tensor
 
+from fingerflow.ops.entry import MOVED, NEAR
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.store import Values
 
@@ -52,7 +53,7 @@ def moved_in(position: Values, places: Points, onset: Numbers, reference: Points
     identity = torch.eye(2, dtype=fit.gradient.dtype, device=fit.gradient.device)
     area = torch.linalg.det(identity + fit.gradient[0]).numpy()
     moved = _neighbours_moved(position, places, onset, reference, gauge_mm, counts)
-    return with_neighbours(counts & ((area < LEAST_AREA) | (moved > gauge_mm / 8)), places, counts, gauge_mm / 2)
+    return with_neighbours(counts & ((area < LEAST_AREA) | (moved > MOVED * gauge_mm)), places, counts, NEAR * gauge_mm)
 
 
 def with_neighbours(
@@ -78,7 +79,7 @@ def _neighbours_moved(
     moved = np.full(len(onset), np.nan)
     known = np.isfinite(places + reference).all(1) & (onset >= 0)
     here, touched = np.flatnonzero(wanted), np.flatnonzero(known)
-    near = cKDTree(places[touched]).query_ball_point(places[here], gauge_mm / 2)
+    near = cKDTree(places[touched]).query_ball_point(places[here], NEAR * gauge_mm)
     around = {point: touched[some] for point, some in zip(here, near, strict=True)}
     for first in range(0, position.shape[0], _FRAMES):
         rows: Points | None = None

@@ -11,6 +11,7 @@ from fingerflow.player.contract.variables import STRAIN
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.counted_skin import CountedSkin
 from fingerflow.stages.displacement import DisplacementStage
+from fingerflow.stages.missing_energy import MissingEnergy
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
@@ -61,17 +62,19 @@ class StrainStage(Stage):
         self._begins = torch.from_numpy(skin.begins).to(device)
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
+        self._missing = MissingEnergy(skin.reference[skin.corners])
 
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
         frames = torch.from_numpy(batch.indices).to(self.inputs.device)
         touching = self.results["in_contact"][batch.indices][:, self._skin.triangles].sum(-1, dtype=np.intp) >= 2
+        in_contact = (frames[:, None] >= self._begins) & torch.from_numpy(touching).to(self.inputs.device)
         found = triangle_strain(
             self._reference,
             self._corners,
             self.inputs.tensor(moved),
             self.inputs.tensor(covariance),
-            (frames[:, None] >= self._begins) & torch.from_numpy(touching).to(self.inputs.device),
+            in_contact,
             self._shared,
             measure=self._settings.strain,
             young_modulus_mpa=self._settings.young_modulus_mpa,
@@ -89,7 +92,8 @@ class StrainStage(Stage):
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
         self._energy[batch.indices] = found.energy.cpu()
-        self._energy_std[batch.indices] = found.energy_std.cpu()
+        missing = self._missing.see(found.density.cpu().numpy(), in_contact.cpu().numpy())
+        self._energy_std[batch.indices] = np.hypot(found.energy_std.cpu(), missing)
 
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since

@@ -42,7 +42,7 @@ def test_a_graph_asks_for_what_its_file_asks_for_but_for_what_kernels_do_without
     inputs = {one.name: one.shape for one in session.get_inputs()}
     assert inputs["points"] == [1, 20, 2]
     feed: dict[str, Any] = {name: np.ones(shape, np.float32) for name, shape in inputs.items()}
-    feed |= {name: np.ones((1, 20), np.uint8) for name in ("covered", "reached")}
+    feed |= {name: np.ones((1, 20), np.uint8) for name in ("covered", "reached", "entry")}
     reached, divergence = session.run(["next_reached", "divergence"], feed)
     assert (reached == 2).all()  # one more frame than before
     assert np.isnan(divergence).all()  # all points in one place

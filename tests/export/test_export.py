@@ -102,7 +102,7 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
     sessions = {name: onnxruntime.InferenceSession(folder / f"{name}.onnx") for name in names}
     known = {name: tensor.numpy() for name, tensor in case.items()}
     known["reference"] = np.full_like(known["points"], np.nan)
-    known["reached"] = np.zeros(known["points"].shape[:2], np.uint8)
+    known["reached"] = known["entry"] = np.zeros(known["points"].shape[:2], np.uint8)
 
     def run(name: str) -> dict[str, np.ndarray]:
         session = sessions[name]
@@ -193,7 +193,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
         known["topography_view"] = view
         points = run("detect")["points"]
         known["reference"] = torch.full_like(points, torch.nan)
-        known["reached"] = torch.zeros(points.shape[:2], dtype=torch.uint8)
+        known["reached"] = known["entry"] = torch.zeros(points.shape[:2], dtype=torch.uint8)
         key(view, points)
         return [Motion.at_rest(points.numpy(), number)] * LAG
 

@@ -90,8 +90,8 @@ def test_pixels_of_the_topographic_view_or_millimetres(monkeypatch: pytest.Monke
     touched = torch.ones(reference.shape[:2], dtype=torch.uint8)
     glass = (matrix, torch.tensor([millimetres]))
     found = SinceOnsetGraph(GAUGE * millimetres)(
-        reference + displacement, touched, reference, touched, *glass, center, axes, angle
-    )[2:]
+        reference + displacement, touched, reference, touched, 0 * touched, *glass, center, axes, angle
+    )[4:]
     assert expected.median is not None
     for ours, theirs in zip(found, (*expected[:3], expected.median[:, 0]), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-4, equal_nan=True)
@@ -101,13 +101,14 @@ def test_a_touch_that_does_not_stay_is_forgotten(monkeypatch: pytest.MonkeyPatch
     """Covered in the frames 1 and 2 and from 5 on: what counts in the end is where the point was in frame 5."""
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     graph = SinceOnsetGraph(1.6)
-    reference, reached = torch.full((1, 1, 2), torch.nan), torch.zeros(1, 1, dtype=torch.uint8)
+    reference = torch.full((1, 1, 2), torch.nan)
+    reached, entry = torch.zeros(2, 1, 1, dtype=torch.uint8)
     glass = (torch.eye(2, 3), torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
     starts = []
     for number, covers in enumerate([0, 1, 1, 0, 0, 1, 1, 1, 0, 1]):
         touched = torch.full((1, 1), covers, dtype=torch.uint8)
-        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, *glass)
-        reference, reached = found.next_reference, found.next_reached
+        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, *glass)
+        reference, reached, entry = found.next_reference, found.next_reached, found.next_entry
         starts.append(float(reference[0, 0, 0]))
     nothing = torch.nan
     torch.testing.assert_close(

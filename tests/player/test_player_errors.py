@@ -249,7 +249,7 @@ def test_wrong_bundles_are_named(stream: Stream) -> None:
 
 
 def test_graphs_of_another_recipe_are_named(stream: Stream) -> None:
-    recipe = {"views": {"height": HEIGHT + 1, "width": WIDTH, "bit_depth": 8}}
+    recipe = {"views": {"height": HEIGHT + 1, "width": WIDTH, "bit_depth": 8}, "tracking": {"window_px": 15}}
     _rewritten(stream.bundle, recipe=recipe)
     ended = stream.run("--source", "synthetic")
     assert "a foreign model file" in ended.said

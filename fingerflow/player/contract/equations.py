@@ -103,4 +103,5 @@ EQUATIONS: dict[str, str] = {
     "slip_flag": "1 where slip_residual > 2 σ in three frames",
     "light_gain": "g = uppermost mode of (I − D)/(I₀ − D) over smooth blocks, the free glass",
     "point_strain": _STRAIN,
+    "moved_in": "1 where neighbours that touch have moved by an eighth of the gauge length, in the median",
 }

@@ -340,6 +340,14 @@ STREAM = (
     ),
     Variable("light_gain", FRAME, "1", "brightness of the contact view over that of the empty glass", "f4"),
     Variable("point_strain", (*FRAME_POINT, "strain_component"), "1", "Green-Lagrange strain around a point", "f4"),
+    Variable(
+        "moved_in",
+        FRAME_POINT,
+        "1",
+        "1 for a point that came into contact by moving into it: divergence, curl and strain there are not known to a "
+        "stream, and are NaN",
+        "u1",
+    ),
 )
 
 

@@ -1,0 +1,77 @@
+"""How skin comes into contact: covered by a contact that grows, or moving in over its border."""
+
+import torch
+from torch import Tensor
+
+from fingerflow import kernels
+from fingerflow.ops.tensors import finite, sum_rows
+
+#: Gauge lengths by which skin that touches has moved where its neighbours move in: a contact that grows over skin is
+#: faster.
+MOVED = 1 / 8
+#: Gauge lengths within which points are neighbours.
+NEAR = 1 / 2
+_AT_FIRST, MOVED_IN = 0, 2  # of `entries`; 1 for what came later over skin
+_LEAST_VOTES = 2
+
+
+def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_length: float) -> Tensor:
+    """How each point has come into contact, frame after frame.
+
+    A point has moved in where, as it begins to touch, the neighbours that touch already have moved by more than `MOVED`
+    since they did, in the median. And so has one that began to touch after the first, at any time, once most of its
+    neighbours of which that is so have: skin enters along a stretch of the border, slowly at first. Counted from its
+    own onset such a point lies beside others that count from long before, and a fit over both shows no strain but how
+    far these have moved.
+
+    `stages.entered_skin` knows the frames to come and tells it by places of onset too; on a slide both find the same.
+
+    Args:
+        before: (B, N) what the frame before gave, 0 in the first.
+        place: (B, N, 2) L now, NaN where a point is lost.
+        moved: (B, N) L, how far it is from where it began to touch; NaN where that is not known.
+        length: (B, N) of `touch_length` in this frame.
+        gauge_length: L, of the fits.
+
+    Returns:
+        (B, N) uint8, `MOVED_IN` where it has moved in; 0 or 1 else.
+    """
+    begins, touches = length == 1, length > 0
+    touched = touches & ~begins
+    later = (begins & touched.any(1, keepdim=True)) | ((before > _AT_FIRST) & touched)
+    entered = (before == MOVED_IN) & touched
+    known = finite(sum_rows(place.mT))[:, 0]
+    some = kernels.serve(place, moved)  # points are asked about, not all of them
+    if not some or begins.any():
+        # NaN, of a point whose onset is not known, is on neither side.
+        far, near = (touched & known & one for one in (moved > MOVED * gauge_length, moved <= MOVED * gauge_length))
+        asked = begins & known
+        entered = entered | (asked & _are_most(asked, far, near, place, gauge_length, 1, some))
+    if not some or entered.any():
+        asked = later & known & ~entered
+        entered = entered | (asked & _are_most(asked, entered & known, asked, place, gauge_length, _LEAST_VOTES, some))
+    kind = place.dtype  # ONNX Runtime adds no uint8
+    return (later.to(kind) + entered.to(kind)).to(torch.uint8)  # what has moved in came later
+
+
+def _are_most(
+    asked: Tensor, those: Tensor, others: Tensor, place: Tensor, gauge_length: float, least: int, some: bool
+) -> Tensor:
+    """(B, N) whether at least so many, and most, of the neighbours that are `those` or `others`, all of them known, are
+    `those`; where a point is not asked about, or with `some` of no frame, anything.
+    """
+    rows = asked.any(0).nonzero()[:, 0] if some else slice(None)
+    columns = torch.stack((those, others), dim=-1).to(place.dtype)
+    known = (those | others | asked)[..., None]
+    middle = torch.where(known, place, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp_min(1)
+    here = torch.where(known, place - middle, 0.0)  # so that the digits of distances are not lost
+    square = here.square().sum(-1)
+    apart = square[:, rows, None] + square[:, None] - 2 * (here[:, rows] @ here.mT)
+    beside = (apart < (NEAR * gauge_length) ** 2).to(place.dtype)
+    more, less = (beside @ columns - columns[:, rows]).unbind(-1)
+    most = (more >= least) & (more > less)
+    if not some:
+        return most
+    result = torch.zeros_like(asked)
+    result[:, rows] = most
+    return result

@@ -1,0 +1,23 @@
+"""Triangles in contact that are not known for a frame."""
+
+import numpy as np
+
+from fingerflow.stages.missing_energy import MissingEnergy
+
+CORNERS = np.array([[[0, 0], [2, 0], [0, 1]]] * 3, dtype=float)  # 1 mm^2 each
+
+
+def test_lost_triangles_are_missed_by_what_they_had_over_the_mean() -> None:
+    missing = MissingEnergy(CORNERS)
+    density = np.array([[1.0, 1.0, 7.0], [1.0, 1.5, np.nan], [1.0, 2.0, np.nan], [1.0, 1.0, 1.0]])
+    contact = np.ones((4, 3), dtype=bool)
+    contact[2, 2] = False  # no part of the energy
+    np.testing.assert_allclose(missing.see(density, contact), [0, 7 - 1.25, 0, 0])
+
+
+def test_batches_go_on_and_all_may_be_lost() -> None:
+    missing = MissingEnergy(CORNERS)
+    missing.see(np.array([[2.0, 1.0, 3.0]]), np.ones((1, 3), dtype=bool))
+    nothing, part = np.full((1, 3), np.nan), np.array([[np.nan, 1.0, 1.0]])
+    assert missing.see(nothing, np.ones((1, 3), dtype=bool)) == 0  # the energy itself is NaN
+    np.testing.assert_allclose(missing.see(part, np.ones((1, 3), dtype=bool)), [1.0])
