@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,8 +35,8 @@ def without_preamble(path: Path, text: str) -> Content:
     """
     if _END_OF_HEADER in text:
         return _of_labview(path, text)
-    lines = list(re.finditer(r"[^\r\n]+", text))
-    read = [line for line in lines[:_LOOKED_AT] if _is_read(line.group())]
+    lines = islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT)
+    read = [line for line in lines if _is_read(line.group())]
     cells = [_cells(line.group()) for line in read]
     numbers = [_numbers(one) for one in cells]
     first = next(
