@@ -133,6 +133,7 @@ class FileStore(Store):
         self._path = path
         self._file = h5py.File(path, "w", track_order=True)
         self._dims: dict[str, tuple[str, ...]] = {}
+        self._datasets: dict[str, h5py.Dataset] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -161,9 +162,10 @@ class FileStore(Store):
         return _Stored(stored, self._path)
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
-        self._file[name].resize(size, axis)
+        values = self._values[name]
+        assert isinstance(values, _Stored)
+        values.resize(size, axis)
         if fill is not None:
-            values = self._values[name]
             for first in range(0, values.shape[0], _CHUNK_FRAMES):
                 some = slice(first, first + _CHUNK_FRAMES)
                 rows = values[some]
@@ -186,7 +188,8 @@ class FileStore(Store):
         if name in self._dims:
             raise ValueError(f"the variable {name} was created before")
         self._dims[name] = dims
-        return self._file.create_dataset(name, track_order=True, **what)
+        self._datasets[name] = self._file.create_dataset(name, track_order=True, **what)
+        return self._datasets[name]
 
     def _add_scales(self) -> None:
         """Makes the dimensions of all variables known to HDF5 (H5DS) and to NetCDF-4."""
@@ -195,16 +198,16 @@ class FileStore(Store):
         scales: dict[str, h5py.Dataset] = {}
         for dim, number in numbers.items():
             size = self._sizes[dim]
-            if dim in self._dims:
-                said = dim
+            if dim in self._datasets:
+                scales[dim], said = self._datasets[dim], dim
             else:
-                self._file.create_dataset(dim, (size,), ">f4", maxshape=_longest((dim,), (size,)), track_order=True)
+                longest = _longest((dim,), (size,))
+                scales[dim] = self._file.create_dataset(dim, (size,), ">f4", maxshape=longest, track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
-            scales[dim] = self._file[dim]
             scales[dim].make_scale(said)
             _describe(scales[dim], {"_Netcdf4Dimid": number})
         for name, dims in self._dims.items():
-            stored = scales.get(name) or self._file[name]
+            stored = self._datasets[name]
             _describe(stored, {"_Netcdf4Coordinates": np.array([numbers[dim] for dim in dims])})
             if name not in scales:
                 _describe(stored, {"_Netcdf4Dimid": numbers[dims[0]]})
@@ -238,12 +241,13 @@ class _Stored:
     """A variable of a file, read and written by consecutive frames in either order."""
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
-        self._id, self._path = variable.id, path
+        self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
         self._dtype, self._kind = variable.dtype, h5t.py_create(variable.dtype)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return tuple(self._id.shape)
+    def resize(self, size: int, axis: int) -> None:
+        """Makes an axis longer."""
+        self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
+        self._id.set_extent(self.shape)
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         first, count, step = self._consecutive(index)
@@ -277,8 +281,8 @@ class _Stored:
         else:
             numbers = np.asarray(index)
             count, step = len(numbers), -1 if len(numbers) > 1 and numbers[1] < numbers[0] else 1
-            first = int(numbers[::step][0]) if count else 0
-            if not np.array_equal(numbers[::step], np.arange(first, first + count)):
+            first = int(min(numbers[0], numbers[-1])) if count else 0
+            if (numbers[1:] - numbers[:-1] != step).any():
                 raise IndexError(
                     f"frames {numbers.tolist()} are not consecutive: a file is read and written by runs of frames"
                 )

@@ -315,14 +315,11 @@ class _Touch:
         """One frame more."""
         before = self.length
         self.length = touch_length(torch.from_numpy(before), torch.from_numpy(covered)).numpy()
-        begins = (self.length == 1) & (before == 0)
-        if begins.any():
-            self.start = np.where(begins, frame, self.start)
-            self.place = np.where(begins[:, None], position, self.place)
-            self.variance = np.where(begins, variance, self.variance)
-            first = begins & (self.first < 0)
-            self.first = np.where(first, frame, self.first)
-            self.first_place = np.where(first[:, None], position, self.first_place)
+        begins = np.flatnonzero((self.length == 1) & (before == 0))  # mostly a few
+        if len(begins):
+            self.start[begins], self.place[begins], self.variance[begins] = frame, position[begins], variance[begins]
+            first = begins[self.first[begins] < 0]
+            self.first[first], self.first_place[first] = frame, position[first]
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:
