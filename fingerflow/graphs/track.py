@@ -66,7 +66,7 @@ class DeformationGraph(nn.Module):
         points = found.points
         expected, gradient = neighbour_planes(start, points - start, WARP_GAUGE_PX, support)
         _, second = neighbour_planes(start, gradient.flatten(2), WARP_GAUGE_PX, support)
-        # Components before points from here on, (K, 4, N): runtimes are slow where the last axis is short, in memory too.
+        # Components before points from here on, (K, 4, N): runtimes are slow where the last axis is short.
         second = second.flatten(2).mT
         laplacian = second[:, ::4] + second[:, 3::4]
         identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)

@@ -49,8 +49,8 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._before: list[Tensor | None] = [None for _ in self._views]  # blocks of the last frames that were compared
-        self._blocks: list[list[Tensor]] = [[] for _ in self._views]  # of frames that are yet to be
+        self._blocks: list[list[Tensor]] = [[] for _ in self._views]  # of frames that are yet to be compared,
+        self._compared = [0] * len(self._views)  # and of so many before them that were
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
@@ -80,13 +80,11 @@ class FrameCheckStage(Stage):
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
-        """The frames of a view whose blocks are known, with those before them."""
-        if not self._blocks[view]:
-            return
-        blocks, self._blocks[view] = torch.cat(self._blocks[view]), []
-        before = blocks[:0] if self._before[view] is None else self._before[view]
-        self._distances[view].append(block_distances(blocks, before).cpu().numpy())
-        self._before[view] = torch.cat([before, blocks])[-LONGEST - 1 :]
+        """The frames of a view that are yet to be, with those before them."""
+        blocks, compared = torch.cat(self._blocks[view]), self._compared[view]
+        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]).cpu().numpy())
+        self._blocks[view] = [blocks[-LONGEST - 1 :]]
+        self._compared[view] = len(self._blocks[view][0])
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -104,7 +102,7 @@ class FrameCheckStage(Stage):
         for view in range(len(self._views)):
             self._compare(view)
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
-        self._distances, self._before = [], []  # more than all results hold of a frame without points
+        self._distances, self._blocks = [], []  # more than all results hold of a frame without points
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())
         if share <= _REPEATED_SHARE:
