@@ -92,7 +92,7 @@ def _read(stored: h5py.Dataset) -> xr.Variable:
 
 
 def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
-    return {name: value for name, value in stored.attrs.items() if name not in _OF_NETCDF}
+    return {name: stored.attrs[name] for name in stored.attrs if name not in _OF_NETCDF}
 
 
 def scene_of(path: Path) -> Path:

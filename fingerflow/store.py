@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self
 import h5py
 import numpy as np
 import xarray as xr
+from h5py import h5a, h5ds, h5s, h5t
 from numpy.typing import NDArray
 
 from fingerflow.player.contract.variables import LABELS, TIME, Variable
@@ -19,6 +20,7 @@ _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
+_TEXT = h5t.py_create(h5py.string_dtype(), logical=True)
 _CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
 
 
@@ -131,6 +133,7 @@ class FileStore(Store):
         self._path = path
         self._file = h5py.File(path, "w", track_order=True)
         self._dims: dict[str, tuple[str, ...]] = {}
+        self._datasets: dict[str, h5py.Dataset] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -152,16 +155,17 @@ class FileStore(Store):
                 layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
         stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
         if layout.get("fillvalue") is not None:
-            stored.attrs["_FillValue"] = np.full(1, fill, kind)
+            attributes = {"_FillValue": np.full(1, fill, kind), **attributes}
         if "frame" in variable.dims:
             attributes = {**attributes, "coordinates": "time"}
         _describe(stored, attributes)
         return _Stored(stored, self._path)
 
     def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
-        self._file[name].resize(size, axis)
+        values = self._values[name]
+        assert isinstance(values, _Stored)
+        values.resize(size, axis)
         if fill is not None:
-            values = self._values[name]
             for first in range(0, values.shape[0], _CHUNK_FRAMES):
                 some = slice(first, first + _CHUNK_FRAMES)
                 rows = values[some]
@@ -184,7 +188,8 @@ class FileStore(Store):
         if name in self._dims:
             raise ValueError(f"the variable {name} was created before")
         self._dims[name] = dims
-        return self._file.create_dataset(name, track_order=True, **what)
+        self._datasets[name] = self._file.create_dataset(name, track_order=True, **what)
+        return self._datasets[name]
 
     def _add_scales(self) -> None:
         """Makes the dimensions of all variables known to HDF5 (H5DS) and to NetCDF-4."""
@@ -193,21 +198,21 @@ class FileStore(Store):
         scales: dict[str, h5py.Dataset] = {}
         for dim, number in numbers.items():
             size = self._sizes[dim]
-            if dim in self._dims:
-                said = dim
+            if dim in self._datasets:
+                scales[dim], said = self._datasets[dim], dim
             else:
-                self._file.create_dataset(dim, (size,), ">f4", maxshape=_longest((dim,), (size,)), track_order=True)
+                longest = _longest((dim,), (size,))
+                scales[dim] = self._file.create_dataset(dim, (size,), ">f4", maxshape=longest, track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
-            scales[dim] = self._file[dim]
             scales[dim].make_scale(said)
-            scales[dim].attrs["_Netcdf4Dimid"] = number
+            _describe(scales[dim], {"_Netcdf4Dimid": number})
         for name, dims in self._dims.items():
-            stored = scales.get(name) or self._file[name]
-            stored.attrs["_Netcdf4Coordinates"] = np.array([numbers[dim] for dim in dims])
+            stored = self._datasets[name]
+            _describe(stored, {"_Netcdf4Coordinates": np.array([numbers[dim] for dim in dims])})
             if name not in scales:
-                stored.attrs["_Netcdf4Dimid"] = numbers[dims[0]]
+                _describe(stored, {"_Netcdf4Dimid": numbers[dims[0]]})
                 for place, dim in enumerate(dims):
-                    stored.dims[place].attach_scale(scales[dim])
+                    h5ds.attach_scale(stored.id, scales[dim].id, place)
         versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
         self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
 
@@ -218,40 +223,70 @@ def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None,
 
 
 def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
-    """Writes attributes as NetCDF has them: texts, and arrays of numbers."""
+    """Writes attributes, which are not there yet, as NetCDF has them: texts, and arrays of numbers.
+
+    By HDF5's own calls, as all that is written here: those of h5py above them take three times as long, and a result
+    has some 350 attributes.
+    """
     for name, value in attributes.items():
-        stored.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
+        if isinstance(value, str):
+            given, space, kind = np.array(value, dtype=object), h5s.create(h5s.SCALAR), _TEXT
+        else:
+            given = np.asarray(value) if isinstance(value, np.generic) else np.atleast_1d(value)
+            space, kind = h5s.create_simple(given.shape), h5t.py_create(given.dtype, logical=True)
+        h5a.create(stored.id, name.encode(), kind, space).write(given)
 
 
 class _Stored:
     """A variable of a file, read and written by consecutive frames in either order."""
 
-    def __init__(self, variable: Any, path: Path) -> None:
-        self._variable, self._path = variable, path
+    def __init__(self, variable: h5py.Dataset, path: Path) -> None:
+        self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
+        self._dtype, self._kind = variable.dtype, h5t.py_create(variable.dtype)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return tuple(self._variable.shape)
+    def resize(self, size: int, axis: int) -> None:
+        """Makes an axis longer."""
+        self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
+        self._id.set_extent(self.shape)
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
-        first, step = _consecutive(index)
-        return np.asarray(self._variable[first])[::step]
+        first, count, step = self._consecutive(index)
+        found = np.empty((count, *self.shape[1:]), self._dtype)
+        if found.size:
+            memory, part = self._spaces(first, found.shape)
+            self._id.read(memory, part, found, self._kind)
+        return found[::step]
 
     def __setitem__(self, index: Any, values: Any) -> None:
-        first, step = _consecutive(index)
-        check_write(self._path, np.asarray(values).nbytes)
-        self._variable[first] = values if step == 1 or np.ndim(values) == 0 else np.asarray(values)[::step]
+        first, count, step = self._consecutive(index)
+        given = np.broadcast_to(values, (count, *self.shape[1:]))[::step].astype(self._dtype, order="C", copy=False)
+        check_write(self._path, given.nbytes)
+        if given.size:
+            memory, part = self._spaces(first, given.shape)
+            self._id.write(memory, part, given, self._kind)
 
+    def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
+        """Of so much in memory, and of as much from this frame on in the file."""
+        part = self._id.get_space()
+        part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
+        return h5s.create_simple(shape), part
 
-def _consecutive(index: Any) -> tuple[Any, int]:
-    """Numbers that go up or down by one, as a slice upwards and the step that makes it what was asked for."""
-    if not isinstance(index, np.ndarray):
-        return index, 1
-    step = -1 if len(index) > 1 and index[1] < index[0] else 1
-    first = int(index[::step][0]) if len(index) else 0
-    if not np.array_equal(index[::step], np.arange(first, first + len(index))):
-        raise IndexError(f"frames {index.tolist()} are not consecutive: a file is read and written by runs of frames")
-    return slice(first, first + len(index)), step
+    def _consecutive(self, index: Any) -> tuple[int, int, int]:
+        """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""
+        if isinstance(index, slice):
+            first, end, step = index.indices(self.shape[0])
+            count = max(end - first, 0)
+            if step != 1:
+                raise IndexError(f"frames {index} are not consecutive: a file is read and written by runs of frames")
+        else:
+            numbers = np.asarray(index)
+            count, step = len(numbers), -1 if len(numbers) > 1 and numbers[1] < numbers[0] else 1
+            first = int(min(numbers[0], numbers[-1])) if count else 0
+            if (numbers[1:] - numbers[:-1] != step).any():
+                raise IndexError(
+                    f"frames {numbers.tolist()} are not consecutive: a file is read and written by runs of frames"
+                )
+        return first, count, step
 
 
 def _fill(variable: Variable) -> tuple[float, str]:

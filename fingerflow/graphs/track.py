@@ -70,14 +70,14 @@ class DeformationGraph(nn.Module):
         second = second.flatten(2).mT
         laplacian = second[:, ::4] + second[:, 3::4]
         identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
-        warp = identity + gradient.flatten(2).mT.nan_to_num(0.0, 0.0, 0.0)
-        unknown = multiplied(warp, inverse_warp.flatten(2).mT) - identity
-        of = numbers.mT
+        warp = identity + gradient.flatten(2).mT.contiguous().nan_to_num(0.0, 0.0, 0.0)
+        unknown = multiplied(warp, inverse_warp.flatten(2).mT.contiguous()) - identity
+        of = numbers.mT.contiguous()
         leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
         bulge = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self.window**2 - 1) / 24)
         shift = self.window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt()
         corrected = found._replace(
-            points=points - (leaning + bulge).mT, covariance=self._less_bending(found.covariance, unknown, of)
+            points=points - (leaning + bulge).mT, covariance=self._less_bending(found.covariance, unknown, numbers.mT)
         )
         return Deformed(corrected, warp.mT.unflatten(2, (2, 2)), shift, start + expected)
 

@@ -105,7 +105,7 @@ class Found(NamedTuple):
     @property
     def variance(self) -> Tensor:
         """(B, N) px^2 of a component of ``points``, the mean of both."""
-        return self.covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
+        return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
     @classmethod
     def joined(cls, parts: Iterable["Found"]) -> "Found":

@@ -254,7 +254,8 @@ def _may_disagree(found: Found, expected: Tensor) -> Tensor:
     enough, to be looked at: what `find_outliers` marks is further off, and mostly there is nothing.
     """
     variance = found.variance
-    off = (found.points - expected).square().sum(-1) / variance
+    x, y = (found.points - expected).unbind(-1)
+    off = (x * x + y * y) / variance
     usual, usual_variance = (one.nanmedian(1, keepdim=True).values for one in (off, variance))
     return ((off > _FAR**2 * usual) | (variance > _UNSURE**2 * usual_variance)).any(1).nonzero().squeeze(1)
 

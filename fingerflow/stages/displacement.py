@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.onset import touch_length
+from fingerflow.ops.onset import LASTING
 from fingerflow.player.contract.variables import DISPLACEMENT, ENTRY
 from fingerflow.stages.common_frame import common_frame
 from fingerflow.stages.entered_skin import moved_in
@@ -221,11 +221,10 @@ class DisplacementStage(Stage):
         variance = self.results["position_std_px"][indices] ** 2
         place, then = np.full_like(position, np.nan), np.full_like(variance, np.nan)
         touching, begins = np.zeros((2, *variance.shape), dtype=bool)
-        for k, frame in enumerate(indices):
-            if self._usable[frame]:  # another one ends no touch
-                touch.go_on(int(frame), covered[k], position[k], variance[k])
-                place[k], then[k] = touch.place, touch.variance
-                touching[k], begins[k] = touch.length > 0, touch.start == frame
+        some = np.flatnonzero(self._usable[indices])  # another one ends no touch
+        if len(some):
+            gone_on = touch.go_on(indices[some], covered[some], position[some], variance[some])
+            place[some], then[some], touching[some], begins[some] = gone_on
         if self._fixed is not None:
             place[:], then[:] = self._fixed.place, self._fixed.deviation_px**2
             begins[:] = (indices == self.since.frame)[:, None]
@@ -300,7 +299,7 @@ class _Fixed(NamedTuple):
 
 
 class _Touch:
-    """The present touch of each point, frame after frame: `ops.onset` for numbers on their way."""
+    """The present touch of each point, run after run of frames: `ops.onset` for numbers on their way."""
 
     def __init__(self, points: int) -> None:
         self.points = points
@@ -311,18 +310,29 @@ class _Touch:
         self.first = np.full(points, -1)  # frame of the first touch of all
         self.first_place = np.full((points, 2), np.nan)
 
-    def go_on(self, frame: int, covered: NDArray[Any], position: Points, variance: NDArray[np.float32]) -> None:
-        """One frame more."""
-        before = self.length
-        self.length = touch_length(torch.from_numpy(before), torch.from_numpy(covered)).numpy()
-        begins = (self.length == 1) & (before == 0)
-        if begins.any():
-            self.start = np.where(begins, frame, self.start)
-            self.place = np.where(begins[:, None], position, self.place)
-            self.variance = np.where(begins, variance, self.variance)
-            first = begins & (self.first < 0)
-            self.first = np.where(first, frame, self.first)
-            self.first_place = np.where(first[:, None], position, self.first_place)
+    def go_on(
+        self, frames: NDArray[np.intp], covered: NDArray[Any], position: Points, variance: NDArray[np.float32]
+    ) -> tuple[Points, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
+        """F frames more, all at once: place (F, N, 2) and variance (F, N) at the beginning of the touch that each point
+        has in each of them, whether it has one, and whether it begins there.
+        """
+        number = np.arange(1, len(frames) + 1, dtype=np.int32)[:, None]
+        # `touch_length` frame by frame: the frames since the last one without contact, unless it has come to stay.
+        left = np.maximum.accumulate(np.where(covered, 0, number), axis=0)
+        length = number - left + np.where(left == 0, self.length, 0)
+        stays = np.logical_or.accumulate(length >= LASTING, axis=0) | (self.length >= LASTING)
+        length = np.where(stays, LASTING, length).astype(np.uint8)
+        begins = (length == 1) & (np.concatenate((self.length[None], length[:-1])) == 0)
+        began = np.maximum.accumulate(np.where(begins, number, 0), axis=0)
+        here, at = began > 0, np.maximum(began - 1, 0)
+        place = np.where(here[..., None], np.take_along_axis(position, at[..., None], 0), self.place)
+        spread = np.where(here, np.take_along_axis(variance, at, 0), self.variance)
+        came = np.flatnonzero(begins.any(0) & (self.first < 0))
+        first = begins[:, came].argmax(0)
+        self.first[came], self.first_place[came] = frames[first], position[first, came]
+        self.start = np.where(here[-1], frames[at[-1]], self.start)
+        self.length, self.place, self.variance = length[-1], place[-1], spread[-1]
+        return place, spread, length > 0, begins
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

@@ -12,6 +12,7 @@ from fingerflow.player.contract.variables import DARK_SHARE, FRAME_CHECK, FRAME_
 from fingerflow.stages.frame_returns import jumps_and_returns, repeats
 from fingerflow.stages.stage import Batch, Stage, Trial
 
+_AT_ONCE = 64  # frames whose distances are taken together: there are a few hundred numbers in each
 _REPEATED_SHARE = 0.2  # of the frames, beyond which they are the recording's own and not the camera's fault
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
@@ -48,7 +49,8 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._before: list[Tensor] = []
+        self._blocks: list[list[Tensor]] = [[] for _ in self._views]  # of frames that are yet to be compared,
+        self._compared = [0] * len(self._views)  # and of so many before them that were
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
@@ -73,10 +75,16 @@ class FrameCheckStage(Stage):
             if k == 0:
                 self._light[indices] = blocks.mean((1, 2)).cpu() - self._black
                 self._saturated[indices] = (blocks > self._top).float().mean((1, 2)).cpu()
-            if len(self._before) <= k:
-                self._before.append(blocks[:0])
-            self._distances[k].append(block_distances(blocks, self._before[k]).cpu().numpy())
-            self._before[k] = torch.cat([self._before[k], blocks])[-LONGEST - 1 :]
+            self._blocks[k].append(blocks)
+            if sum(map(len, self._blocks[k])) >= _AT_ONCE:
+                self._compare(k)
+
+    def _compare(self, view: int) -> None:
+        """The frames of a view that are yet to be, with those before them."""
+        blocks, compared = torch.cat(self._blocks[view]), self._compared[view]
+        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]).cpu().numpy())
+        self._blocks[view] = [blocks[-LONGEST - 1 :]]
+        self._compared[view] = len(self._blocks[view][0])
 
     def restore(self, earlier: xr.Dataset) -> None:
         super().restore(earlier)
@@ -91,8 +99,10 @@ class FrameCheckStage(Stage):
         status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
         if self._glass_saturated < SATURATED_SHARE:
             status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
+        for view in range(len(self._views)):
+            self._compare(view)
         distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
-        self._distances, self._before = [], []  # more than all results hold of a frame without points
+        self._distances, self._blocks = [], []  # more than all results hold of a frame without points
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())
         if share <= _REPEATED_SHARE:

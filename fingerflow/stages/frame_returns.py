@@ -114,7 +114,9 @@ def _usual(quotients: Distances) -> Distances:
     """(rows,) what they mostly are in the recording, at least 1."""
     if not len(quotients):
         return np.ones(quotients.shape[1], np.float32)
-    result: Distances = np.maximum(np.nanquantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
+    # The same of numbers, in one go; with NaN it goes column by column.
+    quantile = np.nanquantile if np.isnan(quotients).any() else np.quantile
+    result: Distances = np.maximum(quantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
     return result
 
 

@@ -37,6 +37,7 @@ class SecondLook:
         straight = torch.eye(2, dtype=points.dtype, device=points.device).expand(len(points), 2, 2)
         number = torch.zeros(len(points), dtype=torch.int64, device=points.device)
         self._first = sample_windows(image, number, points, straight, window, _STEP)
+        self._variance = self._first.var(1)
         self._failed = torch.zeros(len(points), dtype=torch.bool, device=points.device)
 
     def failed(self, images: Tensor, points: Tensor, status: Tensor, around: Tensor | None = None) -> Tensor:
@@ -57,7 +58,7 @@ class SecondLook:
         gradient, _ = point_gradients(self._start[None], (every - self._start)[None], WARP_GAUGE_PX)
         warp = torch.eye(2, dtype=places.dtype, device=places.device) + gradient[0, : self._points]
         apart = self._apart(images, number, places, warp)
-        noise = estimate_noise(images[-1:]) ** 2 / self._first.var(1)
+        noise = estimate_noise(images[-1:]) ** 2 / self._variance
         usual = (_USUAL * apart.nanmedian()).nan_to_num(0.0).clamp(_ALIKE, _MOST)
         limit = usual + _NOISE * noise
         suspect = (apart > limit).nonzero().squeeze(1)

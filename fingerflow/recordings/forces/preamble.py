@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,13 +35,17 @@ def without_preamble(path: Path, text: str) -> Content:
     """
     if _END_OF_HEADER in text:
         return _of_labview(path, text)
-    lines = list(re.finditer(r"[^\r\n]+", text))
-    read = [line for line in lines[:_LOOKED_AT] if _is_read(line.group())]
-    cells = [_cells(line.group()) for line in read]
-    numbers = [_numbers(one) for one in cells]
-    first = next(
-        (k for k in range(len(read) - _RUN + 1) if numbers[k] and numbers[k : k + _RUN] == [numbers[k]] * _RUN), 0
-    )
+    lines = islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT)
+    read = [line for line in lines if _is_read(line.group())]
+    cells: list[list[str]] = []
+    numbers: list[int] = []
+    first = 0
+    for line in read:
+        cells.append(_cells(line.group()))
+        numbers.append(_numbers(cells[-1]))
+        if len(numbers) >= _RUN and numbers[-1] and numbers[-_RUN:] == [numbers[-1]] * _RUN:
+            first = len(numbers) - _RUN
+            break
     if first < 2:
         return Content(text)
     width = numbers[first]
