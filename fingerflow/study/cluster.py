@@ -55,7 +55,7 @@ def over_workers(
         FingerflowError: the cluster cannot be had.
         Interrupted: Ctrl-C, SIGTERM, or the scheduler is gone.
     """
-    many = max(1, min(workers or cores(), count))
+    many = workers_for(count, workers)
     # A local cluster is replaced after so many tasks, when nothing is in flight; another has rules of its own.
     each_round = _RENEWED_AFTER * many if scheduler is None else None
     waiting = iter(tasks)
@@ -66,6 +66,11 @@ def over_workers(
                 for result in _go_through(client, act, of_round, of_error):
                     bar.update()
                     yield result
+
+
+def workers_for(count: int, workers: int | None) -> int:
+    """As many as are asked for, or as there are cores; not more than tasks."""
+    return max(1, min(workers or cores(), count))
 
 
 def threads_each(scheduler: str | None, workers: int) -> int:
@@ -128,7 +133,9 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
         f"distributed.nanny.pre-spawn-environ.{name}": threads
         for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     }
-    with dask.config.set({**environment, "distributed.comm.retry.count": 3}):
+    # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
+    own = {"distributed.comm.retry.count": 3, "distributed.worker.profile.enabled": False}
+    with dask.config.set({**environment, **own}):
         cluster: Any = None
         try:
             if scheduler is not None and scheduler.startswith(_ADDRESS):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
-from fingerflow.study.cluster import Interrupted, cores, over_workers, threads_each
+from fingerflow.study.cluster import Interrupted, over_workers, threads_each, workers_for
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
@@ -93,9 +93,7 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    count = max(1, min(workers or cores(), len(planned)))
-    codes = all_codes()
-    threads = threads_each(scheduler, count)
+    codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
     jobs = (
         (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
         for one in planned

@@ -1,6 +1,8 @@
 """Tasks on workers: each comes back once, whatever happens to the worker."""
 
 import os
+import time
+from typing import Any
 
 import pytest
 
@@ -19,7 +21,7 @@ def _fails_at_three(number: int) -> int:
     return number
 
 
-def _raise(name: str, error: BaseException) -> tuple[int, int]:
+def _raise(name: str, error: BaseException) -> Any:
     raise error
 
 
@@ -29,6 +31,19 @@ def test_workers_are_renewed_and_lose_nothing(monkeypatch: pytest.MonkeyPatch) -
     found = list(over_workers(_process, tasks, 10, _raise, workers=1, progress=False))
     assert sorted(number for number, _ in found) == list(range(10))
     assert len({process for _, process in found}) == 3, "ten tasks, four a worker"
+
+
+def _profiled(_: int) -> int:
+    from distributed import get_worker
+
+    time.sleep(1.5)  # profiles are put by once a second
+    return len(get_worker().profile_history)
+
+
+def test_workers_keep_no_profile_of_what_they_did() -> None:
+    """It would grow for an hour, by 0.4 MB a small recording."""
+    tasks = ((f"task-{number}", number) for number in range(2))
+    assert list(over_workers(_profiled, tasks, 2, _raise, workers=1, progress=False)) == [0, 0]
 
 
 def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
