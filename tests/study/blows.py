@@ -4,8 +4,8 @@ A small study of eight trials runs by its command, in processes of its own. Blow
 client with its workers, a worker, or the scheduler is killed, Ctrl-C, the disk of the results fills up, a tenth of the
 files of recordings is damaged before a run and mended after it, a tenth of the files of results is damaged. Each comes
 when so many rows stand as was drawn, too. After three of them the study is run once more, and its table has to equal
-that of a run that nothing has struck, number for number, with nothing left behind. Then some trials are removed, so
-that the next three blows strike work. The disk is a file system in memory, which needs the right to mount.
+that of a run that nothing has struck, number for number, with nothing left behind. Before each blow half of the
+trials are removed, so that it strikes work. The disk is a file system in memory, which needs the right to mount.
 """
 
 from __future__ import annotations
@@ -133,7 +133,9 @@ class Struck:
         self._moment = 0
 
     def deal(self, blow: str) -> None:
-        """A run that meets this blow when some rows more stand than before."""
+        """A run that meets this blow when some rows more stand than before; there is work for half of the trials."""
+        for entry in self._rng.sample(self._study.trials, len(self._study.trials) // 2):
+            shutil.rmtree(self._study.results / entry.name, ignore_errors=True)
         self._moment = rows_of(self._study) + self._rng.randrange(3)
         getattr(self, f"_{blow.replace(' ', '_')}")()
 
@@ -219,8 +221,6 @@ def main(arguments: list[str] | None = None) -> int:
             faults += len(said)
             print(f"{number + 1}: {', '.join(dealt)}; {summary.skipped} kept, {len(summary.outcomes)} run again", *said,
                   sep="\n  ", flush=True)  # fmt: skip
-            for entry in rng.sample(study.trials, len(study.trials) // 2):
-                shutil.rmtree(study.results / entry.name)
     print(", ".join(f"{blow} {count}" for blow, count in counts.items()))
     print(f"{asked.rounds} rounds, {faults} faults")
     return 1 if faults else 0
