@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from bench.peak_memory import STATUS
-from bench.rows import Row, Skipped
+from bench.rows import Cell, Row, Skipped, number
 from bench.suites.pipeline import write_quietly
 from fingerflow.study.init import init_study
 from fingerflow.study.manifest import load_manifest
@@ -109,10 +109,10 @@ def _own_mb(process: int) -> float:
 
 
 def _slopes(rows: list[Row]) -> Row:
-    done = np.array([float(row["recordings"]) for row in rows])
-    found: Row = {"recordings": "slope"}
+    done = np.array([number(row, "recordings") for row in rows])
+    found: dict[str, Cell] = {"recordings": "slope"}
     for name, kb in (("own_mb", "own_kb_recording"), ("client_mb", "client_kb_recording")):
-        values = np.array([float(row[name]) for row in rows])
+        values = np.array([number(row, name) for row in rows])
         (slope, _), covariance = np.polyfit(done, values, 1, cov=True)
         found[kb], found[f"{kb}_std"] = 1e3 * float(slope), 1e3 * float(covariance[0, 0] ** 0.5)
     return found
