@@ -10,6 +10,7 @@ import pytest
 from fingerflow.export import export_bundle
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.scenes import Scene
+from tests.stages.rolling import Rolling
 
 Frame = np.ndarray[Any, Any]
 
@@ -32,6 +33,7 @@ _SHAPE: dict[str, Any] = {"n_frames": FRAMES, "frame_shape": (HEIGHT, 2 * WIDTH)
 TRIALS: dict[str, Press | Slide] = {
     "press": Press(**_SHAPE, rise_time=0.2, finger=(2.9, 2.4)),
     "slide": Slide(**_SHAPE, finger=(2.9, 2.4)),
+    "rolling": Rolling(**(_SHAPE | {"n_frames": 48}), finger=(2.9, 2.4), travel=2.2),
 }
 
 

@@ -5,6 +5,8 @@ Each chooses its points itself, in the region that the scene states; the thresho
 otherwise measure while frames come. Tolerances are those of `export/README.md`.
 """
 
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +16,8 @@ import xarray as xr
 
 import fingerflow
 from fingerflow import player
+from fingerflow.export.runtime import OnnxRuntime
+from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.providers import PROVIDERS
 from fingerflow.report import write_report
 from tests.small_trials import POINTS, write_trial
@@ -34,7 +38,22 @@ class Said(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path) -> Said:
+def asked() -> Iterator[list[str]]:
+    """Names of the graphs that the engine onnx has asked for, which stand for all that decides what is in them."""
+    names: list[str] = []
+    name_of = OnnxRuntime._name
+
+    def note(*given: Any) -> str:
+        names.append(name_of(*given))
+        return names[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OnnxRuntime, "_name", note)
+        yield names
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path, asked: list[str]) -> Said:
     folder = tmp_path_factory.mktemp("one_graph")
     scene_file = write_trial(folder / "press")
     scene = fingerflow.load_scene(scene_file)
@@ -116,6 +135,27 @@ def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
     assert np.mean(np.abs(said.compiled["position_px"] - said.live["position_px"]) > 1e-3) < 0.005
     np.testing.assert_array_equal(said.compiled["in_contact"], said.live["in_contact"])
     np.testing.assert_allclose(said.compiled["median_divergence"], said.live["median_divergence"], rtol=0, atol=1e-4)
+
+
+def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: list[str], tmp_path: Path) -> None:
+    """Of a press and of a contact that skin rolls through, in which points are chosen three times; and the results."""
+    scene = write_trial(tmp_path / "rolling", "rolling")
+    text = scene.read_text(encoding="utf-8")
+    scene.write_text(text[: text.index("[stream]")], encoding="utf-8")  # whose region is of more skin than touches
+    of_press = set(asked)
+    rolled, by_torch = (fingerflow.process(scene, engine=engine) for engine in ("onnx", "torch"))
+    chosen = (by_torch["status"] != TrackStatus.NOT_CHOSEN_YET).values.argmax(0)
+    assert len(np.unique(chosen)) >= 3
+    more = set(asked) - of_press
+    assert [name.rpartition("-")[0] for name in more] == [
+        "FieldsGraph"
+    ]  # without medians, which are of skin of two kinds
+    kinds = Counter(name.rpartition("-")[0] for name in of_press)
+    assert kinds.pop("KeyGraph") == 2  # with and without a deformation
+    assert set(kinds.values()) == {1}
+    np.testing.assert_array_equal(rolled["status"], by_torch["status"])
+    np.testing.assert_allclose(rolled["position_px"], by_torch["position_px"], rtol=0, atol=0.01)
+    np.testing.assert_allclose(rolled["median_divergence"], by_torch["median_divergence"], rtol=0, atol=4e-4)
 
 
 def test_a_stream_opens_as_the_same_data_set(said: Said, tmp_path: Path) -> None:

@@ -1,11 +1,16 @@
 """Bundles for live streams."""
 
+import logging
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fingerflow.cli.app import AsJson, app, print_json
+from fingerflow.errors import FingerflowError
+
+if TYPE_CHECKING:
+    from fingerflow.player.live import Forces
 
 
 @app.command()
@@ -32,4 +37,20 @@ def stream(context: typer.Context) -> None:
     """Play an exported bundle on a camera, a recording or a synthetic stream: fingerflow stream BUNDLE --help."""
     from fingerflow.player import main as play
 
-    raise typer.Exit(play(context.args, prog="fingerflow stream"))
+    raise typer.Exit(play(context.args, prog="fingerflow stream", forces_of=_forces_of))
+
+
+def _forces_of(file: Path) -> "Forces | None":
+    """As `process` gives them. Where they cannot be read the log says why, and the stream goes on without."""
+    from fingerflow.pipeline import process
+    from fingerflow.player.live import Forces
+    from fingerflow.scene import load_scene
+
+    try:
+        scene = load_scene(file)
+        names = ["normal_force", *(["tangential_force"] if scene.has("forces.tangential") else [])]
+        found = process(scene, names)
+    except FingerflowError as error:
+        logging.getLogger("fingerflow.player").warning("%s; the page shows no force", error)
+        return None
+    return Forces(int(found["frame"][0]), {name: found[name].values for name in names})

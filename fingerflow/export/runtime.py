@@ -25,6 +25,8 @@ M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
 _OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
 _PATIENCE = 60.0  # s of exporting, before it is said what takes so long
+# Points that a graph is made for at least: groups that come where skin enters, and parts of one, take the same graph.
+_LEAST_POINTS = 256
 log = logging.getLogger(__name__)
 
 
@@ -32,7 +34,10 @@ class OnnxRuntime:
     """Gives a module back with its forward, and its other methods, executed by ONNX Runtime on the processor.
 
     A method is exported when it is first called with tensors of new shapes, one recording at a time: a batch is a loop.
-    Graphs are kept in a folder for the next time: by settings, shapes and the code that they come from.
+    Graphs are kept in a folder for the next time: by settings, shapes and the code that they come from. How many points
+    there are decides on no graph: arguments of which a module says along which axis points lie (``point_axes``, by
+    their names) are filled up to a power of two, from 256 on, with points that are NaN, as where a bundle finds fewer
+    than it has room for.
 
     Args:
         threads: inside an operator.
@@ -76,9 +81,8 @@ class OnnxRuntime:
             if before < _PATIENCE <= self.seconds:
                 warnings.warn(
                     f"{self.exported} graphs have been exported to ONNX, which took {self.seconds:.0f} s, and there "
-                    "may be more to come: one for each number of points that are followed together, which changes "
-                    f"where skin enters or is searched for. They are kept in {self.folder} for the next time; engine "
-                    "torch needs none",
+                    f"may be more to come. They are kept in {self.folder} for recordings of the same size and "
+                    "settings; engine torch needs none",
                     stacklevel=2,
                 )
             log.info("%s exported to ONNX in %.1f s: %s", leaves.title, seconds, file)
@@ -113,6 +117,8 @@ class _Executed:
         bound.apply_defaults()
         parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
         names = [tree.keystr(path) for path, _ in parts]
+        along: dict[str, int] = getattr(self._module, "point_axes", {})
+        axes = [along.get(getattr(path[0], "key", "")) for path, _ in parts]
         values = [value for _, value in parts]
         own = [isinstance(value, Tensor) for value in values]
         shared = [any(name in path for name in _OF_ALL) for path in names]
@@ -125,7 +131,7 @@ class _Executed:
                 value[one : one + 1] if tensor and not of_all and len(value) == batch > 1 else value
                 for value, tensor, of_all in zip(values, own, shared, strict=True)
             ]
-            results.append(self._run_one(method, names, single, structure))
+            results.append(self._run_one(method, names, single, structure, axes))
         if batch == 1:
             return results[0]
         flat = [tree.tree_flatten(result) for result in results]
@@ -135,9 +141,12 @@ class _Executed:
         ]
         return tree.tree_unflatten(joined, flat[0][1])
 
-    def _run_one(self, method: str, names: list[str], values: list[Any], structure: Any) -> Any:
-        tensors = [value for value in values if isinstance(value, Tensor)]
+    def _run_one(self, method: str, names: list[str], values: list[Any], structure: Any, axes: list[int | None]) -> Any:
+        given = [value for value in values if isinstance(value, Tensor)]
         inputs = [name for name, value in zip(names, values, strict=True) if isinstance(value, Tensor)]
+        along = [axis for axis, value in zip(axes, values, strict=True) if isinstance(value, Tensor)]
+        points = next((one.shape[axis] for one, axis in zip(given, along, strict=True) if axis is not None), 0)
+        tensors = _filled_up(given, along, points, _room(points))
         plain = repr([None if isinstance(value, Tensor) else value for value in values])
         key = (
             method,
@@ -149,25 +158,61 @@ class _Executed:
             leaves = _Leaves(self._module, method, values, structure)
             with Portable():  # compiled kernels may give less
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
+                more = result
+                if points:
+                    more = tree.tree_leaves(leaves.result(*_filled_up(given, along, points, _room(points) + 1)))
             # What goes through as it is would be an output that has the name of an input.
             same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
             leaves.through = [place is not None for place in same]
             count = sum(isinstance(leaf, Tensor) and place is None for leaf, place in zip(result, same, strict=True))
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
-            # Of what is computed only that it is a tensor is kept, not its memory.
-            plain_leaves = [None if isinstance(leaf, Tensor) else (leaf,) for leaf in result]
-            self._sessions[key] = session, list(zip(plain_leaves, same, strict=True)), result_structure
+            # Of what is computed only is kept that it is a tensor, and along which axes its points lie, not its memory.
+            of_results = [
+                _grown(leaf, other) if isinstance(leaf, Tensor) else leaf
+                for leaf, other in zip(result, more, strict=True)
+            ]
+            computed = [isinstance(leaf, Tensor) for leaf in result]
+            self._sessions[key] = session, list(zip(of_results, computed, same, strict=True)), result_structure
         session, result, result_structure = self._sessions[key]
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
         known = {one.name for one in session.get_inputs()}  # what is not used is not among them
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
         joined = []
-        for value, place in result:
+        for value, computed, place in result:
             if place is not None:
-                joined.append(tensors[place])
+                joined.append(given[place])
+            elif computed:
+                tensor = torch.from_numpy(next(found))
+                for axis in value:
+                    tensor = tensor.narrow(axis, 0, points)
+                joined.append(tensor)
             else:
-                joined.append(torch.from_numpy(next(found)) if value is None else value[0])
+                joined.append(value)
         return tree.tree_unflatten(joined, result_structure)
+
+
+def _room(points: int) -> int:
+    """How many points a graph is made for that takes so many."""
+    return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
+
+
+def _filled_up(tensors: list[Tensor], axes: list[int | None], points: int, room: int) -> list[Tensor]:
+    """Tensors with so many more points along their axes, of which nothing is known."""
+    filled = []
+    for tensor, axis in zip(tensors, axes, strict=True):
+        if axis is None or room == points:
+            filled.append(tensor)
+            continue
+        shape = list(tensor.shape)
+        shape[axis] = room - points
+        nothing = torch.nan if tensor.is_floating_point() else 0
+        filled.append(torch.cat((tensor, tensor.new_full(shape, nothing)), dim=axis))
+    return filled
+
+
+def _grown(tensor: Tensor, other: Tensor) -> list[int]:
+    """Axes that the other one has more of."""
+    return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 
 class _Leaves(nn.Module):

@@ -1,6 +1,6 @@
 """Displacements of scattered points to divergence, curl and strain, at the points and over the contact."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from torch import Tensor, nn
 
@@ -47,6 +47,8 @@ class FieldsGraph(nn.Module):
 
     At the points by `ops.point_gradients` in reference coordinates, over the contact by `ops.area_medians`.
     """
+
+    point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1}
 
     def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
         super().__init__()

@@ -1,5 +1,7 @@
 """What a key frame of the topography view says about its points."""
 
+from typing import ClassVar
+
 from torch import Tensor, nn
 
 from fingerflow.ops.templates import Templates, prepare_templates
@@ -7,6 +9,8 @@ from fingerflow.ops.templates import Templates, prepare_templates
 
 class KeyGraph(nn.Module):
     """Points to their templates; settings as in `ops.prepare_templates`."""
+
+    point_axes: ClassVar = {"points": 1, "warp": 1}
 
     def __init__(self, window: int = 25, gain_offset: bool = True) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
 """Points of a key frame of the topography view in the frames that follow."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -45,6 +45,8 @@ class DeformationGraph(nn.Module):
     What E bends within the window stays in the residual, e'Qe (`Number.BENDING`), where it would count as noise: it is
     taken off the covariance, of which the noise of the key frame is left at least.
     """
+
+    point_axes: ClassVar = {"start": 1, "found": 1, "numbers": 1, "inverse_warp": 1}
 
     def __init__(self, window: int = 25) -> None:
         super().__init__()
@@ -97,6 +99,8 @@ class DeformationGraph(nn.Module):
 class AgreementGraph(nn.Module):
     """Points that were found, but not where their neighbours say, or that are far more uncertain than they, marked."""
 
+    point_axes: ClassVar = {"neighbours": 2, "start": 1, "found": 1}
+
     def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
         """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
         frames, (K, N, ...).
@@ -121,6 +125,8 @@ class AgreementGraph(nn.Module):
 
 class TrackGraph(nn.Module):
     """Templates of a key frame found in a frame; settings as in `ops.find_templates`."""
+
+    point_axes: ClassVar = {"templates": 1, "prediction": 1}
 
     def __init__(self, forward_backward_limit: float = 1.0) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 from .bundle import load_bundle
 from .contract.unfinished import remove, unfinished
 from .errors import PlayerError, first_line
+from .live import Forces
 from .played import played_by
 from .providers import PROVIDERS, Engine
 from .records import RecordLayout
@@ -34,20 +35,31 @@ _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which one is known
 log = logging.getLogger("fingerflow.player")
 
 
-def main(arguments: list[str] | None = None, prog: str | None = None) -> int:
-    """0 at the source's end, 2 something the user can put right, 130 or 143 stopped by Ctrl-C or SIGTERM."""
+ReadForces = Callable[[Path], Forces | None]
+
+
+def main(
+    arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces = lambda scene: None
+) -> int:
+    """0 at the source's end, 2 something the user can put right, 130 or 143 stopped by Ctrl-C or SIGTERM.
+
+    Args:
+        arguments: of the command line.
+        prog: name of the command.
+        forces_of: gives the forces that a scene file names, for the page. A player alone cannot read them.
+    """
     options = _parser(prog).parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
     # Python lets a thread compute for 5 ms before another gets its turn: as long as a frame may take in all.
     sys.setswitchinterval(5e-4)
     try:
-        return _stream(options)
+        return _stream(options, forces_of)
     except PlayerError as error:
         print(f"fingerflow: {error}", file=sys.stderr)
         return 2
 
 
-def _stream(options: argparse.Namespace) -> int:
+def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     bundle = load_bundle(options.bundle)
     played = played_by(options, bundle)
     if options.json is not None and not _may_replace(options.json):
@@ -104,9 +116,10 @@ def _stream(options: argparse.Namespace) -> int:
         raise
     except Exception as error:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
+    forces = forces_of(played.forces_in) if played.forces_in is not None and options.page else None
     player = Player(
         *(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name),
-        played.expected,
+        *(played.expected, forces),
     )
     with _stopped_by_signals(player) as received:
         summary = player.run()

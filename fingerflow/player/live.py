@@ -25,6 +25,18 @@ _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_
 Expected = Callable[[int, int], Mapping[str, float]]  # from the numbers of a frame and of the restart
 
 
+class Forces(NamedTuple):
+    """Forces by name, (frames,) N each, of frames from the number ``first`` on."""
+
+    first: int
+    values: Mapping[str, Array]
+
+    def at(self, number: int) -> dict[str, float]:
+        """In a frame; NaN where nothing is known of it."""
+        place = number - self.first
+        return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
+
+
 class LiveViews(NamedTuple):
     """What a picture is drawn from: a frame, and the (1, 1, H, W) real-contact mask where the recipe has it."""
 
@@ -38,17 +50,20 @@ class LiveData:
     Args:
         bundle: that is played.
         expected: what is to be measured in a frame, by name, where that is known.
+        forces: that were recorded with the frames, where they are known.
     """
 
-    def __init__(self, bundle: Bundle, expected: Expected | None = None) -> None:
+    def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: Forces | None = None) -> None:
         self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
         self._shift = bundle.bit_depth - 8
         self._expect = expected
+        self._forces = forces or Forces(0, {})
         self._asked = self._drawn = -math.inf
         self._arrays: dict[str, Array] = {}
         self._scalars: dict[str, float] = {}
         self._expected: Mapping[str, float] = {}
-        self._columns = ["time", *_TRACED, *([f"expected_{name}" for name in _TRACED] if expected else [])]
+        self._columns = ["time", *_TRACED, *self._forces.values]
+        self._columns += [f"expected_{name}" for name in _TRACED] if expected else []
         self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
 
     def is_watched(self) -> bool:
@@ -74,6 +89,7 @@ class LiveData:
         names = record.dtype.names or ()
         arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}
+        self._scalars |= self._forces.at(int(record["frame"]))
         self._expected = self._expected_in(record)
         self._arrays = arrays
 
@@ -81,6 +97,7 @@ class LiveData:
         """Adds a frame to the traces; the oldest leaves."""
         names, expected = record.dtype.names or (), self._expected_in(record)
         row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
+        row += self._forces.at(int(record["frame"])).values()
         self._traces.append(row + ([expected.get(name, math.nan) for name in _TRACED] if self._expect else []))
 
     def _expected_in(self, record: Array) -> Mapping[str, float]:
@@ -95,6 +112,7 @@ class LiveData:
             "every": self._every,
             "scalars": {name: value if math.isfinite(value) else None for name, value in self._scalars.items()},
             "expected": dict(self._expected),
+            "forces": list(self._forces.values),
             "trace_columns": self._columns,
             "arrays": [{"name": n, "type": str(a.dtype), "shape": a.shape} for n, a in arrays.items()],
         }

@@ -24,6 +24,7 @@ class Played(NamedTuple):
     """What is played: a source by name, which of its frames count, the contact views of empty glass and darkness.
 
     ``expected`` gives what is to be measured in a frame, by its number and that of the restart, where that is known.
+    ``forces_in`` is the scene file that names the forces of these frames.
     """
 
     scene: Scene
@@ -34,6 +35,7 @@ class Played(NamedTuple):
     first: int = 0
     frames: int | None = None
     expected: Expected | None = None
+    forces_in: Path | None = None
 
 
 def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
@@ -78,10 +80,11 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
             "no source: give --source synthetic, --source FILE or --camera MODULE:FACTORY, or state recording.frames "
             f"in {path}"
         )
-    first, frames = 0, None
-    if file.resolve() == scene.frames:  # the range is that of the scene's own recording
-        first = scene.first_frame
+    first, frames, forces_in = 0, None, None
+    if file.resolve() == scene.frames:  # the range and the forces are those of the scene's own recording
+        first, forces_in = scene.first_frame, path if scene.has_forces else None
         frames = None if scene.last_frame is None else scene.last_frame + 1 - first
     return Played(
-        scene, str(file), lambda number: open_recording(file, shape, options.dtype, number), glass, dark, first, frames
+        *(scene, str(file), lambda number: open_recording(file, shape, options.dtype, number), glass, dark),
+        *(first, frames, None, forces_in),
     )

@@ -38,6 +38,7 @@ class Scene:
     Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
     in place of one. ``region`` is the part of the topography view in which points are chosen, None for all of it.
     ``drawn`` is one of another shape, as `contract.region` takes it.
+    ``has_forces`` says whether it names a file of forces; what is in it the page has from the package.
     ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
     """
 
@@ -57,6 +58,7 @@ class Scene:
     drawn: Mapping[str, Any] | None = None
     rekey_share: float | None = None
     rekey_frames: int | None = None
+    has_forces: bool = False
     asked: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -101,6 +103,7 @@ def load_scene(path: Path) -> Scene:
         drawn=views["topography"].get("region"),
         rekey_share=stream["rekey_share"],
         rekey_frames=stream["rekey_frames"],
+        has_forces=found["forces"] is not None,
         asked={
             f"{table}.{key}": value
             for table in _DECIDED_BY_RECIPES

@@ -21,7 +21,7 @@ from .findings import Findings
 from .frame_check import USABLE, FrameCheck
 from .handover import Channel, InOrder, Slot
 from .latency import Latencies
-from .live import Expected, LiveData, LiveViews
+from .live import Expected, Forces, LiveData, LiveViews
 from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
@@ -66,6 +66,7 @@ class Player:
         settings: Settings,
         source_name: str = "source",
         expected: Expected | None = None,
+        forces: Forces | None = None,
     ) -> None:
         self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
         self.provider = provider
@@ -85,7 +86,7 @@ class Player:
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
-        self.live = LiveData(bundle, expected)
+        self.live = LiveData(bundle, expected, forces)
         self._state, self._said = "waiting", ""  # for the page
         self.restart_wanted = threading.Event()
         self._stop = threading.Event()

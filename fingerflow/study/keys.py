@@ -86,8 +86,8 @@ def keys_of(scene: Scene, earlier: Mapping[str, InputFile] | None = None) -> Key
     named = dict(_named(settings, paths))
     inputs = {name: look_at(Path(path), (earlier or {}).get(name)) for name, path in named.items()}
     contents = {name: [one.size, one.digest] for name, one in inputs.items()}
-    result = _digest(_without(settings, paths), contents, code_of("result"))
-    return Keys(result, _digest(result, code_of("row")), inputs)
+    result = digest_of(_without(settings, paths), contents, code_of("result"))
+    return Keys(result, digest_of(result, code_of("row")), inputs)
 
 
 def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
@@ -123,7 +123,7 @@ def code_of(part: str) -> str:
     """The code behind a part, "result" or "row"."""
     if part == "result":
         return code_version()
-    return _digest(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _ROW))
+    return digest_of(*(Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _ROW))
 
 
 def _named(values: Mapping[str, Any], paths: set[str], place: str = "") -> Iterator[tuple[str, str]]:
@@ -162,5 +162,6 @@ def _add_content(digest: Any, file: Path, size: int) -> None:
             digest.update(opened.read(_SAMPLE_BYTES))
 
 
-def _digest(*parts: Any) -> str:
+def digest_of(*parts: Any) -> str:
+    """Of what JSON can hold; short, for names and comparison."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 from fingerflow.errors import FingerflowError
-from fingerflow.study.cluster import Interrupted, cores, over_workers, threads_each
-from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, write_row
+from fingerflow.study.cluster import Interrupted, over_workers, threads_each, workers_for
+from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trial
@@ -93,9 +93,7 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    count = max(1, min(workers or cores(), len(planned)))
-    codes = all_codes()
-    threads = threads_each(scheduler, count)
+    codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
     jobs = (
         (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
         for one in planned
@@ -133,8 +131,8 @@ def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned |
         return Planned(entry, "everything", f"{', '.join(changed)} changed")
     if stored.status == FAILED:
         return Planned(entry, "everything", "settings or code changed since it failed")
-    if stored.result is None or not (folder / stored.result).exists():
-        return Planned(entry, "everything", "its result is gone")
+    if not has_result(folder, stored):
+        return Planned(entry, "everything", "its result is gone or damaged")
     if stored.keys.result != keys.result:
         return Planned(entry, "changed", "settings or code changed; what does not depend on them is kept")
     return Planned(entry, "row", "the table has other columns now; the result is kept")

@@ -7,7 +7,7 @@ import platform
 import time
 import traceback
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -20,9 +20,9 @@ import torch
 from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline import process_to
-from fingerflow.result import is_result, open_result, read_own
-from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, read_row, result_name, write_row
-from fingerflow.study.keys import Keys, all_codes, code_of, keys_of
+from fingerflow.result import open_result, read_own
+from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
+from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.row import READ, measure
 
@@ -82,17 +82,19 @@ def run_trial(job: Job) -> Outcome:
         keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
-        path = folder / result_name(keys)
-        if job.redo == "row" and is_result(path):
+        path, whole = folder / result_name(keys), stored is not None and has_result(folder, stored)
+        if job.redo == "row" and whole and stored is not None and stored.result == path.name:
             with open_result(path) as result:
                 row, curves = measure(result)
         else:
             earlier = None
-            if job.redo == "changed" and stored is not None and stored.result is not None:
+            if job.redo == "changed" and whole and stored is not None and stored.result is not None:
                 earlier = folder / stored.result
-            process_to(path, scene, earlier=earlier)
+            # One that is there under this name may be damaged, and then it would not be known for a result.
+            process_to(path, scene, earlier=earlier, overwrite=True)
             row, curves = measure(read_own(path, READ))
-        trial = TrialRow(MEASURED, keys=keys, result=path.name, row=row, curves=curves)
+        content = replace(look_at(path), path=path.name)
+        trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
     except Exception as error:
         unexpected = not isinstance(error, FingerflowError) and not _is_passing(error)
         reason = f"unexpected {type(error).__name__}: {error}" if unexpected else str(error) or type(error).__name__
@@ -122,7 +124,7 @@ def is_current(stored: TrialRow, keys: Keys, folder: Path) -> bool:
     """Whether a row and its result are those of the trial as it is now."""
     if stored.keys is None or stored.keys.row != keys.row or stored.keys.changed_inputs(keys):
         return False
-    return stored.result is None or (folder / stored.result).exists()
+    return stored.result is None or has_result(folder, stored)
 
 
 def _is_passing(error: BaseException) -> bool:

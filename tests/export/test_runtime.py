@@ -3,7 +3,7 @@
 import os
 import warnings
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import pytest
 import torch
@@ -34,6 +34,17 @@ class Scaled(nn.Module):
         return frames.float().amax((1, 2))
 
 
+class Spread(nn.Module):
+    """Of points, that are none where they are NaN: their distances from the mean, and what goes through."""
+
+    point_axes: ClassVar = {"points": 1, "pair": 2}
+
+    def forward(self, points: Tensor, pair: Pair) -> tuple[Tensor, Tensor, Pair]:
+        known = points.isfinite().all(-1, keepdim=True)
+        mean = torch.where(known, points, 0.0).sum(1, keepdim=True) / known.sum(1, keepdim=True)
+        return points - mean, mean, Pair(pair.first, (points[..., 0, None] + pair.first.transpose(1, 2)).sum(2))
+
+
 class Branching(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         return frames + 1 if frames.sum() > 0 else frames
@@ -62,6 +73,23 @@ def test_a_module_gives_the_same(runtime: OnnxRuntime, batch: int, second: bool)
     assert executed.factor == 3.0
     assert runtime.exported == 3
     assert runtime.seconds > 0
+
+
+def test_how_many_points_there_are_decides_on_no_graph(runtime: OnnxRuntime) -> None:
+    """Until there are more than fit."""
+    module = Spread()
+    executed = runtime(module)
+    generator = torch.Generator().manual_seed(3)
+    for count, exported in ((5, 1), (40, 1), (256, 1), (2, 1), (257, 2)):
+        points = torch.rand(3, count, 2, generator=generator)
+        points[1, 0] = torch.nan
+        pair = Pair(torch.rand(3, 4, count, generator=generator), None)
+        (off, mean, through), (ours, own, passed) = module(points, pair), executed(points, pair)
+        torch.testing.assert_close(ours, off, equal_nan=True)
+        torch.testing.assert_close(own, mean)
+        torch.testing.assert_close(passed.second, through.second, equal_nan=True)
+        assert torch.equal(passed.first, pair.first)
+        assert runtime.exported == exported
 
 
 def test_what_takes_long_is_said_once(runtime: OnnxRuntime, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,6 +36,7 @@ class Stream:
         self.folder = folder
         self.bundle = write_bundle(folder / "bundle")
         self.scene = write_scene(self.bundle / "scene.toml")
+        self.play: Callable[[list[str]], int] = player.main
         self._capsys, self._caplog, self._monkeypatch = capsys, caplog, monkeypatch
         caplog.set_level(logging.INFO)
 
@@ -63,7 +64,7 @@ class Stream:
         given = [str(self.bundle), "--output", str(output), "--threads", "1", "--no-spin", *arguments]
         if "--provider" not in arguments:
             given += ["--provider", "cpu"]
-        code = player.main(given if "--page" in arguments else [*given, "--page", "off"])
+        code = self.play(given if "--page" in arguments else [*given, "--page", "off"])
         said = self._capsys.readouterr()
         results = player.read_results(output) if output.exists() else None
         return Ended(code, json.loads(said.out) if said.out else {}, said.err + self._caplog.text, results)  # type: ignore[arg-type]

@@ -5,6 +5,7 @@
 
 import http.client
 import json
+import math
 import re
 import socket
 import struct
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Ended, Stream
-from tiny_bundle import HEIGHT, POINTS, WIDTH, frame
+from tiny_bundle import HEIGHT, POINTS, WIDTH, frame, write_scene
 
+from fingerflow.cli import app
 from fingerflow.player.sources.synthetic import Synthetic
 from fingerflow.player.stream import Player
 
@@ -30,7 +32,6 @@ class Served:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self.running: list[Player] = []
         self._ended: list[Ended] = []
         self._stream, self._arguments = stream, arguments
         self.source: tuple[str, ...] = ("--source", "synthetic", "--rate", "100", "--frames", "3000")
@@ -75,24 +76,25 @@ class Served:
         self._thread.join(30)
         return self._ended[0]
 
-    def stop(self) -> None:
-        """Ends the stream as its last frame would."""
-        self.running[0].stop()
-
     def restarts(self) -> int:
         return int(self.live()[0]["restarts"])
 
 
 @pytest.fixture
-def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    run = Player.run
-    found: Served
+def running(monkeypatch: pytest.MonkeyPatch) -> list[Player]:
+    """The players that run."""
+    run, found = Player.run, list[Player]()
 
     def remember(one: Player) -> dict[str, Any]:
-        found.running.append(one)
+        found.append(one)
         return run(one)
 
     monkeypatch.setattr(Player, "run", remember)
+    return found
+
+
+@pytest.fixture
+def served(stream: Stream, running: list[Player], monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     read = Synthetic.read
 
     def read_with_dark_frames(source: Synthetic) -> Any:
@@ -103,7 +105,7 @@ def served(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     found = Served(stream)
     found.start()
     yield found
-    found.stop()
+    running[0].stop()  # as its last frame would
     assert found.join().code == 0
 
 
@@ -161,7 +163,19 @@ NUMBER = """name => {
 }"""
 
 
-def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
+SCALE = """sizes => { range = 0.001; return sizes.map(some => { scaleTo(some); return range; }); }"""
+LEGENDS = """() => {
+    const view = { shape: [1, 1], values: new Uint8Array(1) }, floats = values => new Float32Array(values);
+    const data = { topography_view: view, contact_view: view, divergence: { values: floats([0.02, NaN, NaN, 0.02]) },
+        position_px: { shape: [4, 2], values: floats([0, 0, 0, 0, 0, 0, NaN, NaN]) },
+        in_contact: { values: floats([1, 1, 0, 1]) } };
+    const live = { data, every: 1, mm_per_px: 1, topography_mm_per_px: 1, threshold: 0.3, scalars: {} };
+    drawTopography(live); drawContact(live);
+    return ["pointLegend", "contactLegend"].map(id => document.getElementById(id).innerText.split("\\n").join(" "));
+}"""
+
+
+def test_the_page_in_a_browser(served: Served, running: list[Player], browser: Any) -> None:
     served.live()
     page = browser.new_page()
     wrong: list[str] = []
@@ -170,6 +184,7 @@ def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
     page.goto(f"http://127.0.0.1:{served.port}/")
     page.wait_for_selector("#state:text-is('running')")
     page.wait_for_function(f"({COLOURS})('topography') > 20")
+    assert page.is_hidden("#forcesCard")  # of frames without any
     assert page.evaluate(COLOURS, "contact") > 2  # grey, and what touches in another colour
     assert page.evaluate(COLOURS, "areas") > 5
     assert page.evaluate(NUMBER, "Points tracked") == f"{POINTS} of {POINTS}"
@@ -187,12 +202,62 @@ def test_the_page_in_a_browser(served: Served, browser: Any) -> None:
     for width in (390, 1300):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-    served.stop()
+    running[0].stop()
     page.wait_for_selector("#state:text-is('ended')")
     assert re.match(r"The stream has ended after \d+ frames, [\d.]+ s. Results: ", page.inner_text("#said"))
     assert page.get_attribute("#state", "class") == ""  # no alarm
+    # The scale holds nineteen of twenty, whatever one of them is, gives way at once, and comes closer late.
+    most = [[0.03] * 20 + [9.0], [0.06], [0.05], [0.03], [math.nan], [1e-6]]
+    assert page.evaluate(SCALE, most) == pytest.approx([0.05, 0.1, 0.1, 0.05, 0.05, 0.001])
+    points, contact = page.evaluate(LEGENDS)
+    assert re.sub(r"\s+", " ", points) == (
+        "1 points with divergence: \u22122 %2 % 1 not in contact 1 in contact, without it"
+    )
+    assert contact == ""  # neither a mask nor an ellipse is drawn
     page.close()
     assert not wrong
+
+
+def test_a_page_shows_the_forces_of_its_recording(stream: Stream, running: list[Player], browser: Any) -> None:
+    """By `fingerflow stream`, as `process` gives them: of the frame by its number, which begins at the fifth."""
+    rate, first, count = 50.0, 5, 2000
+    np.save(stream.bundle / "frames.npy", np.stack([frame(contact_px=50)] * count))
+    times = np.arange(0, count / rate, 1e-3)
+    forces = np.stack((times, 1 + times * rate / 100, np.full_like(times, 0.25)), axis=1)
+    np.savetxt(stream.bundle / "forces.csv", forces, delimiter=",", header="time [s],Fn [N],Ft [N]", comments="")
+    write_scene(
+        stream.scene,
+        f"""[recording]
+frames = "frames.npy"
+frame_rate = {rate}
+first_frame = {first}
+[forces]
+file = "forces.csv"
+normal = "Fn"
+tangential = "Ft"
+""",
+    )
+    stream.play = lambda given: app(["stream", *given], standalone_mode=False)
+    playing = Served(stream)
+    playing.source = ()
+    playing.start()
+    facts, arrays = playing.live()
+    shown = facts["scalars"]
+    assert shown["frame"] >= first
+    assert shown["normal_force"] == pytest.approx(1 + shown["frame"] / 100, abs=1e-3)
+    assert shown["tangential_force"] == pytest.approx(0.25, abs=1e-3)
+    normal = arrays["traces"][:, facts["trace_columns"].index("normal_force")]
+    assert (np.diff(normal) > 0).all()
+    page = browser.new_page()
+    page.goto(f"http://127.0.0.1:{playing.port}/")
+    page.wait_for_selector("#state:text-is('running')")
+    page.wait_for_function(f"({COLOURS})('forces') > 5")
+    assert re.fullmatch(r"\d\.\d\d N", page.evaluate(NUMBER, "Normal force"))
+    assert page.evaluate(NUMBER, "Tangential force") == "0.25 N"
+    assert page.inner_text("#forcesLegend").split() == ["normal", "tangential"]
+    page.close()
+    running[0].stop()
+    assert playing.join().code == 0
 
 
 def test_a_page_shows_why_a_stream_has_failed(stream: Stream, browser: Any) -> None:

@@ -63,7 +63,7 @@ def test_ids_of_the_script_are_in_the_page(parsed: Page) -> None:
     asked = set(re.findall(r'\$\("([^"]+)"\)', JS))
     assert {"contact", "topography", "numbers", "state", "said", "restart", "truth"} <= asked
     drawn = re.findall(r'trace\(live, "(\w+)"', JS)  # which has a card and a legend of its name
-    assert drawn == ["areas", "divergence"]
+    assert drawn == ["areas", "forces", "divergence"]
     asked |= {name + part for name in drawn for part in ("", "Card", "Legend")}
     assert asked <= set(parsed.ids)
     assert JS.count("getElementById") == 1

@@ -45,6 +45,19 @@ def test_workers_are_renewed_and_lose_nothing(monkeypatch: pytest.MonkeyPatch) -
     assert len({process for _, process in found}) == 3, "ten tasks, four a worker"
 
 
+def _profiled(_: int) -> int:
+    from distributed import get_worker
+
+    time.sleep(1.5)  # profiles are put by once a second
+    return len(get_worker().profile_history)
+
+
+def test_workers_keep_no_profile_of_what_they_did() -> None:
+    """It would grow for an hour, by 0.4 MB a small recording."""
+    tasks = ((f"task-{number}", number) for number in range(2))
+    assert list(over_workers(_profiled, tasks, 2, _raise, workers=1, progress=False)) == [0, 0]
+
+
 def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
     tasks = ((f"task-{number}", number) for number in range(6))
     failed: list[str] = []

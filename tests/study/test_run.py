@@ -2,10 +2,10 @@
 
 import json
 import os
+import random
+import re
 import signal
-import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -27,8 +27,20 @@ from fingerflow.study.row import READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
+from tests.study.blows import (
+    damage,
+    end,
+    mend,
+    recorded,
+    rows_of,
+    start,
+    start_scheduler,
+    table_of,
+    until,
+    workers_of,
+    written,
+)
 
-ROOT = Path(__file__).resolve().parents[2]
 _PROVENANCE = {"created", "stage_seconds"}
 
 
@@ -38,15 +50,11 @@ def _run(study: Manifest, scheduler: str, **options: Any) -> dict[str, str]:
     return {one.name: one.status for one in summary.outcomes}
 
 
-def _table(study: Manifest) -> pd.DataFrame:
-    return pd.read_parquet(write_tables(study).trials).drop(columns="result")
-
-
 def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, scheduler: str) -> None:
     assert _run(study, scheduler) == {entry.name: MEASURED for entry in study.trials}
     assert plan_run(study) == []
     assert _run(study, scheduler) == {}
-    before = _table(study)
+    before = table_of(study)
     text = (lab / "study.toml").read_text(encoding="utf-8")
     (lab / "study.toml").write_text(text.replace("gauge_length_mm = 1.6", "gauge_length_mm = 1.4"), encoding="utf-8")
     changed = load_manifest(lab)
@@ -57,7 +65,7 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     assert made.result is not None
     with xr.open_dataset(changed.results / "01_0_1" / made.result, engine="h5netcdf") as result:
         assert "decoding" not in json.loads(result.attrs["stage_seconds"])
-    after = _table(changed)
+    after = table_of(changed)
     assert (before["real_contact_area"] == after["real_contact_area"]).all()
     assert (before["divergence"] != after["divergence"]).all()
     # One result a trial: the one before is not left behind.
@@ -91,11 +99,9 @@ def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) 
     assert (row, curves) == (made.row, made.curves)
 
 
-def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
     broken = [lab / place / "frames.npy" for place in ("p01/0um/trial1", "p01/0um/trial2", "p01/2um/trial3")]
     whole = [path.read_bytes() for path in broken]
-    undisturbed = replace(study, results=lab / "undisturbed")
-    _run(undisturbed, scheduler)
     (lab / "p01/0um/trial1/frames.npy").write_bytes(b"no frames")
     (lab / "p01/0um/trial2/frames.npy").unlink()
     frames = np.load(lab / "p01/2um/trial3/frames.npy")
@@ -103,7 +109,7 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
     found = _run(study, scheduler)
     failed = {"01_0_1", "01_0_2", "01_2_3"}
     assert {name for name, status in found.items() if status == FAILED} == failed
-    table = _table(study).set_index("status")
+    table = table_of(study).set_index("status")
     assert len(table) == len(study.trials)
     assert table.loc[FAILED, "divergence"].isna().all()
     reasons = table.loc[FAILED, "reason"].tolist()
@@ -115,14 +121,42 @@ def test_failures_are_rows_and_stop_nothing(study: Manifest, lab: Path, schedule
     for path, content in zip(broken, whole, strict=True):
         path.write_bytes(content)
     assert _run(study, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
-    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
+    pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)
+
+
+def test_a_tenth_of_the_files_is_damaged(study: Manifest, lab: Path, scheduler: str, undisturbed: Manifest) -> None:
+    """Of the recordings before a run, and mended after it, then of the results; as drawn, and a number of a row and a
+    byte of a result besides, which nothing but their digests tells.
+    """
+    expected, rng = table_of(undisturbed), random.Random(18)
+    before = damage(recorded(lab), rng)
+    assert len(before) >= 3
+    _run(study, scheduler)
+    mend(before)
+    folders = {file.parent for file in before}
+    struck = {entry.name for entry in study.trials if study.scene_of(entry).recording.frames.parent in folders}
+    assert set(_run(study, scheduler)) == struck
+    pd.testing.assert_frame_equal(table_of(study), expected, check_exact=True)
+
+    struck = {file.parent.name for file in damage(written(study), rng)}
+    row, other = (study.results / entry.name for entry in [one for one in study.trials if one.name not in struck][:2])
+    text = (row / "row.json").read_text(encoding="utf-8")
+    (row / "row.json").write_text(re.sub(r'("divergence": 0\.\d*)\d', r"\g<1>7", text, count=1), encoding="utf-8")
+    assert (row / "row.json").read_text(encoding="utf-8") != text
+    result = next(other.glob("*.h5"))
+    content = bytearray(result.read_bytes())
+    content[len(content) // 2] ^= 1
+    result.write_bytes(content)
+    assert _run(study, scheduler) == dict.fromkeys(sorted(struck | {row.name, other.name}), MEASURED)
+    pd.testing.assert_frame_equal(table_of(study), expected, check_exact=True)
+    assert load_result(result).equals(load_result(undisturbed.results / other.name / result.name))
 
 
 def test_only_and_a_pattern_that_fits_nothing(study: Manifest, scheduler: str) -> None:
     assert set(_run(study, scheduler, only="02_*")) == {entry.name for entry in study.trials if entry.name[:2] == "02"}
     with pytest.raises(FingerflowError, match="no trial has such a name"):
         plan_run(study, only="03_*")
-    table = _table(study)
+    table = table_of(study)
     assert (table["status"] == "not run").sum() == 4
 
 
@@ -157,7 +191,7 @@ def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
     """A small one: with room for some results, then for none and for no row either, then emptied."""
     few = replace(study, trials=study.trials[:3])
     _run(few, scheduler)
-    undisturbed = _table(few)
+    undisturbed = table_of(few)
     size = max(one.stat().st_size for one in few.results.rglob("*.h5"))
     with disk_in_memory() as (disk, mounted):
         if not mounted:
@@ -169,14 +203,14 @@ def test_a_disk_that_is_full(study: Manifest, scheduler: str) -> None:
         rows = {name: read_row(small.results / name) for name in first}
         failed = {name for name, status in first.items() if status == FAILED}
         assert all("of the disk are free" in row.reason for name, row in rows.items() if row and name in failed)
-        assert set(_table(small)["status"]) == {MEASURED, FAILED}
+        assert set(table_of(small)["status"]) == {MEASURED, FAILED}
         assert {one.entry.name for one in plan_run(small)} == failed
         leave_free(ballast, 0)
         assert _run(small, scheduler) == dict.fromkeys(sorted(failed), FAILED)
         assert {name: read_row(small.results / name) for name in first} == rows  # as they were, none is half written
         ballast.unlink()
         assert _run(small, scheduler) == dict.fromkeys(sorted(failed), MEASURED)
-        pd.testing.assert_frame_equal(_table(small), undisturbed, check_exact=True)
+        pd.testing.assert_frame_equal(table_of(small), undisturbed, check_exact=True)
         assert not list(small.results.rglob(".*"))
 
 
@@ -218,7 +252,7 @@ def test_a_damaged_row_is_run_again(study: Manifest, scheduler: str) -> None:
     _run(study, scheduler, only="01_0_1")
     next((study.results / "01_0_1").glob("*.h5")).unlink()
     (planned,) = plan_run(study, only="01_0_1")
-    assert planned.why == "its result is gone"
+    assert planned.why == "its result is gone or damaged"
 
 
 def test_no_scheduler_there(study: Manifest) -> None:
@@ -226,79 +260,48 @@ def test_no_scheduler_there(study: Manifest) -> None:
         run_study(study, "dask_jobqueue.NoSuchCluster", progress=False)
 
 
-def _start(lab: Path, *options: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "fingerflow", "study", "run", str(lab), "--workers", "2", *options]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, undisturbed: Manifest) -> None:
     """The client with all its workers in the middle of a run, then a worker alone, then Ctrl-C: the table at the end
     is that of an undisturbed run in one process, bit for bit.
     """
-    import psutil
-
-    undisturbed = replace(study, results=lab / "undisturbed")
-    _run(undisturbed, scheduler)
-    rows = lambda: len(list(study.results.glob("*/row.json")))  # noqa: E731
     for blow in ("client", "worker", "interrupt"):
-        there, started = rows(), _start(lab)
+        there, started = rows_of(study), start(lab)
         try:
-            _until(lambda there=there: rows() > there, started)
-            if blow == "client":
-                os.killpg(started.pid, signal.SIGKILL)
-            elif blow == "worker":
-                workers = [one for one in psutil.Process(started.pid).children(recursive=True) if _is_worker(one)]
-                workers[0].kill()
-                _until(lambda there=there: rows() > there + 1, started)
-                os.killpg(started.pid, signal.SIGKILL)
-            else:
+            until(lambda there=there: rows_of(study) > there, started)
+            if blow == "worker":
+                workers_of(started)[0].kill()
+                until(lambda there=there: rows_of(study) > there + 1, started)
+            elif blow == "interrupt":
                 os.kill(started.pid, signal.SIGINT)
                 started.wait(120)
         finally:
-            if started.poll() is None:
-                os.killpg(started.pid, signal.SIGKILL)
-            started.wait(60)
+            end(started)
     summary = run_study(study, workers=2, progress=False)
     assert not [one for one in summary.outcomes if one.status == FAILED]
-    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
+    pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)
     for entry in study.trials:
         one, other = (next((where.results / entry.name).glob("*.h5")) for where in (study, undisturbed))
         with xr.open_dataset(one, engine="h5netcdf") as first, xr.open_dataset(other, engine="h5netcdf") as second:
             for name in first.data_vars:
                 np.testing.assert_array_equal(first[name].values, second[name].values)
-            assert {k: v for k, v in first.attrs.items() if k not in _PROVENANCE} == {
-                k: v for k, v in second.attrs.items() if k not in _PROVENANCE
-            }
+            assert _attributes(first, study) == _attributes(second, undisturbed)
     left = [path for path in study.results.rglob("*") if path.name.startswith(".")]
     assert not left, "a run removes what killed ones have left"
 
 
-_SCHEDULER = """
-import sys
-from distributed import LocalCluster
-with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://") as one:
-    print(one.scheduler_address, flush=True)
-    sys.stdin.read()
-"""
+def _attributes(result: xr.Dataset, study: Manifest) -> dict[str, str]:
+    """But when and how fast it was made, and where."""
+    where = str(study.path.parent)
+    return {name: str(value).replace(where, "") for name, value in result.attrs.items() if name not in _PROVENANCE}
 
 
-def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, lab: Path, scheduler: str) -> None:
+def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, scheduler: str, undisturbed: Manifest) -> None:
     """In a process of its own, with its worker: the run ends and says so; the rest is done by the next one."""
-    undisturbed = replace(study, results=lab / "undisturbed")
-    _run(undisturbed, scheduler)
-    command, pipe = [sys.executable, "-c", _SCHEDULER], subprocess.PIPE
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    with (
-        subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment, text=True) as other,
-        ThreadPoolExecutor(1) as pool,
-    ):
-        assert other.stdout is not None
-        running = pool.submit(run_study, study, other.stdout.readline().strip(), progress=False)
-        _until(lambda: any(study.results.glob("*/row.json")), other)
+    other, address = start_scheduler()
+    with other, ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run_study, study, address, progress=False)
+        until(lambda: rows_of(study) > 0, other)
         other.kill()
         summary = running.result(timeout=300)
     assert "scheduler was lost" in summary.interrupted
@@ -307,16 +310,4 @@ def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, lab: Path, sc
     again = _run(study, scheduler)
     assert set(again.values()) == {MEASURED}
     assert not done & set(again)
-    pd.testing.assert_frame_equal(_table(study), _table(undisturbed), check_exact=True)
-
-
-def _until(done: Any, process: subprocess.Popen[bytes]) -> None:
-    for _ in range(3000):
-        if done() or process.poll() is not None:
-            return
-        time.sleep(0.1)
-    raise AssertionError("nothing came")
-
-
-def _is_worker(process: Any) -> bool:
-    return "spawn_main" in " ".join(process.cmdline())
+    pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)

@@ -120,7 +120,7 @@ function drawContact(live) {
 
 function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in the legend]
   const canvas = $(name), rows = live.data.traces, names = live.trace_columns, wide = names.length;
-  const here = drawn.filter(([variable]) => live.fields.includes(variable));
+  const here = drawn.filter(([variable]) => live.fields.includes(variable) || live.forces.includes(variable));
   $(name + "Card").hidden = !here.length;
   if (!here.length) return;
   const columns = here.map(([variable, style]) => [names.indexOf(variable), style, []]);
@@ -131,7 +131,7 @@ function trace(live, name, drawn, scale) {  // drawn: [variable, colour, name in
   const expected = columns.length > here.length;
   const legend = here.map(([, style, said]) => swatch(style, said));
   if (expected) legend.push(swatch("#c0392b", "expected"));
-  $(name + "Legend").innerHTML = legend.length > 1 ? legend.join("") : "";
+  $(name + "Legend").innerHTML = legend.length > 1 || name == "forces" ? legend.join("") : "";
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
   canvas.width = width * ratio; canvas.height = height * ratio;
   const context = canvas.getContext("2d");
@@ -180,6 +180,7 @@ const CELLS = {  // of the last frame: name, unit, digits, factor
   gross_contact_area: ["Gross contact area", "mm\u00b2", 2, 1],
   median_divergence: ["Median divergence", "%", 2, 100],
 };
+const FORCES = { normal_force: ["Normal force", "#1668b0"], tangential_force: ["Tangential force", "#d17a00"] };
 const EXPECTED = {
   ...CELLS,
   ellipse_major: ["Semi-major axis", "mm", 3, 1],
@@ -209,6 +210,7 @@ function numbers(live) {
       // Before there is a threshold nothing counts as contact, which is no area that was measured.
       ([name, [said, unit, digits, factor]]) =>
         [said, text(s[name] == null || live.threshold == null ? null : factor * s[name], digits), unit]),
+    ...live.forces.map(name => [FORCES[name][0], text(s[name], 2), "N"]),
   ];
   if (live.fields.includes("slip_flag")) {
     cells.push(["Partial slip", s.slip_flag == null ? "\u2013" : s.slip_flag ? "slipping" : "none", "", s.slip_flag > 0]);
@@ -253,6 +255,8 @@ async function refresh() {
     truth(live);
     if (live.data.topography_view) { drawTopography(live); drawContact(live); }
     trace(live, "areas", [["gross_contact_area", "#8fb8dc", "gross"], ["real_contact_area", "#1668b0", "real"]], 1);
+    trace(live, "forces", Object.entries(FORCES).map(([name, [said, style]]) =>
+      [name, style, said.split(" ")[0].toLowerCase()]), 1);
     trace(live, "divergence", [["median_divergence", "#1668b0", "measured"]], 100);
     const frames = `after ${live.processed} frames, ${live.seconds.toFixed(1)} s`;
     const where = live.results ? ` Results: ${live.results}` : "";

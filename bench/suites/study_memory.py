@@ -1,0 +1,118 @@
+"""Memory of a worker of `fingerflow study` over many small recordings: does anything of one stay?
+
+1,000 recordings (40 with --quick) of the simulated press, 20 frames of two views of 96 x 96 px, go through one worker,
+which is not replaced meanwhile, though a study replaces it after 200. They are one recording on disk under as many
+names. A row every tenth of them: own_mb is the memory of the worker's own (anonymous pages), resident_mb counts pages
+of files too. The last row has the slope of a straight line through own_mb from the second tenth on, kB a recording,
+with its standard error, and the same of the client, which holds the scheduler.
+"""
+
+import os
+import tempfile
+import threading
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import psutil
+
+from bench.peak_memory import STATUS
+from bench.rows import Cell, Row, Skipped, number
+from bench.suites.pipeline import write_quietly
+from fingerflow.study.init import init_study
+from fingerflow.study.manifest import load_manifest
+from fingerflow.study.run import run_study
+from fingerflow.synthetic import Press
+
+RECORDINGS, QUICK_RECORDINGS = 1000, 40
+PRESS = Press(
+    n_frames=20,
+    frame_rate=20.0,
+    frames_before_trigger=1,
+    frame_shape=(96, 192),
+    finger=(1.3, 1.2),
+    semi_axes=(1.1, 1.0),
+)
+
+
+def run(quick: bool) -> list[Row]:
+    """A row every tenth of the recordings, and the slope."""
+    if not STATUS.exists():
+        raise Skipped(f"memory is read from {STATUS}, which only Linux has")
+    count = QUICK_RECORDINGS if quick else RECORDINGS
+    with tempfile.TemporaryDirectory() as name, patch("fingerflow.study.cluster._RENEWED_AFTER", 10**9):
+        folder = Path(name)
+        _write(folder, count)
+        study = load_manifest(folder)
+        watched = _Watch(study.results, count // 10)
+        with watched:
+            summary = run_study(study, workers=1, progress=False)
+    failed = [one.reason for one in summary.outcomes if one.reason]
+    if failed or len(summary.outcomes) != count:
+        raise RuntimeError(f"{count - len(summary.outcomes) + len(failed)} of {count} trials have failed: {failed[:1]}")
+    return [*watched.rows, _slopes(watched.rows[1:])]
+
+
+def _write(folder: Path, count: int) -> None:
+    first = folder / "p01/0um/trial0001"
+    write_quietly(first, PRESS)
+    for trial in range(2, count + 1):
+        other = folder / f"p01/0um/trial{trial:04d}"
+        other.mkdir()
+        for file in first.iterdir():
+            os.link(file, other / file.name)
+    init_study(folder)
+
+
+class _Watch(threading.Thread):
+    """Looks at the worker, the one child that computes, whenever so many more results are there."""
+
+    def __init__(self, results: Path, every: int) -> None:
+        super().__init__(daemon=True)
+        self.rows: list[Row] = []
+        self._results, self._every = results, every
+        self._over = threading.Event()
+
+    def __enter__(self) -> "_Watch":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self.join()
+
+    def run(self) -> None:
+        while not self._over.wait(0.2):
+            done = sum(1 for _ in self._results.glob("*/row.json"))
+            if done >= self._every * (len(self.rows) + 1):
+                self.rows.append(_looked_at(done))
+                print(self.rows[-1], flush=True)
+
+
+def _looked_at(done: int) -> Row:
+    client = psutil.Process()
+    worker = max(client.children(recursive=True), key=lambda one: one.memory_info().rss)
+    return {
+        "recordings": done,
+        "own_mb": _own_mb(worker.pid),
+        "resident_mb": worker.memory_info().rss / 1e6,
+        "client_mb": _own_mb(client.pid),
+        "cpu_s": sum(worker.cpu_times()[:2]),
+    }
+
+
+def _own_mb(process: int) -> float:
+    for line in Path(f"/proc/{process}/status").read_text().splitlines():
+        if line.startswith("RssAnon:"):
+            return int(line.split()[1]) * 1024 / 1e6
+    raise Skipped("this system does not tell the memory of a process's own")
+
+
+def _slopes(rows: list[Row]) -> Row:
+    done = np.array([number(row, "recordings") for row in rows])
+    found: dict[str, Cell] = {"recordings": "slope"}
+    for name, kb in (("own_mb", "own_kb_recording"), ("client_mb", "client_kb_recording")):
+        values = np.array([number(row, name) for row in rows])
+        (slope, _), covariance = np.polyfit(done, values, 1, cov=True)
+        found[kb], found[f"{kb}_std"] = 1e3 * float(slope), 1e3 * float(covariance[0, 0] ** 0.5)
+    return found
