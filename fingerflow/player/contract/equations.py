@@ -78,7 +78,10 @@ EQUATIONS: dict[str, str] = {
     "principal_angle": "½ atan2(2 e_xy, e_xx − e_yy)",
     "strain_energy_density": ("w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²"),
     "strain_energy": "h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
-    "strain_energy_std": _STD,
+    "strain_energy_std": (
+        "√(σ²(points) + (h w̄ p b)²), w̄ the mean w within half a gauge length of the border, p its perimeter, "
+        "b = 0.06 mm its deviation"
+    ),
     "strain_energy_rate": _RATE,
     "stuck_area": "stuck_ratio gross_contact_area",
     "stuck_ratio": "d² = stuck share of the gross contact's area",

@@ -252,8 +252,8 @@ STRAIN = (
         unasked=False,
     ),
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
-    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact, without that of noise"),
-    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy"),
+    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact between points, less that of noise"),
+    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy, with that of the border's place"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy"),
 )
 
