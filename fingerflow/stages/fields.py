@@ -92,7 +92,7 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
-        self._bias.look(batch, self._reference, rest, ellipse, found.median, found.median_std, apart)
+        self._bias.look(batch, found, rest, ellipse, apart)
 
     def _with_entered(
         self, entry: EntryGradients, frames: NDArray[np.intp], moved: Moved, covariance: Tensor, ellipse: GrossEllipse

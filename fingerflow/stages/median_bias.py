@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.graphs import GrossEllipse
+from fingerflow.graphs.fields import Fields
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
@@ -37,6 +38,7 @@ class MedianBias:
 
     def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
         self._gauge, self._measure = gauge_mm, measure
+        self._reference = torch.from_numpy(moved.reference)[None]
         self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
         self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
         self._late_median = np.zeros((frames, 5))
@@ -51,16 +53,11 @@ class MedianBias:
             self._late = torch.cat((*first, green_lagrange(gradient, measure)), dim=1).numpy()
 
     def look(
-        self,
-        batch: Batch,
-        reference: Tensor,
-        displacement: Tensor,
-        ellipse: GrossEllipse,
-        median: Tensor,
-        std: Tensor,
-        apart: Apart | None = None,
+        self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, apart: Apart | None = None
     ) -> None:
-        """At these n frames: arguments and results (n, 5) of `area_medians`."""
+        """At these n frames: the medians that were found, of what `area_medians` took for them."""
+        assert found.median is not None
+        assert found.median_std is not None
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._late_median[batch.indices] = nanmedian(np.where(known[..., None], self._late, np.nan))
@@ -68,10 +65,11 @@ class MedianBias:
             some = slice(k, k + 1)
             beside = None if apart is None else Apart(*(one[some] for one in apart))
             center, semi_axes, angle = (one[some] for one in ellipse)
-            square = torch.zeros_like(median[some])
+            median, variance = found.median[some], found.median_std[some].square()
+            square = torch.zeros_like(median)
             for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
                 other = area_medians(
-                    reference,
+                    self._reference.to(displacement),
                     displacement[some],
                     center,
                     semi_axes - smaller,
@@ -80,7 +78,7 @@ class MedianBias:
                     measure=self._measure,
                     apart=beside,
                 )
-                square += ((other.median - median[some]).square() - std[some].square()).clamp_min(0)
+                square += ((other.median - median).square() - variance).clamp_min(0)
             self._seen[np.searchsorted(self._looks, batch.indices[k])] = square.cpu().numpy()[0]
 
     def square(self) -> NDArray[np.float64]:
