@@ -122,6 +122,7 @@ class FieldsStage(Stage):
             (found.divergence, fields[..., 0]),
             (found.curl, fields[..., 1]),
             (found.shear, shear(gradient)),
+            (found.strain, fields[..., 2:]),
             (found.divergence_std, std[..., 0]),
             (found.curl_std, std[..., 1]),
         ):

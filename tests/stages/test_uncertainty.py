@@ -15,12 +15,13 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
+from fingerflow.graphs.fields import Fields
 from fingerflow.stages import displacement, strain
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
 from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.median_bias import MedianBias
+from fingerflow.stages.median_bias import MedianBias, of_unknown
 from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.strain import StrainStage
 
@@ -261,6 +262,25 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
     assert np.isnan(found[20:]).all()
     assert found[3] == 0
     assert np.isfinite(found[15:20]).all()
+
+
+def test_medians_state_what_is_not_known_of_the_contact() -> None:
+    """Evenly spread fields, 0 to 100: of a fifth nobody knows, so that the median is 1/8 of the rest off at most, 12.5;
+    anywhere within has a deviation of 12.5 / sqrt(3). About the median of the area, which is not that of the points.
+    """
+    values = torch.arange(101.0)[None]
+    every = values[..., None].expand(-1, -1, 3)
+
+    def found(share: float, median: float) -> Fields:
+        known = torch.tensor([share])
+        return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
+
+    np.testing.assert_allclose(np.sqrt(of_unknown(found(0.8, 50.0), 0)), 12.5 / np.sqrt(3), rtol=0.05)
+    assert (of_unknown(found(1.0, 50.0), 0) == 0).all()
+    near_the_end = np.sqrt(of_unknown(found(0.8, 98.0), 0)) * np.sqrt(3)
+    np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
+    nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
+    assert (of_unknown(nothing, 0) == 0).all()
 
 
 def test_energy_in_a_strip_along_the_border() -> None:
