@@ -194,8 +194,8 @@ DISPLACEMENT = (
 _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = (
-    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, and what "
-    "skin has moved by in half a frame at its onset"
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, what skin "
+    "has moved by in half a frame at its onset, and the share that is not known"
 )
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
