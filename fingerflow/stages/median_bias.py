@@ -44,7 +44,7 @@ class MedianBias:
         self._reference = torch.from_numpy(moved.reference)[None]
         self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
         self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
-        self._late_median, self._unknown = np.zeros((2, frames, 5))
+        self._square = np.zeros((frames, 5))  # of what is not known, and of the onset
         self._late: NDArray[np.float64] | None = None
         if moved.late.any():
             counts = moved.reference.copy()
@@ -61,10 +61,10 @@ class MedianBias:
         """At these n frames: the medians that were found, of what `area_medians` took for them."""
         assert found.median is not None
         assert found.median_std is not None
+        self._square[batch.indices] = [of_unknown(found, k) for k in range(len(batch.indices))]
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
-            self._late_median[batch.indices] = nanmedian(np.where(known[..., None], self._late, np.nan))
-        self._unknown[batch.indices] = [of_unknown(found, k) for k in range(len(batch.indices))]
+            self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
         for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
             beside = None if apart is None else Apart(*(one[some] for one in apart))
@@ -91,8 +91,8 @@ class MedianBias:
         Where a contact is too small for twice the gauge length it is that of the nearest frame in which it is not, and
         NaN where that is so all along.
         """
-        frames = np.arange(len(self._late_median))
-        result = self._late_median**2 + self._unknown
+        frames = np.arange(len(self._square))
+        result = self._square.copy()
         for column in range(5):
             known = np.isfinite(self._seen[:, column])
             seen = self._seen[known, column]
