@@ -10,6 +10,7 @@ import pytest
 import torch
 import xarray as xr
 
+from bench.contact_grid import energy_since_onset
 from fingerflow import load_scene, process
 from fingerflow.cli.synthetic import simulate
 from fingerflow.graphs import FieldsGraph
@@ -62,6 +63,19 @@ def test_stated_uncertainty_of_medians(result: xr.Dataset, truth: Truth) -> None
         stated = result[f"median_{name}_std"].values[FRAMES]
         assert np.mean(np.abs(error) < 2 * stated) >= 0.95, name
         assert stated.max() < 5e-3, name
+
+
+def test_strain_energy(result: xr.Dataset) -> None:
+    """8 % of what the triangles hold, and stated so: the border is known to 0.06 mm, and most of it is there. A fifth
+    of what the contact has lies between the outermost points and the border, in no triangle."""
+    frames = range(84, 300, 36)
+    contact, between = np.array([energy_since_onset(Press(), result, k, 0.15) for k in frames]).T
+    energy, stated = result["strain_energy"].values[frames], result["strain_energy_std"].values[frames]
+    np.testing.assert_allclose(energy, between, rtol=0.12)
+    z = (energy - between) / stated
+    assert np.sqrt((z**2).mean()) < 1.5  # 2.6 by the errors of the points alone
+    assert (stated < 0.12 * energy).all()
+    assert 0.7 < energy[-1] / contact[-1] < 0.9
 
 
 def test_median_strain(result: xr.Dataset, truth: Truth) -> None:

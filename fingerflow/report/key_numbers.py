@@ -25,7 +25,7 @@ class Line:
 def key_numbers(result: xr.Dataset, frames: Sequence[Telling]) -> list[Line]:
     """Forces, areas, divergence, curl, displacement and energy at these frames, each ± one standard deviation.
 
-    Of divergence and curl that is `MedianBias` beside the errors of the points, of energy what follows from these. Of
+    Of divergence and curl that is `MedianBias` beside the errors of the points, of energy `border_energy`. Of
     areas it is the scatter from frame to frame, see `scatter`.
     """
     places = [one.frame for one in frames]

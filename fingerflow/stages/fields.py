@@ -92,7 +92,7 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
-        self._bias.look(batch, self._reference, rest, ellipse, found.median, found.median_std, apart)
+        self._bias.look(batch, found, rest, ellipse, apart)
 
     def _with_entered(
         self, entry: EntryGradients, frames: NDArray[np.intp], moved: Moved, covariance: Tensor, ellipse: GrossEllipse
@@ -122,6 +122,7 @@ class FieldsStage(Stage):
             (found.divergence, fields[..., 0]),
             (found.curl, fields[..., 1]),
             (found.shear, shear(gradient)),
+            (found.strain, fields[..., 2:]),
             (found.divergence_std, std[..., 0]),
             (found.curl_std, std[..., 1]),
         ):

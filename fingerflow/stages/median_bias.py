@@ -1,4 +1,5 @@
-"""What medians over the contact are uncertain by beside the errors of the points: gauge, border and the first contact.
+"""What medians over the contact are uncertain by beside the errors of the points: gauge, border, the first contact, and
+what is not known.
 
 None of it falls as there are more points. Tests with truth: a press, a slide and a contact through which skin passes.
 """
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.graphs import GrossEllipse
+from fingerflow.graphs.fields import Fields
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
@@ -22,12 +24,14 @@ EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at 
 class MedianBias:
     """Of medians over T frames of divergence, curl and strain (exx, eyy, exy).
 
-    It has three parts:
+    It has four parts:
 
     - the difference to medians by twice the gauge length. Of smoothing alone it is three times the error, as that goes
       with the square of the length; where the contact has skin of two kinds, so that the median lies in the flank of
       one of them, single fits move it by their noise, which twice the length has a quarter of.
     - the difference to medians over an ellipse that is smaller by what the place of its border is uncertain by.
+    - where fields are known in a share of the contact alone, the median of all of it lies between quantiles of what is
+      known, 1/2 +- (1 - share) / (2 share): anywhere, of which the deviation is half of their difference over sqrt(3).
     - the median of the gradient of what skin has moved in half the time between two frames at its onset
       (`DisplacementStage.late`), which displacement is too short by.
 
@@ -37,9 +41,10 @@ class MedianBias:
 
     def __init__(self, frames: int, gauge_mm: float, measure: str, moved: DisplacementStage) -> None:
         self._gauge, self._measure = gauge_mm, measure
+        self._reference = torch.from_numpy(moved.reference)[None]
         self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
         self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
-        self._late_median = np.zeros((frames, 5))
+        self._square = np.zeros((frames, 5))  # of what is not known, and of the onset
         self._late: NDArray[np.float64] | None = None
         if moved.late.any():
             counts = moved.reference.copy()
@@ -51,27 +56,24 @@ class MedianBias:
             self._late = torch.cat((*first, green_lagrange(gradient, measure)), dim=1).numpy()
 
     def look(
-        self,
-        batch: Batch,
-        reference: Tensor,
-        displacement: Tensor,
-        ellipse: GrossEllipse,
-        median: Tensor,
-        std: Tensor,
-        apart: Apart | None = None,
+        self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, apart: Apart | None = None
     ) -> None:
-        """At these n frames: arguments and results (n, 5) of `area_medians`."""
+        """At these n frames: the medians that were found, of what `area_medians` took for them."""
+        assert found.median is not None
+        assert found.median_std is not None
+        self._square[batch.indices] = [of_unknown(found, k) for k in range(len(batch.indices))]
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
-            self._late_median[batch.indices] = nanmedian(np.where(known[..., None], self._late, np.nan))
+            self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
         for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
             beside = None if apart is None else Apart(*(one[some] for one in apart))
             center, semi_axes, angle = (one[some] for one in ellipse)
-            square = torch.zeros_like(median[some])
+            median, variance = found.median[some], found.median_std[some].square()
+            square = torch.zeros_like(median)
             for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
                 other = area_medians(
-                    reference,
+                    self._reference.to(displacement),
                     displacement[some],
                     center,
                     semi_axes - smaller,
@@ -80,7 +82,7 @@ class MedianBias:
                     measure=self._measure,
                     apart=beside,
                 )
-                square += ((other.median - median[some]).square() - std[some].square()).clamp_min(0)
+                square += ((other.median - median).square() - variance).clamp_min(0)
             self._seen[np.searchsorted(self._looks, batch.indices[k])] = square.cpu().numpy()[0]
 
     def square(self) -> NDArray[np.float64]:
@@ -89,10 +91,33 @@ class MedianBias:
         Where a contact is too small for twice the gauge length it is that of the nearest frame in which it is not, and
         NaN where that is so all along.
         """
-        frames = np.arange(len(self._late_median))
-        result = self._late_median**2
+        frames = np.arange(len(self._square))
+        result = self._square.copy()
         for column in range(5):
             known = np.isfinite(self._seen[:, column])
             seen = self._seen[known, column]
             result[:, column] += np.interp(frames, self._looks[known], seen) if known.any() else np.nan
         return result
+
+
+def of_unknown(found: Fields, k: int) -> NDArray[np.float64]:
+    """(5,) variance of the medians in a frame by the share of the contact that is not known, from the fields at points.
+
+    0 where nothing is known: there are no medians.
+    """
+    assert found.known_share is not None
+    assert found.median is not None
+    share = float(found.known_share[k])
+    fields = torch.cat((found.divergence[k, :, None], found.curl[k, :, None], found.strain[k]), dim=1).cpu().numpy()
+    known = fields[np.isfinite(fields).all(1)]
+    if not len(known) or not share > 0:
+        return np.zeros(5)
+    # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
+    ordered, reach = np.sort(known, axis=0), len(known) * (1 - share) / (2 * share)
+    ranks = (ordered < found.median[k].cpu().numpy()).sum(0)
+    low, high = (
+        np.take_along_axis(ordered, np.clip(np.rint(ranks + step), 0, len(known) - 1).astype(int)[None], axis=0)[0]
+        for step in (-reach, reach)
+    )
+    result: NDArray[np.float64] = np.asarray((high - low) / 2, dtype=np.float64) ** 2 / 3
+    return result

@@ -11,11 +11,10 @@ class MissingEnergy:
     point that is lost for a frame has some six of them: on a slide up to 2 % of the energy.
     """
 
-    def __init__(self, corners: NDArray[np.float64]) -> None:
-        """``corners`` (M, 3, 2) mm at the reference."""
-        (x1, y1), (x2, y2) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
-        self._area = np.abs(x1 * y2 - x2 * y1) / 2
-        self._last = np.zeros(len(corners))  # energy of each by depth, when it was known last
+    def __init__(self, areas: NDArray[np.floating]) -> None:
+        """``areas`` (M,) mm^2 at the reference."""
+        self._area = areas
+        self._last = np.zeros(len(areas))  # energy of each by depth, when it was known last
 
     def see(self, density: NDArray[np.floating], in_contact: NDArray[np.bool_]) -> NDArray[np.float64]:
         """(n,) mJ/mm, of the density (n, M) mJ/mm^3, NaN where it is not known, of triangles that are in contact."""

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 _STEP = 2  # cells: places are looked at so far apart
 _AHEAD = 2.0  # times the way since the last look, that skin is expected to go on: the next look is half as far
-_REACHES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # windows upstream of the contact, from which skin will come
+_STRIDE = 0.25  # windows: upstream of the contact, places from which skin will come are looked at so far apart
 Points = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
@@ -52,12 +52,21 @@ class NewSkin:
         self.searched: list[Mask] = []  # regions (h, w) of the topography view in which points were looked for
         self._before: tuple[Points, Points] | None = None  # places (N, 2) and the middle of the contact, a look ago
 
+    def begin(self, contact: NDArray[np.floating], place: Points) -> None:
+        """Remembers where points (N, 2) px of the topography view were when they were chosen, with cells as `region`
+        has them: what moves fast has moved far by the first look.
+        """
+        touching = contact[::_STEP, ::_STEP] > 0
+        if touching.any():
+            self._before = self._on_contact(place), self._middle(touching)
+
     def region(self, contact: NDArray[np.floating], known: Known) -> Mask | None:
         """(h, w) of the topography view: where points are to be chosen in this frame, None where that is not needed.
 
         They are needed where new skin is in contact, or will be before the next look but one if points and contact go
         on as they did, farther from any point than half a window, over an area of a window or more. They are chosen in
-        all new skin that is in contact or lies upstream of it within a window.
+        all new skin that is in contact or lies upstream of it, within a window or as far as skin moves until the next
+        look but one: skin that is in contact when its points are chosen has no onset.
 
         Args:
             contact: (h', w') cells, positive in the gross contact.
@@ -66,8 +75,8 @@ class NewSkin:
         touching = contact[::_STEP, ::_STEP] > 0
         if not touching.any() or not known.tracked.any():
             return None
-        place = known.place @ self._matrix[:, :2].T + self._matrix[:, 2]  # px of the contact view from here on
-        middle = np.argwhere(touching).mean(0)[::-1] * self._cell * _STEP
+        place = self._on_contact(known.place)  # px of the contact view from here on
+        middle = self._middle(touching)
         before, self._before = self._before, (place, middle)
         way = np.zeros_like(place)  # of points against the contact
         if before is not None:
@@ -92,8 +101,11 @@ class NewSkin:
             return None
         nearest = tracked[tree.query(at)[1]]
         length = np.linalg.norm(way[nearest], axis=1, keepdims=True)
-        upstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0) * self._window * self._per_px
-        wanted = np.any([self._in(touching, at + reach * upstream) for reach in _REACHES], axis=0)
+        downstream = np.where(length > 0, way[nearest] / np.maximum(length, 1e-9), 0.0)
+        window = self._window * self._per_px
+        reach = np.clip(_AHEAD * length, window, window + self._cell * _STEP * max(touching.shape))
+        steps = np.arange(0, reach.max() + _STRIDE * window, _STRIDE * window)
+        wanted = np.any([self._in(touching, at + np.minimum(step, reach) * downstream) for step in steps], axis=0)
         wanted[wanted] = self._is_new(at[wanted], nearest[wanted], known)
         return self._on_topography(wanted.reshape(touching.shape)) & ~self._beside(known.place)
 
@@ -117,6 +129,14 @@ class NewSkin:
         number = row[:, :, None] * touching.shape[1] + column[:, None]
         result: Mask = empty.ravel()
         result[number[near]] = False
+        return result
+
+    def _on_contact(self, place: Points) -> Points:
+        result: Points = place @ self._matrix[:, :2].T + self._matrix[:, 2]
+        return result
+
+    def _middle(self, touching: Mask) -> Points:
+        result: Points = np.argwhere(touching).mean(0)[::-1] * self._cell * _STEP
         return result
 
     def _in(self, touching: Mask, at: Points) -> Mask:

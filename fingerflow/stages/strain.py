@@ -7,7 +7,9 @@ from scipy.spatial import cKDTree
 
 from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
+from fingerflow.ops.triangles import triangle_areas
 from fingerflow.player.contract.variables import STRAIN
+from fingerflow.stages.border_energy import border_energy
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.counted_skin import CountedSkin
 from fingerflow.stages.displacement import DisplacementStage
@@ -22,7 +24,9 @@ class StrainStage(Stage):
 
     The energy is that of the skin in contact: of triangles that have touched as a whole and of which two corners are in
     the contact now, as skin that has left it keeps its strain. What the errors of the points add to it on average is
-    taken off.
+    taken off. Skin between the outermost points and the border is in no triangle: on the simulated press, with 700
+    points, 5 % of the contact at the end and 10 to 17 % before. By formulas that skin has 16 % of the energy at the end
+    and a quarter to 40 % of it before, as strain since the onset is largest at a border that moves.
     """
 
     name = "strain"
@@ -32,13 +36,13 @@ class StrainStage(Stage):
     after = (ContactStage,)
     settings = (
         *("fields.strain", "fields.young_modulus_mpa", "fields.poisson_ratio", "fields.depth_mm"),
-        *("fields.rate_window_s", "tracking.window_px", "recording.times"),
+        *("fields.gauge_length_mm", "fields.rate_window_s", "tracking.window_px", "recording.times"),
     )
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._energy, self._energy_std = np.full((2, len(trial)), np.nan)
+        self._energy, self._energy_std, self._of_border = np.full((3, len(trial)), np.nan)
 
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
@@ -57,24 +61,24 @@ class StrainStage(Stage):
         for name in sorted(self._principal):
             self.results.create(name, measure)
         self._reference = self.inputs.tensor(skin.reference)[None]
-        self._corners = torch.from_numpy(skin.corners.astype(np.int64)).to(device)
-        # The frame in which a triangle touches as a whole.
-        self._begins = torch.from_numpy(skin.begins).to(device)
+        corners = torch.from_numpy(skin.corners).long()
+        self._areas = triangle_areas(torch.from_numpy(skin.reference)[None], corners)[0].numpy()
+        self._corners = corners.to(device)
         shared = _shared_errors(skin, self.inputs.scene.tracking.window_px)
         self._shared = SharedErrors(*(torch.from_numpy(one).to(device) for one in shared))
-        self._missing = MissingEnergy(skin.reference[skin.corners])
+        self._missing = MissingEnergy(self._areas)
 
     def step(self, batch: Batch) -> None:
         moved, covariance = self._skin.moved(batch.of(DisplacementStage), batch.indices)
-        frames = torch.from_numpy(batch.indices).to(self.inputs.device)
-        touching = self.results["in_contact"][batch.indices][:, self._skin.triangles].sum(-1, dtype=np.intp) >= 2
-        in_contact = (frames[:, None] >= self._begins) & torch.from_numpy(touching).to(self.inputs.device)
+        triangles = self._skin.triangles
+        touching = self.results["in_contact"][batch.indices][:, triangles].sum(-1, dtype=np.intp) >= 2
+        touching &= batch.indices[:, None] >= self._skin.begins
         found = triangle_strain(
             self._reference,
             self._corners,
             self.inputs.tensor(moved),
             self.inputs.tensor(covariance),
-            in_contact,
+            torch.from_numpy(touching).to(self.inputs.device),
             self._shared,
             measure=self._settings.strain,
             young_modulus_mpa=self._settings.young_modulus_mpa,
@@ -92,15 +96,30 @@ class StrainStage(Stage):
             for name in self._principal:
                 self.results[name][batch.indices] = both[name].cpu().numpy()
         self._energy[batch.indices] = found.energy.cpu()
-        missing = self._missing.see(found.density.cpu().numpy(), in_contact.cpu().numpy())
+        density = found.density.cpu().numpy()
+        missing = self._missing.see(density, touching)
         self._energy_std[batch.indices] = np.hypot(found.energy_std.cpu(), missing)
+        center, semi_axes, angle = (
+            self.trial.stage(ContactStage).series[f"ellipse_{name}"][batch.indices]
+            for name in ("center", "semi_axes", "angle")
+        )
+        self._of_border[batch.indices] = border_energy(
+            np.where(touching, density, np.nan),
+            self._areas,
+            self.results["position"][batch.indices][:, triangles].mean(2),
+            center,
+            semi_axes,
+            angle,
+            reach_mm=self.inputs.gauge_length_mm / 2,
+        )
 
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
         energy, deviation = (
-            np.where(nothing, 0.0, self._settings.depth_mm * one) for one in (self._energy, self._energy_std)
+            np.where(nothing, 0.0, self._settings.depth_mm * one)
+            for one in (self._energy, np.hypot(self._energy_std, self._of_border))
         )
         self.results.put("strain_energy", energy, depth)
         self.results.put("strain_energy_std", deviation, depth)

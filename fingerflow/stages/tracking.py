@@ -123,7 +123,7 @@ class TrackingStage(Stage):
     def _step_through(self, images: Tensor, indices: NDArray[np.intp], margin: Tensor) -> None:
         every: list[Found] = []
         if not self._chosen:
-            first = self._choose(images[:1])
+            first = self._choose(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             every.append(self._go_on(self._chosen[0], images, first, _nothing(images)))
@@ -176,7 +176,7 @@ class TrackingStage(Stage):
     def _detector(self, points: int) -> DetectGraph:
         return DetectGraph(points, self._settings.min_distance_px, self._settings.window_px)
 
-    def _choose(self, image: Tensor) -> Found:
+    def _choose(self, image: Tensor, margin: Tensor) -> Found:
         """Chooses the points in the first frame."""
         where = self._where(image)
         found, _ = self._detect(self._view_for_choice(image), where)
@@ -194,6 +194,7 @@ class TrackingStage(Stage):
         cell = cell_of(self.inputs.scene.contact.gross_radius_px)
         self._new_skin = NewSkin(self.inputs.topography_to_contact, cell, self._settings.window_px)
         self._new_skin.searched.append(where[0, 0].cpu().numpy())
+        self._new_skin.begin(margin[0, 0].cpu().numpy(), points[0].cpu().numpy())
         nobody = torch.zeros(0, dtype=torch.int64, device=image.device)
         return self._add(image, points, nobody, _nothing(image))
 

@@ -4,11 +4,11 @@ import numpy as np
 
 from fingerflow.stages.missing_energy import MissingEnergy
 
-CORNERS = np.array([[[0, 0], [2, 0], [0, 1]]] * 3, dtype=float)  # 1 mm^2 each
+AREAS = np.ones(3)  # mm^2
 
 
 def test_lost_triangles_are_missed_by_what_they_had_over_the_mean() -> None:
-    missing = MissingEnergy(CORNERS)
+    missing = MissingEnergy(AREAS)
     density = np.array([[1.0, 1.0, 7.0], [1.0, 1.5, np.nan], [1.0, 2.0, np.nan], [1.0, 1.0, 1.0]])
     contact = np.ones((4, 3), dtype=bool)
     contact[2, 2] = False  # no part of the energy
@@ -16,7 +16,7 @@ def test_lost_triangles_are_missed_by_what_they_had_over_the_mean() -> None:
 
 
 def test_batches_go_on_and_all_may_be_lost() -> None:
-    missing = MissingEnergy(CORNERS)
+    missing = MissingEnergy(AREAS)
     missing.see(np.array([[2.0, 1.0, 3.0]]), np.ones((1, 3), dtype=bool))
     nothing, part = np.full((1, 3), np.nan), np.array([[np.nan, 1.0, 1.0]])
     assert missing.see(nothing, np.ones((1, 3), dtype=bool)) == 0  # the energy itself is NaN

@@ -15,12 +15,13 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
-from fingerflow.stages import displacement
+from fingerflow.graphs.fields import Fields
+from fingerflow.stages import displacement, strain
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
 from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.median_bias import MedianBias
+from fingerflow.stages.median_bias import MedianBias, of_unknown
 from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.strain import StrainStage
 
@@ -171,8 +172,10 @@ def test_errors_are_as_large_as_stated(kind: str, monkeypatch: pytest.MonkeyPatc
     """Within a quarter; 40 copies know the deviation of one number to 11 %, of hundreds far better.
 
     Of medians the scatter counts: what all copies have in common comes from the frames in which the border is seen. So
-    their deviation is that by the errors of the points; what else is in it has tests with presses and slides."""
+    their deviation, and that of energy, is by the errors of the points; what else is in it has tests with presses and
+    slides."""
     monkeypatch.setattr(MedianBias, "square", lambda bias: np.zeros((FRAMES, 5)))
+    monkeypatch.setattr(strain, "border_energy", lambda density, *_, reach_mm: np.zeros(len(density)))
     motion, points = MOTIONS[kind], material()
     errors: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
     stated: dict[str, list[NDArray[Any]]] = {name: [] for name in NAMES}
@@ -259,6 +262,43 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
     assert np.isnan(found[20:]).all()
     assert found[3] == 0
     assert np.isfinite(found[15:20]).all()
+
+
+def test_medians_state_what_is_not_known_of_the_contact() -> None:
+    """Evenly spread fields, 0 to 100: of a fifth nobody knows, so that the median is 1/8 of the rest off at most, 12.5;
+    anywhere within has a deviation of 12.5 / sqrt(3). About the median of the area, which is not that of the points.
+    """
+    values = torch.arange(101.0)[None]
+    every = values[..., None].expand(-1, -1, 3)
+
+    def found(share: float, median: float) -> Fields:
+        known = torch.tensor([share])
+        return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
+
+    np.testing.assert_allclose(np.sqrt(of_unknown(found(0.8, 50.0), 0)), 12.5 / np.sqrt(3), rtol=0.05)
+    assert (of_unknown(found(1.0, 50.0), 0) == 0).all()
+    near_the_end = np.sqrt(of_unknown(found(0.8, 98.0), 0)) * np.sqrt(3)
+    np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
+    nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
+    assert (of_unknown(nothing, 0) == 0).all()
+
+
+def test_energy_in_a_strip_along_the_border() -> None:
+    """Uniform in an ellipse, 1 mJ/mm^3: its perimeter, 2 pi at the circle, times the width of the strip; 9.6884 mm for
+    semi-axes of 2 and 1 (complete elliptic integral). Triangles that do not count, and frames without one, have none.
+    """
+    places = np.random.default_rng(2).uniform(-2, 2, (1, 400, 2))
+    inside = np.hypot(*np.moveaxis(places, -1, 0) / np.array([2.0, 1.0])[:, None, None]) < 1
+    density = np.where(inside, 1.0, np.nan).repeat(3, axis=0)
+    density[1] *= 7.0 * (places[0, :, 0] < 0)
+    density[2] = np.nan
+    quarter = np.stack((-places[..., 1], places[..., 0]), axis=-1)
+    center, semi_axes, angle = np.tile([3.0, -1.0], (3, 1)), np.tile([2.0, 1.0], (3, 1)), np.array([0, np.pi / 2, 0])
+    at = np.concatenate([places, quarter, places]) + np.array([3.0, -1.0])
+    found = strain.border_energy(density, np.ones(400), at, center, semi_axes, angle, reach_mm=0.4)
+    assert found[0] == pytest.approx(9.6884 * displacement.BORDER_MM, rel=1e-4)
+    assert 2 < found[1] / found[0] < 5  # half of the border has 7, the other half 0
+    assert found[2] == 0
 
 
 def test_medians_state_what_they_miss_before_the_onset() -> None:

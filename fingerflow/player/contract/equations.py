@@ -8,9 +8,10 @@ covariance of what follows it, to first order. E, ν and h are fields.young_modu
 
 _STD = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
 _MEDIAN_STD = (
-    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late², g the derivatives by what it is computed from, Δ the change by twice "
-    "the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the median gradient of v Δt/2 at "
-    "onset"
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3, g the derivatives by what it is computed from, Δ the "
+    "change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the median "
+    "gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
+    "κ = field_coverage"
 )
 _RATE = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
 _STRAIN = (
@@ -78,7 +79,10 @@ EQUATIONS: dict[str, str] = {
     "principal_angle": "½ atan2(2 e_xy, e_xx − e_yy)",
     "strain_energy_density": ("w = E(1−ν)/(2(1+ν)(1−2ν)) (e_xx² + e_yy²) + Eν/((1+ν)(1−2ν)) e_xx e_yy + E/(1+ν) e_xy²"),
     "strain_energy": "h Σ_triangles in contact (w − w(Σ)) A, w(Σ) what errors add on average",
-    "strain_energy_std": _STD,
+    "strain_energy_std": (
+        "√(σ²(points) + (h w̄ p b)²), w̄ the mean w within half a gauge length of the border, p its perimeter, "
+        "b = 0.06 mm its deviation"
+    ),
     "strain_energy_rate": _RATE,
     "stuck_area": "stuck_ratio gross_contact_area",
     "stuck_ratio": "d² = stuck share of the gross contact's area",

@@ -194,8 +194,8 @@ DISPLACEMENT = (
 _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = (
-    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, and what "
-    "skin has moved by in half a frame at its onset"
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, what skin "
+    "has moved by in half a frame at its onset, and the share that is not known"
 )
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
@@ -252,8 +252,8 @@ STRAIN = (
         unasked=False,
     ),
     Variable("strain_energy_density", TRIANGLE, "mJ/mm3", "strain energy density, plane strain", "f4"),
-    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact, without that of noise"),
-    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy"),
+    Variable("strain_energy", FRAME, "mJ", "strain energy of the skin in contact between points, less that of noise"),
+    Variable("strain_energy_std", FRAME, "mJ", "standard deviation of strain_energy, with that of the border's place"),
     Variable("strain_energy_rate", FRAME, "mJ/s", "rate of strain_energy"),
 )
 

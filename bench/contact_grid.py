@@ -1,0 +1,48 @@
+"""Skin all over the contact of a scene, and its strain energy by formulas, for what is compared with truth by area."""
+
+import numpy as np
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+
+from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.synthetic.scenes import Scene
+
+DEPTH_MM = 2.0  # fields.depth_mm, by default
+Array = NDArray[np.float64]
+
+
+def skin_in_contact(scene: Scene, frame: int, step_mm: float) -> Array:
+    """(N, 2) mm, material of a grid over the contact in a frame."""
+    ellipse = scene.truth.ellipse(frame)
+    assert ellipse is not None
+    axis = np.arange(-6, 6, step_mm)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + ellipse.centre
+    inside = (ellipse.distance(*torch.from_numpy(places).unbind(-1)) > 0).numpy()
+    return np.asarray(scene.truth.material(places[inside], frame))
+
+
+def energies(gradient: Array, step_mm: float) -> Array:
+    """(N,) mJ of skin with these gradients (N, 2, 2) of displacement, on a grid of places in the frame they are of.
+
+    The density is one of the volume at the reference, as that of triangles is.
+    """
+    density = strain_energy_density(green_lagrange(torch.from_numpy(gradient))).numpy()
+    result: Array = DEPTH_MM * density / np.linalg.det(np.eye(2) + gradient) * step_mm**2
+    return result
+
+
+def energy_since_onset(scene: Scene, result: xr.Dataset, frame: int, step_mm: float) -> tuple[float, float]:
+    """mJ of the skin since its onset: of all of the contact, and of what is in a triangle of ``result`` that counts."""
+    material = skin_in_contact(scene, frame, step_mm)
+    each = energies(scene.truth.gradient(material, frame), step_mm)
+    places = scene.truth.positions(material, frame) - scene.truth.displacement(material, frame)
+    reference, onset = result["reference_position"].values, result["onset_frame"].values
+    known = np.flatnonzero(np.isfinite(reference).all(1))
+    mesh = Delaunay(reference[known])
+    corners = known[mesh.simplices]
+    counts = (onset[corners] >= 0).all(1) & (onset[corners].max(1) <= frame)
+    counts &= result["in_contact"].values[frame][corners].sum(1) >= 2
+    found = mesh.find_simplex(places)
+    return float(each.sum()), float(each[(found >= 0) & counts[found]].sum())

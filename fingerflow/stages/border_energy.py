@@ -1,0 +1,43 @@
+"""What the strain energy is uncertain by as the contact's border is, beside the errors of the points.
+
+Strain since the onset is largest along the border of a contact that grows: skin that has moved lies beside skin that
+just touches. A border that is off all around moves the onset of the outermost points, and which triangles count.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.stages.displacement import BORDER_MM
+
+Values = NDArray[np.floating]
+
+
+def border_energy(
+    density: Values, areas: Values, places: Values, center: Values, semi_axes: Values, angle: Values, reach_mm: float
+) -> NDArray[np.float64]:
+    """(n,) mJ per mm of depth in a strip along the border, as wide as its place is uncertain by, in n frames.
+
+    The strip has the mean density of the triangles that lie within `reach_mm` of the border; 0 where there is none.
+
+    Args:
+        density: (n, M) mJ/mm^3, NaN for triangles that do not count.
+        areas: (M,) mm^2.
+        places: (n, M, 2) mm, of the triangles.
+        center, semi_axes, angle: (n, 2), (n, 2) and (n,) of the gross contact, mm and rad.
+        reach_mm: a length.
+    """
+    right, down = np.moveaxis(places - center[:, None], -1, 0)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    first, second = semi_axes[:, :1], semi_axes[:, 1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along, across = (cosine * right + sine * down) / first, (cosine * down - sine * right) / second
+        radius = np.hypot(along, across)
+        # To first order, exact on the border.
+        inside = (1 - radius) * radius / np.hypot(along / first, across / second)
+        weights = np.where((inside < reach_mm) & np.isfinite(density), areas, 0.0)
+        mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
+        # Ramanujan (1914) for the perimeter.
+        sums = semi_axes.sum(1)
+        perimeter = np.pi * (3 * sums - np.sqrt((3 * semi_axes + semi_axes[:, ::-1]).prod(1)))
+    result: NDArray[np.float64] = np.nan_to_num(BORDER_MM * perimeter * mean)
+    return result
