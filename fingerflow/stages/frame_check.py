@@ -109,7 +109,7 @@ class FrameCheckStage(Stage):
             status[twice] = _REPEATED
         else:
             self.warnings.append(
-                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat the one before, pixel by pixel: the "
+                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat the one before: the "
                 f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
             )
         status[jumps_and_returns(distances, status == _USABLE)] = _RETURNS

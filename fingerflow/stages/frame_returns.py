@@ -141,7 +141,7 @@ def _reversed(distances: Distances) -> Distances:
 
 
 def repeats(distances: Distances) -> NDArray[np.bool_]:
-    """(F,) frames that are the one before, pixel by pixel, where those before and after are not."""
+    """(F,) frames that are the one before by all block means, where those before and after are not."""
     same: NDArray[np.bool_] = (distances[:, 0] == 0).all(1)
     result = same.copy()
     result[1:-1] &= ~same[:-2] & ~same[2:]
