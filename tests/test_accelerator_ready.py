@@ -123,7 +123,7 @@ def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
         **dict.fromkeys(("points", "prediction", "reference"), points(2)),
         **dict.fromkeys(("center", "semi_axes"), lambda batch: torch.zeros(batch, 2)),
         "angle": alone(),
-        **dict.fromkeys(("covered", "reached"), lambda batch: torch.zeros(batch, POINTS, dtype=torch.uint8)),
+        **dict.fromkeys(("covered", "reached", "entry"), lambda batch: torch.zeros(batch, POINTS, dtype=torch.uint8)),
     }
 
     def outcome(step: Step, place: int) -> Callable[[int], Tensor]:

@@ -41,7 +41,8 @@ def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_
     later = (begins & touched.any(1, keepdim=True)) | ((before > _AT_FIRST) & touched)
     entered = (before == MOVED_IN) & touched
     known = finite(sum_rows(place.mT))[:, 0]
-    some = kernels.serve(place, moved)  # points are asked about, not all of them
+    # Points are asked about, not all of them, where nothing is traced and looking costs no wait for a device.
+    some = kernels.serve(place, moved) and not torch.compiler.is_compiling()
     if not some or begins.any():
         # NaN, of a point whose onset is not known, is on neither side.
         far, near = (touched & known & one for one in (moved > MOVED * gauge_length, moved <= MOVED * gauge_length))
