@@ -23,7 +23,6 @@ from tests.small_trials import (
     FRAMES,
     HEIGHT,
     SPOILED,
-    TRIALS,
     WIDTH,
     dim_contact,
     write_trial,
@@ -65,7 +64,7 @@ def small(bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> S
     return _made("press", bundle_of_trials, tmp_path_factory.mktemp("bad_frames"))
 
 
-@pytest.fixture(scope="module", params=TRIALS)
+@pytest.fixture(scope="module", params=("press", "slide"))
 def trial(request: pytest.FixtureRequest, bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
     if request.param == "press":
         return request.getfixturevalue("small")  # type: ignore[no-any-return]
