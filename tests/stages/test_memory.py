@@ -82,8 +82,8 @@ def long(changed: Callable[..., Scene], frames: np.ndarray[Any, Any], tmp_path: 
 
 @pytest.mark.parametrize(
     ("outputs", "few", "many", "threads"),
-    [(["real_contact_area", "gross_contact_area"], 40, 1000, 1), (None, 24, 56, 1), (None, 24, 56, 2)],
-    ids=["areas of 1000 frames", "tracks of 56 frames", "a batch ahead"],
+    [(["real_contact_area", "gross_contact_area"], 40, 1000, 1), (None, 24, 120, 1), (None, 24, 120, 2)],
+    ids=["areas of 1000 frames", "tracks of 120 frames", "a batch ahead"],
 )
 def test_what_is_alive_does_not_grow_with_the_frames(
     outputs: list[str] | None,
