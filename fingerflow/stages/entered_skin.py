@@ -20,7 +20,7 @@ from fingerflow.ops.local_fit import local_gradients
 from fingerflow.store import Values
 
 LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
-_LEAST_WAY_MM = 0.03  # half of `displacement.BORDER_MM`
+_LEAST_WAY_MM = 0.06  # as `displacement.BORDER_MM`
 _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
@@ -58,7 +58,7 @@ def moved_in(
     skin that slides in, where skin runs along it, and where both move together and a point at the border is told late.
 
     It is looked at over the last eighth of the gauge length that a point has moved before its onset, or all that is
-    known of it where that is less; below half of what the place of the border is uncertain by nothing is told.
+    known of it where that is less; below what the place of the border is uncertain by nothing is told.
     A contact that was not there when the point began to move has grown over it.
 
     And those of which most neighbours are found so, for points of which too little is known.
