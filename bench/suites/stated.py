@@ -10,8 +10,8 @@ frames of a press err alike, and one press alone had 1.5 where eight have 1.1. R
 Energy, in uJ, is compared with that of the skin in the triangles that it is summed over, from 10 mm2 of contact on;
 `of_contact` is the mean of the last frame's over that of all skin in contact.
 
-Five slides of other skin, a millimetre at 90 Hz, from the frame on in which the pull has drawn skin in over the rear rim:
-their median divergence, of which truth counts each skin since its own entry.
+Five slides of other skin, a millimetre at 90 Hz, from the frame on in which the pull has drawn skin in over the rear
+rim: their median divergence, of which truth counts each skin since its own entry.
 """
 
 import tempfile
