@@ -9,6 +9,9 @@ frames of a press err alike, and one press alone had 1.5 where eight have 1.1. R
 
 Energy, in uJ, is compared with that of the skin in the triangles that it is summed over, from 10 mm2 of contact on;
 `of_contact` is the mean of the last frame's over that of all skin in contact.
+
+Five slides of other skin, a millimetre at 90 Hz, from the frame on in which the pull has drawn skin in over the rear
+rim: their median divergence, of which truth counts each skin since its own entry.
 """
 
 import tempfile
@@ -20,16 +23,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bench.contact_grid import energy_since_onset
+from bench.contact_grid import energy_since_onset, skin_in_contact
 from bench.rows import Row
 from bench.suites.pipeline import QUICK_PRESS, write_quietly
 from fingerflow import process
-from fingerflow.synthetic import Press, RidgeTexture
+from fingerflow.synthetic import Press, RidgeTexture, Slide
 
 RATES, PRESSES = (40.0, 60.0, 300.0), 8  # Hz, of presses of a second
 MEDIANS = ("divergence", "curl")
 _LOOKED_AT, _ENERGIES = 40, 8  # frames of a press
 _STEP_MM = 0.1
+SLIDES, _FROM, _EVERY = 5, 36, 3  # frames of a slide that are looked at
 Array = NDArray[np.float64]
 
 
@@ -59,7 +63,23 @@ def run(quick: bool) -> list[Row]:
         first = {"frame_rate_hz": presses[0].frame_rate}
         rows += [{**first, "quantity": name, **_held(found[name])} for name in MEDIANS]
         rows.append({**first, "quantity": "energy", **_held(found["energy"]), "of_contact": float(np.mean(shares))})
-    return rows
+    return rows if quick else [*rows, _of_slides()]
+
+
+def _of_slides() -> Row:
+    slide, random, found = Slide(n_frames=90, frame_rate=90.0, travel=1.0), np.random.default_rng(3), []
+    frames = np.arange(_FROM, slide.n_frames, _EVERY)
+    each = [slide.truth.entry_gradient(skin_in_contact(slide, int(k), _STEP_MM), int(k)) for k in frames]
+    true = np.array([np.nanmedian(one.trace(axis1=1, axis2=2)) for one in each])
+    for seed in range(50, 50 + SLIDES):
+        x, y = random.uniform(-1.5, 1.5, 2)
+        varied = replace(slide, texture=RidgeTexture(centre=(x, y)), camera=replace(slide.camera, seed=seed))
+        with tempfile.TemporaryDirectory() as folder:
+            write_quietly(Path(folder) / "slide", varied)
+            result = process(Path(folder) / "slide" / "scene.toml")
+        measured, stated = (result[f"median_divergence{end}"].values[frames] for end in ("", "_std"))
+        found.append(Compared(measured, stated, true))
+    return {"frame_rate_hz": slide.frame_rate, "quantity": "divergence of slides", **_held(found)}
 
 
 def _presses(rate: float) -> list[Press]:

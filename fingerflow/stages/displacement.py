@@ -10,7 +10,8 @@ from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.onset import LASTING
 from fingerflow.player.contract.variables import DISPLACEMENT, ENTRY
 from fingerflow.stages.common_frame import common_frame
-from fingerflow.stages.entered_skin import moved_in
+from fingerflow.stages.contact import ContactStage
+from fingerflow.stages.entered_skin import Border, moved_in
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.reference import Reference, reference_of
 from fingerflow.stages.series import nanmedian
@@ -74,7 +75,7 @@ class DisplacementStage(Stage):
     name = "displacement"
     gives = DISPLACEMENT
     needs = ("views.topography",)
-    after: ClassVar[tuple[type[Stage], ...]] = (TrackingStage, FrameCheckStage)
+    after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
     settings = (
         *("fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
         *("recording.times", "recording.first_frame"),
@@ -120,7 +121,11 @@ class DisplacementStage(Stage):
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
             self.places = self._common.places
-            moves_in = moved_in(self.results["position"], self.places, self.onset, self.reference, gauge)
+            contact = self.trial.stage(ContactStage).series
+            ellipse = (contact[f"ellipse_{name}"] for name in ("center", "semi_axes", "angle"))
+            moves_in = moved_in(
+                self.results["position"], self.places, self.onset, self.reference, gauge, Border(*ellipse)
+            )
         else:
             self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
             self._warn_of_unknown()

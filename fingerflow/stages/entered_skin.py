@@ -20,24 +20,48 @@ from fingerflow.ops.local_fit import local_gradients
 from fingerflow.store import Values
 
 LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
+_LEAST_WAY_MM = 0.06  # as `displacement.BORDER_MM`
 _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
 Numbers = NDArray[np.integer]
 
 
-def moved_in(position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float) -> NDArray[np.bool_]:
+class Border(NamedTuple):
+    """Ellipses of the gross contact, frame by frame; NaN where nothing touches."""
+
+    center: Points  # (frames, 2) mm
+    semi_axes: Points  # (frames, 2) mm
+    angle: NDArray[np.float64]  # (frames,) rad, of the first semi-axis, from x towards y
+
+    def inside(self, frames: slice, places: Points) -> NDArray[np.float64]:
+        """(n, P) mm, how far places (n, P, 2) are inside the border of their frame, to first order."""
+        center, semi_axes, angle = (one[frames][:, None] for one in self)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        right, down = np.moveaxis(places - center, -1, 0)
+        principal = np.stack((right * cosine + down * sine, down * cosine - right * sine), axis=-1) / semi_axes
+        radius = np.linalg.norm(principal, axis=-1)
+        slope = np.linalg.norm(principal / semi_axes, axis=-1)
+        distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
+        return distance
+
+
+def moved_in(
+    position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float, border: Border
+) -> NDArray[np.bool_]:
     """Which points (N,) came into contact by moving into it.
 
-    Those whose neighbours' places of onset span less than `LEAST_AREA` of the area of the skin, by local fits among
-    points that have an onset after the first one. And those of which the skin around that touches already has moved by
-    an eighth of the gauge length since its own onset, in the median: where a contact grows at twice the speed of the
-    skin or faster, it has moved by less; it tells of single points, and of a narrow band along a border, which span no
-    area. And those whose three nearest among the points that touch after the first frame are mostly found so: skin
-    enters along a stretch of the border, and a single point of it that counted from the place of its onset would give
-    all fits over it the way that it moved before (on a slide two points of 540 put the median up by 4 um/mm of 25).
-    A single point among skin that touches in the first frame is not told where that has moved by less: on a slide two
-    such points put the median up by 2 um/mm.
+    Those that have an onset after the first one, and before it moved over the glass by more than half of what border
+    and point approached each other. Neighbours enter one after the other as the border comes over them, and the places
+    of their onsets are off by what they move between: that is the strain which counting from there adds, and where it
+    is a half it is when points entered that shapes displacement more than the skin. It holds where a border rests over
+    skin that slides in, where skin runs along it, and where both move together and a point at the border is told late.
+
+    It is looked at over the last eighth of the gauge length that a point has moved before its onset, or all that is
+    known of it where that is less; below what the place of the border is uncertain by nothing is told.
+    A contact that was not there when the point began to move has grown over it.
+
+    And those of which most neighbours are found so, for points of which too little is known.
 
     Args:
         position: (frames, N, 2) mm.
@@ -45,17 +69,27 @@ def moved_in(position: Values, places: Points, onset: Numbers, reference: Points
         onset: (N,) frame, -1 for none.
         reference: (N, 2) mm, places of onset.
         gauge_mm: over which a fit is made.
+        border: of the gross contact in the same frames.
     """
     known = np.isfinite(places + reference).all(1) & (onset >= 0)
     counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
-    if counts.sum() < 3:
-        return np.zeros(len(onset), dtype=bool)
-    shift = np.where(counts[:, None], reference - places, np.nan)
-    fit = local_gradients(torch.from_numpy(places)[None], torch.from_numpy(shift)[None], gauge_length=gauge_mm)
-    identity = torch.eye(2, dtype=fit.gradient.dtype, device=fit.gradient.device)
-    area = torch.linalg.det(identity + fit.gradient[0]).numpy()
-    moved = _neighbours_moved(position, places, onset, reference, gauge_mm, counts)
-    return with_neighbours(counts & ((area < LEAST_AREA) | (moved > MOVED * gauge_mm)), places, counts, NEAR * gauge_mm)
+    here = np.flatnonzero(counts)
+    way, inside, then = np.full((3, len(here)), np.nan)
+    for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
+        frames = slice(first, min(first + _FRAMES, position.shape[0]))
+        rows = position[frames][:, here]
+        moved, depth = np.linalg.norm(rows - reference[here], axis=-1), border.inside(frames, rows)
+        number = np.arange(frames.start, frames.stop)[:, None]
+        before = (number < onset[here]) & np.isfinite(moved)
+        far = before & (moved >= MOVED * gauge_mm)
+        row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
+        some = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
+        way[some], inside[some] = moved[row[some], some], depth[row[some], some]
+        at = np.flatnonzero((onset[here] >= frames.start) & (onset[here] < frames.stop))
+        then[at] = depth[onset[here][at] - first, at]
+    found = np.zeros(len(onset), dtype=bool)
+    found[here] = (way > _LEAST_WAY_MM) & (LEAST_AREA * (then - inside) < way)
+    return with_neighbours(found, places, counts, NEAR * gauge_mm)
 
 
 def with_neighbours(
@@ -70,30 +104,6 @@ def with_neighbours(
     result = found.copy()
     result[some[votes > _VOTERS / 2]] = True
     return result
-
-
-def _neighbours_moved(
-    position: Values, places: Points, onset: Numbers, reference: Points, gauge_mm: float, wanted: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """(N,) mm, median of how far points within half a gauge length that touched before had moved since, at the onset of
-    each that is `wanted`; NaN where there is none.
-    """
-    moved = np.full(len(onset), np.nan)
-    known = np.isfinite(places + reference).all(1) & (onset >= 0)
-    here, touched = np.flatnonzero(wanted), np.flatnonzero(known)
-    near = cKDTree(places[touched]).query_ball_point(places[here], NEAR * gauge_mm)
-    around = {point: touched[some] for point, some in zip(here, near, strict=True)}
-    for first in range(0, position.shape[0], _FRAMES):
-        rows: Points | None = None
-        for point in here[(onset[here] >= first) & (onset[here] < first + _FRAMES)]:
-            if rows is None:
-                rows = position[slice(first, min(first + _FRAMES, position.shape[0]))]
-            before = around[point][onset[around[point]] < onset[point]]
-            way = np.linalg.norm(rows[onset[point] - first, before] - reference[before], axis=1)
-            way = np.sort(way[np.isfinite(way)])  # np.nanmedian takes ten times as long for so few
-            if len(way):
-                moved[point] = (way[(len(way) - 1) // 2] + way[len(way) // 2]) / 2
-    return moved
 
 
 class SinceEntry(NamedTuple):
