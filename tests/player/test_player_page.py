@@ -120,7 +120,9 @@ def test_what_is_served(served: Served) -> None:
     assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
     assert facts["provider"] == "CPUExecutionProvider"
     assert facts["state"] == "running"
-    assert facts["scalars"]["real_contact_area"] == pytest.approx(facts["expected"]["real_contact_area"], rel=0.02)
+    # At first contact of some fifty pixels 2 % is one of them.
+    expected_area = pytest.approx(facts["expected"]["real_contact_area"], rel=0.02, abs=4 * facts["mm_per_px"] ** 2)
+    assert facts["scalars"]["real_contact_area"] == expected_area
     assert facts["trace_columns"][0] == "time"
     measured, expected = (
         arrays["traces"][:, facts["trace_columns"].index(name)]
