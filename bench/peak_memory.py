@@ -14,6 +14,12 @@ from fingerflow import load_scene, process
 STATUS = Path("/proc/self/status")  # Linux only
 
 
+def sizes_of(process: int | str = "self") -> dict[str, int]:
+    """Bytes of a process's own memory, RssAnon, and of all that is resident, VmRSS."""
+    lines = (line.split(":") for line in (STATUS.parents[1] / str(process) / STATUS.name).read_text().splitlines())
+    return {name: 1024 * int(rest.split()[0]) for name, rest in lines if name in ("RssAnon", "VmRSS")}
+
+
 class Watch:
     """The largest memory that was seen, looking every few ms: bytes that are the process's own, and all resident ones.
 
@@ -37,8 +43,7 @@ class Watch:
 
     def _look(self) -> None:
         while True:
-            lines = (line.split(":") for line in STATUS.read_text(encoding="ascii").splitlines())
-            sizes = {name: 1024 * int(rest.split()[0]) for name, rest in lines if name in ("RssAnon", "VmRSS")}
+            sizes = sizes_of()
             self.own = max(self.own, sizes["RssAnon"])
             self.resident = max(self.resident, sizes["VmRSS"])
             if self._done.wait(0.005):

@@ -50,9 +50,9 @@ def run(quick: bool) -> list[Row]:
     press = QUICK_PRESS if quick else Press()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _write(folder, press, count)
+        first = write_study(folder, press, count)
         rows = [_study(folder, press, count, workers) for workers in ((WORKERS,) if quick else (WORKERS, 1))]
-        peer = _opencv(folder / "p01/0um/trial001", press, count)
+        peer = _opencv(first, press, count)
     rows = [*rows, peer]
     for row in rows:
         row["to_peer"] = number(peer, "cpu_ms_frame") / number(row, "cpu_ms_frame")
@@ -60,15 +60,17 @@ def run(quick: bool) -> list[Row]:
     return [*rows, _empty_tasks(QUICK_EMPTY_TASKS if quick else EMPTY_TASKS, trial_s)]
 
 
-def _write(folder: Path, press: Press, count: int) -> None:
-    first = folder / "p01/0um/trial001"
+def write_study(folder: Path, press: Press, count: int) -> Path:
+    """A study of one recording under so many names; the folder of the first."""
+    first = folder / "p01/0um/trial0001"
     write_quietly(first, press)
     for trial in range(2, count + 1):
-        other = folder / f"p01/0um/trial{trial:03d}"
+        other = folder / f"p01/0um/trial{trial:04d}"
         other.mkdir()
         for file in first.iterdir():
             os.link(file, other / file.name)
     init_study(folder)
+    return first
 
 
 def _study(folder: Path, press: Press, count: int, workers: int) -> dict[str, str | float]:

@@ -7,7 +7,6 @@ of files too. The last row has the slope of a straight line through own_mb from 
 with its standard error, and the same of the client, which holds the scheduler.
 """
 
-import os
 import tempfile
 import threading
 from pathlib import Path
@@ -16,10 +15,9 @@ from unittest.mock import patch
 import numpy as np
 import psutil
 
-from bench.peak_memory import STATUS
+from bench.peak_memory import STATUS, sizes_of
 from bench.rows import Cell, Row, Skipped, number
-from bench.suites.pipeline import write_quietly
-from fingerflow.study.init import init_study
+from bench.suites.study import write_study
 from fingerflow.study.manifest import load_manifest
 from fingerflow.study.run import run_study
 from fingerflow.synthetic import Press
@@ -42,7 +40,7 @@ def run(quick: bool) -> list[Row]:
     count = QUICK_RECORDINGS if quick else RECORDINGS
     with tempfile.TemporaryDirectory() as name, patch("fingerflow.study.cluster._RENEWED_AFTER", 10**9):
         folder = Path(name)
-        _write(folder, count)
+        write_study(folder, PRESS, count)
         study = load_manifest(folder)
         watched = _Watch(study.results, count // 10)
         with watched:
@@ -51,17 +49,6 @@ def run(quick: bool) -> list[Row]:
     if failed or len(summary.outcomes) != count:
         raise RuntimeError(f"{count - len(summary.outcomes) + len(failed)} of {count} trials have failed: {failed[:1]}")
     return [*watched.rows, _slopes(watched.rows[1:])]
-
-
-def _write(folder: Path, count: int) -> None:
-    first = folder / "p01/0um/trial0001"
-    write_quietly(first, PRESS)
-    for trial in range(2, count + 1):
-        other = folder / f"p01/0um/trial{trial:04d}"
-        other.mkdir()
-        for file in first.iterdir():
-            os.link(file, other / file.name)
-    init_study(folder)
 
 
 class _Watch(threading.Thread):
@@ -94,18 +81,11 @@ def _looked_at(done: int) -> Row:
     worker = max(client.children(recursive=True), key=lambda one: one.memory_info().rss)
     return {
         "recordings": done,
-        "own_mb": _own_mb(worker.pid),
+        "own_mb": sizes_of(worker.pid)["RssAnon"] / 1e6,
         "resident_mb": worker.memory_info().rss / 1e6,
-        "client_mb": _own_mb(client.pid),
+        "client_mb": sizes_of(client.pid)["RssAnon"] / 1e6,
         "cpu_s": sum(worker.cpu_times()[:2]),
     }
-
-
-def _own_mb(process: int) -> float:
-    for line in Path(f"/proc/{process}/status").read_text().splitlines():
-        if line.startswith("RssAnon:"):
-            return int(line.split()[1]) * 1024 / 1e6
-    raise Skipped("this system does not tell the memory of a process's own")
 
 
 def _slopes(rows: list[Row]) -> Row:
