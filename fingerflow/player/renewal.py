@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -10,15 +9,13 @@ from concurrent.futures import Future
 import numpy as np
 
 from .arrays import Array
-
-RENEWAL_FRAMES = 8  # after which templates are looked at, and after which what is renewed counts, where skin is slow
-FASTEST_PX = 0.2  # that the edges of windows may change by until then
+from .contract.pace import MOST_FRAMES, frames_to_next_look
 
 
 class Pace:
     """After how many frames templates are looked at again: fewer where the skin deforms fast.
 
-    As in `process`: so many that the edge of a window changes by no more than `FASTEST_PX` meanwhile, a power of 2.
+    As in `process`, by `contract.pace`.
 
     Args:
         window_px: side of a window.
@@ -30,19 +27,19 @@ class Pace:
     def __init__(self, window_px: int) -> None:
         self._half = window_px // 2
         self._before: tuple[int, int, Array] | None = None  # key frame, frame and deformation of the last look
-        self.frames = RENEWAL_FRAMES
+        self.frames = MOST_FRAMES
 
     def see(self, key: int, index: int, warp: Array) -> None:
         """Deformations (1, N, 2, 2) since a key frame, by their number, in the frame `index`; NaN where unknown."""
         before, self._before = self._before, (key, index, warp.copy())
-        self.frames = RENEWAL_FRAMES
+        self.frames = MOST_FRAMES
         if before is None or before[0] != key:
             return
         change = np.sqrt(np.square(warp - before[2]).sum((-2, -1)))
         change = change[np.isfinite(change)]
         if len(change):
             fastest = self._half * float(np.quantile(change, 0.95)) / (index - before[1])
-            self.frames = 2 ** int(math.log2(min(max(FASTEST_PX / max(fastest, 1e-9), 1), RENEWAL_FRAMES)))
+            self.frames = frames_to_next_look(fastest)
 
 
 class Renewal:

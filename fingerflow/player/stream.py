@@ -15,6 +15,7 @@ import numpy as np
 
 from .arrays import Array
 from .bundle import Bundle
+from .contract.pace import MOST_FRAMES
 from .contract.variables import FRAME_STATUS
 from .errors import PlayerError, first_line
 from .findings import Findings
@@ -26,7 +27,7 @@ from .motion import count_known
 from .page import serve_page
 from .providers import PROVIDERS
 from .records import RecordLayout
-from .renewal import RENEWAL_FRAMES, Pace
+from .renewal import Pace
 from .results import Sink
 from .scene import Scene
 from .settings import Settings
@@ -479,7 +480,7 @@ class Player:
         """Those that are to be renewed count after as many frames again; where skin is fast, as soon as may be."""
         key = self.restarts + self.keys
         self._pace.see(key, index, outputs["warp"])
-        later = RENEWAL_FRAMES if self._pace.frames == RENEWAL_FRAMES else self._stepper.lag
+        later = MOST_FRAMES if self._pace.frames == MOST_FRAMES else self._stepper.lag
         under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
         work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
         if work is not None:

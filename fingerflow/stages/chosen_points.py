@@ -1,6 +1,5 @@
 """Points that were chosen in one picture, followed through the frames after it."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -22,13 +21,12 @@ from fingerflow.ops.outliers import find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import Number, TrackStatus
+from fingerflow.player.contract.pace import MOST_FRAMES, frames_to_next_look
 from fingerflow.scene import TrackingSettings
 from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.second_look import SecondLook
 
 _FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
-MOST_AT_ONCE = 8  # frames that are followed before deformations are looked at
-_FASTEST_PX = 0.2  # that the edges of windows may change by until then
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class ChosenPoints:
         self._neighbours = find_neighbours(self._start, WARP_GAUGE_PX)
         # Numbers (L,) of templates, and for which warp (1, L, 2, 2).
         self._to_renew: tuple[Tensor, Tensor] | None = None
-        self._at_once = MOST_AT_ONCE if settings.template == "keyframe" else 1  # frames
+        self._at_once = MOST_FRAMES if settings.template == "keyframe" else 1  # frames
         # Frames since the points were chosen, and when templates were looked at.
         self._followed = self._looked = 1
         self._walked: Tensor | float = 0.0  # variance that has come together from frame to frame
@@ -107,7 +105,7 @@ class ChosenPoints:
         """What is found (n, N) of them in the next images (n, 1, h, w), where that of the points around is (n, A)."""
         steps, done = [], 0
         while done < len(images):
-            until_look = MOST_AT_ONCE - self._followed % MOST_AT_ONCE
+            until_look = MOST_FRAMES - self._followed % MOST_FRAMES
             now = slice(done, done + min(self._at_once, until_look))
             step = self._step(images[now], Found._make(one[now] for one in around))
             steps.append(step)
@@ -159,7 +157,7 @@ class ChosenPoints:
             self.place = torch.where(astray, places, self.place)
             self._speed = torch.where(astray, 0.0, self._speed)
             self._followed += len(images)
-            if self._at_once < MOST_AT_ONCE or self._followed % MOST_AT_ONCE == 0:
+            if self._at_once < MOST_FRAMES or self._followed % MOST_FRAMES == 0:
                 self._look_at_templates(warp, shift)
         else:
             self._key = images[-1:].clone()
@@ -219,11 +217,11 @@ class ChosenPoints:
             much = much.index_fill(1, chosen, False)
         half, frames = self._settings.window_px // 2, self._followed - self._looked
         fastest = half * float((warp - self._warp).flatten(-2).norm(dim=-1).nanquantile(0.95)) / frames
-        self._at_once = 2 ** int(math.log2(min(max(_FASTEST_PX / max(fastest, 1e-9), 1), MOST_AT_ONCE)))
+        self._at_once = frames_to_next_look(fastest)
         self._warp, self._looked = warp, self._followed
         changed = first_of(much, exactly=self._templates.pixels is None)[0] if much.any() else None
         self._to_renew = None if changed is None else (changed, warp[:, changed])
-        if self._to_renew is not None and self._at_once < MOST_AT_ONCE:
+        if self._to_renew is not None and self._at_once < MOST_FRAMES:
             self._renew(*self._to_renew)
             self._to_renew = None
 

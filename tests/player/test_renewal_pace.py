@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fingerflow.player.renewal import FASTEST_PX, RENEWAL_FRAMES, Pace
+from fingerflow.player.contract.pace import FASTEST_PX, MOST_FRAMES
+from fingerflow.player.renewal import Pace
 
 WINDOW = 25
 AT_EDGE = FASTEST_PX / (WINDOW // 2)  # of a component of the deformation
@@ -15,11 +16,11 @@ def test_fast_skin_is_looked_at_sooner(a_frame: float, frames: int) -> None:
     point in twenty may be faster, or lost."""
     pace, warp = Pace(WINDOW), np.broadcast_to(np.eye(2), (1, 100, 2, 2)).copy()
     pace.see(1, 7, warp)
-    assert pace.frames == RENEWAL_FRAMES
+    assert pace.frames == MOST_FRAMES
     warp[:, :, 0, 1] += 4 * a_frame * AT_EDGE
     warp[:, 0] = np.nan
     warp[:, 1:4] += 100
     pace.see(1, 11, warp)
     assert pace.frames == frames
     pace.see(2, 12, np.broadcast_to(3 * np.eye(2), warp.shape))  # since another key frame: no change is known
-    assert pace.frames == RENEWAL_FRAMES
+    assert pace.frames == MOST_FRAMES
