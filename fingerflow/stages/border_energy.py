@@ -7,13 +7,13 @@ just touches. A border that is off all around moves the onset of the outermost p
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.stages.displacement import BORDER_MM
+from fingerflow.stages.border import BORDER_MM, Border
 
 Values = NDArray[np.floating]
 
 
 def border_energy(
-    density: Values, areas: Values, places: Values, center: Values, semi_axes: Values, angle: Values, reach_mm: float
+    density: Values, areas: Values, places: Values, border: Border, reach_mm: float
 ) -> NDArray[np.float64]:
     """(n,) mJ per mm of depth in a strip along the border, as wide as its place is uncertain by, in n frames.
 
@@ -23,21 +23,14 @@ def border_energy(
         density: (n, M) mJ/mm^3, NaN for triangles that do not count.
         areas: (M,) mm^2.
         places: (n, M, 2) mm, of the triangles.
-        center, semi_axes, angle: (n, 2), (n, 2) and (n,) of the gross contact, mm and rad.
+        border: of these n frames.
         reach_mm: a length.
     """
-    right, down = np.moveaxis(places - center[:, None], -1, 0)
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    first, second = semi_axes[:, :1], semi_axes[:, 1:]
     with np.errstate(divide="ignore", invalid="ignore"):
-        along, across = (cosine * right + sine * down) / first, (cosine * down - sine * right) / second
-        radius = np.hypot(along, across)
-        # To first order, exact on the border.
-        inside = (1 - radius) * radius / np.hypot(along / first, across / second)
-        weights = np.where((inside < reach_mm) & np.isfinite(density), areas, 0.0)
+        weights = np.where((border.inside(places) < reach_mm) & np.isfinite(density), areas, 0.0)
         mean = (weights * np.nan_to_num(density)).sum(1, dtype=np.float64) / weights.sum(1, dtype=np.float64)
-        # Ramanujan (1914) for the perimeter.
-        sums = semi_axes.sum(1)
-        perimeter = np.pi * (3 * sums - np.sqrt((3 * semi_axes + semi_axes[:, ::-1]).prod(1)))
+    # Ramanujan (1914) for the perimeter.
+    sums, turned = border.semi_axes.sum(1), border.semi_axes[:, ::-1]
+    perimeter = np.pi * (3 * sums - np.sqrt((3 * border.semi_axes + turned).prod(1)))
     result: NDArray[np.float64] = np.nan_to_num(BORDER_MM * perimeter * mean)
     return result

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.onset import LASTING
 from fingerflow.player.contract.variables import DISPLACEMENT, ENTRY
+from fingerflow.stages.border import BORDER_MM, Border
 from fingerflow.stages.common_frame import common_frame
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.entered_skin import Border, moved_in
+from fingerflow.stages.entered_skin import moved_in
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.reference import Reference, reference_of
 from fingerflow.stages.series import nanmedian
@@ -19,9 +20,6 @@ from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.store import Values
 
-# Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
-# Measured on the shipped press, where the border is known.
-BORDER_MM = 0.06
 _LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
@@ -121,11 +119,8 @@ class DisplacementStage(Stage):
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
             self.places = self._common.places
-            contact = self.trial.stage(ContactStage).series
-            ellipse = (contact[f"ellipse_{name}"] for name in ("center", "semi_axes", "angle"))
-            moves_in = moved_in(
-                self.results["position"], self.places, self.onset, self.reference, gauge, Border(*ellipse)
-            )
+            border = Border.of(self.trial.stage(ContactStage).series)
+            moves_in = moved_in(self.results["position"], self.places, self.onset, self.reference, gauge, border)
         else:
             self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
             self._warn_of_unknown()

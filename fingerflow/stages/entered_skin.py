@@ -17,33 +17,14 @@ from torch import Tensor
 
 from fingerflow.ops.entry import MOVED, NEAR
 from fingerflow.ops.local_fit import local_gradients
+from fingerflow.stages.border import BORDER_MM, Border
 from fingerflow.store import Values
 
 LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
-_LEAST_WAY_MM = 0.06  # as `displacement.BORDER_MM`
 _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
 Numbers = NDArray[np.integer]
-
-
-class Border(NamedTuple):
-    """Ellipses of the gross contact, frame by frame; NaN where nothing touches."""
-
-    center: Points  # (frames, 2) mm
-    semi_axes: Points  # (frames, 2) mm
-    angle: NDArray[np.float64]  # (frames,) rad, of the first semi-axis, from x towards y
-
-    def inside(self, frames: slice, places: Points) -> NDArray[np.float64]:
-        """(n, P) mm, how far places (n, P, 2) are inside the border of their frame, to first order."""
-        center, semi_axes, angle = (one[frames][:, None] for one in self)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        right, down = np.moveaxis(places - center, -1, 0)
-        principal = np.stack((right * cosine + down * sine, down * cosine - right * sine), axis=-1) / semi_axes
-        radius = np.linalg.norm(principal, axis=-1)
-        slope = np.linalg.norm(principal / semi_axes, axis=-1)
-        distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
-        return distance
 
 
 def moved_in(
@@ -78,7 +59,7 @@ def moved_in(
     for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
         frames = slice(first, min(first + _FRAMES, position.shape[0]))
         rows = position[frames][:, here]
-        moved, depth = np.linalg.norm(rows - reference[here], axis=-1), border.inside(frames, rows)
+        moved, depth = np.linalg.norm(rows - reference[here], axis=-1), border.at(frames).inside(rows)
         number = np.arange(frames.start, frames.stop)[:, None]
         before = (number < onset[here]) & np.isfinite(moved)
         far = before & (moved >= MOVED * gauge_mm)
@@ -88,7 +69,7 @@ def moved_in(
         at = np.flatnonzero((onset[here] >= frames.start) & (onset[here] < frames.stop))
         then[at] = depth[onset[here][at] - first, at]
     found = np.zeros(len(onset), dtype=bool)
-    found[here] = (way > _LEAST_WAY_MM) & (LEAST_AREA * (then - inside) < way)
+    found[here] = (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
     return with_neighbours(found, places, counts, NEAR * gauge_mm)
 
 

@@ -13,6 +13,7 @@ from fingerflow.ops.strain import curl, divergence, green_lagrange, shear
 from fingerflow.ops.strain_uncertainty import field_sensitivity
 from fingerflow.player.contract.variables import FIELDS
 from fingerflow.stages import plausibility
+from fingerflow.stages.border import Border
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.entered_skin import EntryGradients
@@ -68,12 +69,7 @@ class FieldsStage(Stage):
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
-        ellipse = GrossEllipse(
-            *(
-                self.inputs.tensor(contact[f"ellipse_{name}"][batch.indices])
-                for name in ("center", "semi_axes", "angle")
-            )
-        )
+        ellipse = GrossEllipse(*map(self.inputs.tensor, Border.of(contact).at(batch.indices)))
         covariance = self.inputs.tensor(displacement.covariance(moved))
         if self._entry is None:
             apart, rest = None, self.inputs.tensor(moved.displacement)

@@ -14,7 +14,8 @@ from fingerflow.graphs.fields import Fields
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.stages.displacement import BORDER_MM, DisplacementStage
+from fingerflow.stages.border import BORDER_MM
+from fingerflow.stages.displacement import DisplacementStage
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch
 

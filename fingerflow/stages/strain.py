@@ -9,6 +9,7 @@ from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.triangles import triangle_areas
 from fingerflow.player.contract.variables import STRAIN
+from fingerflow.stages.border import Border
 from fingerflow.stages.border_energy import border_energy
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.counted_skin import CountedSkin
@@ -42,7 +43,7 @@ class StrainStage(Stage):
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._energy, self._energy_std, self._of_border = np.full((3, len(trial)), np.nan)
+        self._energy, self._energy_std = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
         moved, device = self.trial.stage(DisplacementStage), self.inputs.device
@@ -98,28 +99,21 @@ class StrainStage(Stage):
         self._energy[batch.indices] = found.energy.cpu()
         density = found.density.cpu().numpy()
         missing = self._missing.see(density, touching)
-        self._energy_std[batch.indices] = np.hypot(found.energy_std.cpu(), missing)
-        center, semi_axes, angle = (
-            self.trial.stage(ContactStage).series[f"ellipse_{name}"][batch.indices]
-            for name in ("center", "semi_axes", "angle")
-        )
-        self._of_border[batch.indices] = border_energy(
+        of_border = border_energy(
             np.where(touching, density, np.nan),
             self._areas,
             self.results["position"][batch.indices][:, triangles].mean(2),
-            center,
-            semi_axes,
-            angle,
+            Border.of(self.trial.stage(ContactStage).series).at(batch.indices),
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
+        self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu(), missing), of_border)
 
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since
         # Where nothing touches there is no energy; where something does and no triangle of it is known, nobody knows.
         nothing = self.trial.stage(ContactStage).series["gross_contact_area"] == 0
         energy, deviation = (
-            np.where(nothing, 0.0, self._settings.depth_mm * one)
-            for one in (self._energy, np.hypot(self._energy_std, self._of_border))
+            np.where(nothing, 0.0, self._settings.depth_mm * one) for one in (self._energy, self._energy_std)
         )
         self.results.put("strain_energy", energy, depth)
         self.results.put("strain_energy_std", deviation, depth)

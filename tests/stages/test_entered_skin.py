@@ -12,7 +12,8 @@ from fingerflow import load_scene, process
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.player.contract.variables import ENTRY
-from fingerflow.stages.entered_skin import Border, moved_in, with_neighbours
+from fingerflow.stages.border import Border
+from fingerflow.stages.entered_skin import moved_in, with_neighbours
 from fingerflow.synthetic import Slide, write_recording
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
@@ -73,7 +74,7 @@ def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bo
     rows = [np.stack((scale * 5 * np.cos(rim), scale * 4 * np.sin(rim)), axis=-1) @ turn.T for scale in (0.97, 1.01)]
     places = np.concatenate([*rows, rows[1] - (0.05, 0.0)])
     position = places + share[:, None] * slides
-    depth = border.inside(slice(None), position)
+    depth = border.inside(position)
     onset = np.where((depth > 0).any(0), (depth > 0).argmax(0), -1)
     if not (onset > 0).any():  # moves too little: by the border's error
         onset[onset < 0] = 10
@@ -91,7 +92,7 @@ def test_distance_inside_a_border() -> None:
     along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
     across = np.array([-along[1], along[0]])
     places = np.stack([4.9 * along, 5.1 * along, -3.9 * across, 4.1 * across])[None] + (1.0, 2.0)
-    assert border.inside(slice(0, 1), places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)
+    assert border.inside(places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)
 
 
 def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:

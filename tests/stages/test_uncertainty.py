@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
 from fingerflow.graphs.fields import Fields
-from fingerflow.stages import displacement, strain
+from fingerflow.stages import strain
+from fingerflow.stages.border import BORDER_MM, Border
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
@@ -104,7 +105,7 @@ def tracked(motion: Motion, points: NDArray[np.float64], seed: int, known: int =
     deviation = np.full(pixels.shape[:2], motion.noise, np.float32)
     deviation[0] = 0
     border = 0.5 + SPEED * np.arange(FRAMES)[:, None]
-    place = np.linalg.norm(points, axis=1) + displacement.BORDER_MM * draw.standard_normal(len(points))
+    place = np.linalg.norm(points, axis=1) + BORDER_MM * draw.standard_normal(len(points))
     return trial_of(
         given := inputs(),
         contact(),
@@ -295,8 +296,8 @@ def test_energy_in_a_strip_along_the_border() -> None:
     quarter = np.stack((-places[..., 1], places[..., 0]), axis=-1)
     center, semi_axes, angle = np.tile([3.0, -1.0], (3, 1)), np.tile([2.0, 1.0], (3, 1)), np.array([0, np.pi / 2, 0])
     at = np.concatenate([places, quarter, places]) + np.array([3.0, -1.0])
-    found = strain.border_energy(density, np.ones(400), at, center, semi_axes, angle, reach_mm=0.4)
-    assert found[0] == pytest.approx(9.6884 * displacement.BORDER_MM, rel=1e-4)
+    found = strain.border_energy(density, np.ones(400), at, Border(center, semi_axes, angle), reach_mm=0.4)
+    assert found[0] == pytest.approx(9.6884 * BORDER_MM, rel=1e-4)
     assert 2 < found[1] / found[0] < 5  # half of the border has 7, the other half 0
     assert found[2] == 0
 
