@@ -106,7 +106,7 @@ class StrainStage(Stage):
             Border.of(self.trial.stage(ContactStage).series).at(batch.indices),
             reach_mm=self.inputs.gauge_length_mm / 2,
         )
-        self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu(), missing), of_border)
+        self._energy_std[batch.indices] = np.hypot(np.hypot(found.energy_std.cpu().numpy(), missing), of_border)
 
     def finish(self) -> None:
         depth = {"depth_mm": self._settings.depth_mm} | self._since

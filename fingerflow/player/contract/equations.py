@@ -49,7 +49,10 @@ EQUATIONS: dict[str, str] = {
         "mean of 1[1 − ρ > max(0.05, 4 median(1 − ρ)) + 3 σ²/S], ρ the correlation of the windows then and now"
     ),
     "forward_backward_median": "median of forward_backward_error over the tracked points",
-    "entry": "covered where the border of the gross contact came over the point, moved_in where skin moved in over it",
+    "entry": (
+        "covered where the border of the gross contact came over the point, moved_in where, before, the point moved over "
+        "the glass by more than half of what both approached each other"
+    ),
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
     "reference_position": "X = position in the frame from which displacement counts",
     "displacement": "u = x(t) − X",
