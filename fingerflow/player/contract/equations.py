@@ -50,8 +50,8 @@ EQUATIONS: dict[str, str] = {
     ),
     "forward_backward_median": "median of forward_backward_error over the tracked points",
     "entry": (
-        "covered where the border of the gross contact came over the point, moved_in where, before, the point moved over "
-        "the glass by more than half of what both approached each other"
+        "covered where the border of the gross contact came over the point, moved_in where the point moved before "
+        "over the glass by more than half of what both approached each other"
     ),
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
     "reference_position": "X = position in the frame from which displacement counts",
