@@ -25,7 +25,7 @@ EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at 
 class MedianBias:
     """Of medians over T frames of divergence, curl and strain (exx, eyy, exy).
 
-    It has four parts:
+    It has five parts:
 
     - the difference to medians by twice the gauge length. Of smoothing alone it is three times the error, as that goes
       with the square of the length; where the contact has skin of two kinds, so that the median lies in the flank of
@@ -33,6 +33,10 @@ class MedianBias:
     - the difference to medians over an ellipse that is smaller by what the place of its border is uncertain by.
     - where fields are known in a share of the contact alone, the median of all of it lies between quantiles of what is
       known, 1/2 +- (1 - share) / (2 share): anywhere, of which the deviation is half of their difference over sqrt(3).
+    - where E of the points moved in, the median lies between ranks that are sqrt(E) points apart from its own. By the
+      fields of such a point, which change by as much as those of the whole contact within half of a gauge length, it is
+      a draw on which side of the median the area lies that it stands for; and neighbours share errors of their entry,
+      so that four of them are about one. The number is from slides with truth.
     - the median of the gradient of what skin has moved in half the time between two frames at its onset
       (`DisplacementStage.late`), which displacement is too short by.
 
@@ -62,7 +66,8 @@ class MedianBias:
         """At these n frames: the medians that were found, of what `area_medians` took for them."""
         assert found.median is not None
         assert found.median_std is not None
-        self._square[batch.indices] = [of_unknown(found, k) for k in range(len(batch.indices))]
+        entered = np.zeros(len(batch.indices), int) if apart is None else apart.place.isfinite().all(-1).sum(1).tolist()
+        self._square[batch.indices] = [of_ranks(found, k, count) for k, count in enumerate(entered)]
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
@@ -101,10 +106,10 @@ class MedianBias:
         return result
 
 
-def of_unknown(found: Fields, k: int) -> NDArray[np.float64]:
-    """(5,) variance of the medians in a frame by the share of the contact that is not known, from the fields at points.
-
-    0 where nothing is known: there are no medians.
+def of_ranks(found: Fields, k: int, entered: int = 0) -> NDArray[np.float64]:
+    """(5,) variance of the medians in a frame by what their ranks are uncertain by, from the fields at points: by the
+    share of the contact that is not known, and by so many points that moved in. 0 where nothing is known: there are no
+    medians.
     """
     assert found.known_share is not None
     assert found.median is not None
@@ -114,11 +119,15 @@ def of_unknown(found: Fields, k: int) -> NDArray[np.float64]:
     if not len(known) or not share > 0:
         return np.zeros(5)
     # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
-    ordered, reach = np.sort(known, axis=0), len(known) * (1 - share) / (2 * share)
-    ranks = (ordered < found.median[k].cpu().numpy()).sum(0)
-    low, high = (
-        np.take_along_axis(ordered, np.clip(np.rint(ranks + step), 0, len(known) - 1).astype(int)[None], axis=0)[0]
-        for step in (-reach, reach)
-    )
-    result: NDArray[np.float64] = np.asarray((high - low) / 2, dtype=np.float64) ** 2 / 3
-    return result
+    ordered, ranks = np.sort(known, axis=0), (known < found.median[k].cpu().numpy()).sum(0)
+
+    def half_between(reach: float) -> NDArray[np.float64]:
+        low, high = (
+            np.take_along_axis(ordered, np.clip(np.rint(ranks + step), 0, len(known) - 1).astype(int)[None], axis=0)[0]
+            for step in (-reach, reach)
+        )
+        return np.asarray((high - low) / 2, dtype=np.float64)
+
+    unknown = half_between(len(known) * (1 - share) / (2 * share))
+    result: NDArray[np.float64] = unknown**2 / 3
+    return result + half_between(entered**0.5) ** 2 if entered else result

@@ -97,8 +97,8 @@ def test_distance_inside_a_border() -> None:
 
 def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
     """Truth counts each skin from its own entry; without what moved in it is another, 17.0 for 24.7 um/mm. Divergence
-    is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm. Of seven frames
-    six are within two stated deviations, one is at 2.4.
+    is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm, within two
+    stated deviations in each of seven frames.
     """
     frames, measured = range(50, LAST + 1, 6), result["median_divergence"].values
     true = [
@@ -108,9 +108,8 @@ def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
     error = measured[list(frames)] - true
     assert np.abs(error).max() < 4e-3
     stated = result["median_divergence_std"].values[list(frames)]
-    assert (np.abs(error) < 2 * stated).mean() > 0.8
-    assert (np.abs(error) < 3 * stated).all()
-    assert stated.max() < 5e-3
+    assert (np.abs(error) < 2 * stated).all()
+    assert stated.max() < 7e-3
 
 
 def test_one_point_among_those_that_moved_in() -> None:

@@ -22,7 +22,7 @@ from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
 from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.median_bias import MedianBias, of_unknown
+from fingerflow.stages.median_bias import MedianBias, of_ranks
 from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.strain import StrainStage
 
@@ -268,6 +268,7 @@ def test_there_is_no_energy_only_where_nothing_touches() -> None:
 def test_medians_state_what_is_not_known_of_the_contact() -> None:
     """Evenly spread fields, 0 to 100: of a fifth nobody knows, so that the median is 1/8 of the rest off at most, 12.5;
     anywhere within has a deviation of 12.5 / sqrt(3). About the median of the area, which is not that of the points.
+    And of points that moved in.
     """
     values = torch.arange(101.0)[None]
     every = values[..., None].expand(-1, -1, 3)
@@ -276,12 +277,16 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
         known = torch.tensor([share])
         return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
 
-    np.testing.assert_allclose(np.sqrt(of_unknown(found(0.8, 50.0), 0)), 12.5 / np.sqrt(3), rtol=0.05)
-    assert (of_unknown(found(1.0, 50.0), 0) == 0).all()
-    near_the_end = np.sqrt(of_unknown(found(0.8, 98.0), 0)) * np.sqrt(3)
+    np.testing.assert_allclose(np.sqrt(of_ranks(found(0.8, 50.0), 0)), 12.5 / np.sqrt(3), rtol=0.05)
+    assert (of_ranks(found(1.0, 50.0), 0) == 0).all()
+    near_the_end = np.sqrt(of_ranks(found(0.8, 98.0), 0)) * np.sqrt(3)
     np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
+    # Of ranks that are 4 points apart, as 16 points moved in, fields of points evenly spread differ by 4.
+    np.testing.assert_allclose(np.sqrt(of_ranks(found(1.0, 50.0), 0, entered=16)), 4.0)
+    both = np.sqrt(of_ranks(found(0.8, 50.0), 0, entered=16))
+    np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
     nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
-    assert (of_unknown(nothing, 0) == 0).all()
+    assert (of_ranks(nothing, 0) == 0).all()
 
 
 def test_energy_in_a_strip_along_the_border() -> None:
