@@ -62,7 +62,7 @@ class MedianBias:
         """At these n frames: the medians that were found, of what `area_medians` took for them."""
         assert found.median is not None
         assert found.median_std is not None
-        self._square[batch.indices] = [of_unknown(found, k) for k in range(len(batch.indices))]
+        self._square[batch.indices] = of_unknown(found)
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
@@ -101,24 +101,30 @@ class MedianBias:
         return result
 
 
-def of_unknown(found: Fields, k: int) -> NDArray[np.float64]:
-    """(5,) variance of the medians in a frame by the share of the contact that is not known, from the fields at points.
+def of_unknown(found: Fields) -> NDArray[np.float64]:
+    """(n, 5) variance of the medians by the share of the contact that is not known, from the fields at points.
 
-    0 where nothing is known: there are no medians.
+    0 in frames where nothing is known: there are no medians.
     """
     assert found.known_share is not None
     assert found.median is not None
-    share = float(found.known_share[k])
-    fields = torch.cat((found.divergence[k, :, None], found.curl[k, :, None], found.strain[k]), dim=1).cpu().numpy()
-    known = fields[np.isfinite(fields).all(1)]
-    if not len(known) or not share > 0:
-        return np.zeros(5)
+    share, result = found.known_share.cpu().numpy().astype(np.float64), np.zeros((len(found.known_share), 5))
+    some = np.flatnonzero((share > 0) & (share < 1))  # all known, the two quantiles are one
+    if not len(some):
+        return result
+    fields = torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1).cpu().numpy()[some]
+    whole = np.isfinite(fields).all(1, keepdims=True)
     # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
-    ordered, reach = np.sort(known, axis=0), len(known) * (1 - share) / (2 * share)
-    ranks = (ordered < found.median[k].cpu().numpy()).sum(0)
+    ordered, count = np.sort(np.where(whole, fields, np.nan), axis=2), whole.sum(2)  # NaN last
+    share = share[some, None]
+    reach = count * (1 - share) / (2 * share)
+    ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
     low, high = (
-        np.take_along_axis(ordered, np.clip(np.rint(ranks + step), 0, len(known) - 1).astype(int)[None], axis=0)[0]
+        np.take_along_axis(
+            ordered, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)[..., None], 2
+        )
         for step in (-reach, reach)
     )
-    result: NDArray[np.float64] = np.asarray((high - low) / 2, dtype=np.float64) ** 2 / 3
+    spread = np.asarray((high - low)[..., 0] / 2, dtype=np.float64)
+    result[some] = np.where(count > 0, spread**2 / 3, 0.0)
     return result
