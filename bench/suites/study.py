@@ -24,6 +24,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import forkserver
 from pathlib import Path
 
 import cv2
@@ -155,6 +156,8 @@ def _used() -> Iterator[dict[str, float]]:
     found: dict[str, float] = {}
     before, start = _processors(), time.perf_counter()
     yield found
+    # Workers are its children, and counted when it has ended; the next row starts it anew.
+    forkserver._forkserver._stop()  # type: ignore[attr-defined]
     found |= {"seconds": time.perf_counter() - start, "cpu": _processors() - before}
 
 

@@ -66,8 +66,8 @@ class MedianBias:
         """At these n frames: the medians that were found, of what `area_medians` took for them."""
         assert found.median is not None
         assert found.median_std is not None
-        entered = np.zeros(len(batch.indices), int) if apart is None else apart.place.isfinite().all(-1).sum(1).tolist()
-        self._square[batch.indices] = [of_ranks(found, k, count) for k, count in enumerate(entered)]
+        entered = None if apart is None else apart.place.isfinite().all(-1).sum(1).cpu().numpy()
+        self._square[batch.indices] = of_ranks(found, entered)
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
@@ -106,28 +106,38 @@ class MedianBias:
         return result
 
 
-def of_ranks(found: Fields, k: int, entered: int = 0) -> NDArray[np.float64]:
-    """(5,) variance of the medians in a frame by what their ranks are uncertain by, from the fields at points: by the
-    share of the contact that is not known, and by so many points that moved in. 0 where nothing is known: there are no
-    medians.
+def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
+    """(n, 5) variance of the medians by what their ranks are uncertain by, from the fields at points: by the share of
+    the contact that is not known, and by so many points (n,) that moved in.
+
+    0 in frames where nothing is known: there are no medians.
     """
     assert found.known_share is not None
     assert found.median is not None
-    share = float(found.known_share[k])
-    fields = torch.cat((found.divergence[k, :, None], found.curl[k, :, None], found.strain[k]), dim=1).cpu().numpy()
-    known = fields[np.isfinite(fields).all(1)]
-    if not len(known) or not share > 0:
-        return np.zeros(5)
+    share, result = found.known_share.cpu().numpy().astype(np.float64), np.zeros((len(found.known_share), 5))
+    came = np.zeros(len(share)) if entered is None else np.asarray(entered, dtype=np.float64)
+    some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # else both ranks are one
+    if not len(some):
+        return result
+    fields = torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1).cpu().numpy()[some]
+    whole = np.isfinite(fields).all(1, keepdims=True)
     # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
-    ordered, ranks = np.sort(known, axis=0), (known < found.median[k].cpu().numpy()).sum(0)
+    ordered, count = np.sort(np.where(whole, fields, np.nan), axis=2), whole.sum(2)  # NaN last
+    ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
-    def half_between(reach: float) -> NDArray[np.float64]:
+    def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of half the difference of fields so many ranks (k, 1) above and below."""
         low, high = (
-            np.take_along_axis(ordered, np.clip(np.rint(ranks + step), 0, len(known) - 1).astype(int)[None], axis=0)[0]
+            np.take_along_axis(
+                ordered, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)[..., None], 2
+            )
             for step in (-reach, reach)
         )
-        return np.asarray((high - low) / 2, dtype=np.float64)
+        spread = np.asarray((high - low)[..., 0] / 2, dtype=np.float64)
+        return np.where(count > 0, spread**2, 0.0)
 
-    unknown = half_between(len(known) * (1 - share) / (2 * share))
-    result: NDArray[np.float64] = unknown**2 / 3
-    return result + half_between(entered**0.5) ** 2 if entered else result
+    share = share[some, None]
+    result[some] = square_between(count * (1 - share) / (2 * share)) / 3
+    if entered is not None:
+        result[some] += square_between(np.sqrt(came[some, None]))
+    return result

@@ -65,7 +65,7 @@ def over_workers(
     with tqdm(total=count, unit="trial", disable=not progress) as bar:
         while (first := next(waiting, None)) is not None:
             of_round = islice(chain([first], waiting), each_round)
-            with _client(scheduler, many, threads_each(scheduler, many)) as client:
+            with _client(scheduler, many, threads_each(scheduler, many), act.__module__) as client:
                 for result in _go_through(client, act, of_round, of_error):
                     bar.update()
                     yield result
@@ -158,8 +158,11 @@ class _Workers:
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
-    """A client of a cluster; both are closed behind it, a scheduler that was there before is left alone."""
+def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> Iterator[Any]:
+    """A client of a cluster; both are closed behind it, a scheduler that was there before is left alone.
+
+    `loads` is the module that a worker of this computer has loaded when it starts.
+    """
     try:
         import dask
         from distributed import Client, LocalCluster
@@ -175,6 +178,8 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     # Threads of OpenMP spin between operations unless told to sleep: two of them on a busy machine take four times the
     # processor, and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
+    if scheduler is None and sys.platform == "linux":  # on other systems a process that has loaded torch may not fork
+        environment["distributed.worker.multiprocessing-method"] = "forkserver"
     # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
     own = {"distributed.comm.retry.count": 3, "distributed.worker.profile.enabled": False}
     with dask.config.set({**environment, **own}):
@@ -184,6 +189,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
                 client = Client(scheduler, timeout=_CONNECT)
             else:
                 if scheduler is None:
+                    _load_once(loads)
                     cluster = LocalCluster(
                         n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
                         silence_logs=logging.ERROR,
@@ -205,6 +211,15 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             client.close(timeout=5)
             if cluster is not None:
                 cluster.close(timeout=10)
+
+
+def _load_once(module: str) -> None:
+    """Lets workers be forked from one process that has loaded this module: each by itself loads it for seconds."""
+    from distributed.utils import get_mp_context
+
+    context = get_mp_context()
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload(["distributed", module])
 
 
 def _deployment(name: str) -> Callable[[], Any]:

@@ -21,6 +21,7 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline import process_to
 from fingerflow.result import open_result, read_own
+from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
 from fingerflow.study.manifest import Manifest, TrialEntry
@@ -145,9 +146,10 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 @cache
 def _settle(threads: int) -> None:
-    """Once a worker: its threads, and what is loaded by now is not searched for garbage with every trial again."""
+    """Once a worker: its threads, its memory, and what is loaded by now is not searched for garbage again and again."""
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
+    keep_memory()
     gc.collect()
     gc.freeze()
 

@@ -277,16 +277,16 @@ def test_medians_state_what_is_not_known_of_the_contact() -> None:
         known = torch.tensor([share])
         return Fields(values, values, every, every[..., :2], None, None, torch.full((1, 5), median), None, known)
 
-    np.testing.assert_allclose(np.sqrt(of_ranks(found(0.8, 50.0), 0)), 12.5 / np.sqrt(3), rtol=0.05)
-    assert (of_ranks(found(1.0, 50.0), 0) == 0).all()
-    near_the_end = np.sqrt(of_ranks(found(0.8, 98.0), 0)) * np.sqrt(3)
+    np.testing.assert_allclose(np.sqrt(of_ranks(found(0.8, 50.0))), 12.5 / np.sqrt(3), rtol=0.05)
+    assert (of_ranks(found(1.0, 50.0)) == 0).all()
+    near_the_end = np.sqrt(of_ranks(found(0.8, 98.0))) * np.sqrt(3)
     np.testing.assert_allclose(near_the_end, (100 - 98 + 12.5) / 2, rtol=0.1)
     # Of ranks that are 4 points apart, as 16 points moved in, fields of points evenly spread differ by 4.
-    np.testing.assert_allclose(np.sqrt(of_ranks(found(1.0, 50.0), 0, entered=16)), 4.0)
-    both = np.sqrt(of_ranks(found(0.8, 50.0), 0, entered=16))
+    np.testing.assert_allclose(np.sqrt(of_ranks(found(1.0, 50.0), np.array([16]))), 4.0)
+    both = np.sqrt(of_ranks(found(0.8, 50.0), np.array([16])))
     np.testing.assert_allclose(both, np.hypot(12.5 / np.sqrt(3), 4.0), rtol=0.05)
     nothing = found(0.0, np.nan)._replace(divergence=torch.full((1, 101), torch.nan))
-    assert (of_ranks(nothing, 0) == 0).all()
+    assert (of_ranks(nothing) == 0).all()
 
 
 def test_energy_in_a_strip_along_the_border() -> None:

@@ -72,7 +72,8 @@ def start_scheduler() -> tuple[subprocess.Popen[str], str]:
 def workers_of(client: subprocess.Popen[bytes]) -> list[psutil.Process]:
     """Of a client with a cluster of its own."""
     found = psutil.Process(client.pid).children(recursive=True)
-    return [one for one in found if "spawn_main" in " ".join(one.cmdline())]
+    servers = {one.pid for one in found if "forkserver" in " ".join(one.cmdline()) and one.ppid() == client.pid}
+    return [one for one in found if one.ppid() in servers or "spawn_main" in " ".join(one.cmdline())]
 
 
 def until(done: Callable[[], bool], process: subprocess.Popen[Any]) -> None:

@@ -1,6 +1,7 @@
 """Tasks on workers: each comes back once, whatever happens to the worker."""
 
 import os
+import sys
 import time
 from collections.abc import Iterator
 from threading import Thread
@@ -14,8 +15,8 @@ from fingerflow.study import cluster
 from fingerflow.study.cluster import over_workers
 
 
-def _process(number: int) -> tuple[int, int]:
-    return number, os.getpid()
+def _process(number: int) -> tuple[int, int, int]:
+    return number, os.getpid(), os.getppid()
 
 
 def _wait_policy(number: int) -> tuple[int, str | None]:
@@ -37,12 +38,16 @@ def _raise(name: str, error: BaseException) -> Any:
     raise error
 
 
-def test_workers_are_renewed_and_lose_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_are_renewed_from_one_process_and_lose_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_RENEWED_AFTER", 4)
     tasks = ((f"task-{number}", number) for number in range(10))
     found = list(over_workers(_process, tasks, 10, _raise, workers=1, progress=False))
-    assert sorted(number for number, _ in found) == list(range(10))
-    assert len({process for _, process in found}) == 3, "ten tasks, four a worker"
+    assert sorted(number for number, _, _ in found) == list(range(10))
+    assert len({process for _, process, _ in found}) == 3, "ten tasks, four a worker"
+    parents = {parent for _, _, parent in found}
+    if sys.platform == "linux":
+        assert len(parents) == 1, "all are forked from the process that has loaded what they need"
+        assert os.getpid() not in parents
 
 
 def _profiled(_: int) -> int:
