@@ -246,33 +246,41 @@ private:
 
     // Sums of gx, gy and the values times the wide template, shifted: component by component, row by row.
     void correlate(float* table) const {
+        constexpr int kAtOnce = kFloats == 16 ? kShifts : 3;  // shifts whose sums stay in registers
         for (int row = 0; row < kShifts; ++row) {
             Floats products[whole_floats(3 * kShifts)] = {};
-            Floats with_x[kShifts], with_y[kShifts], with_value[kShifts];
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kShifts; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
-            const float* from = sampled_.value + row * wide_;
-            for (int i = 0; i < steps(); i += kFloats) {
-                const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
-                FINGERFLOW_UNROLL
-                for (int k = 0; k < kShifts; ++k) {
-                    const Floats sample = held(load(from + i + k));
-                    with_x[k] += x * sample;
-                    with_y[k] += y * sample;
-                    with_value[k] += value * sample;
-                }
-            }
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kShifts; ++k) {
-                products[k] = with_x[k];
-                products[kShifts + k] = with_y[k];
-                products[2 * kShifts + k] = with_value[k];
-            }
+            const float* const from = sampled_.value + row * wide_;
+            add_products<kAtOnce>(from, products);
+            if constexpr (kAtOnce < kShifts) add_products<kShifts - kAtOnce>(from + kAtOnce, products + kAtOnce);
             float summed[whole_floats(3 * kShifts)];
             sums(products, summed);
             for (int component = 0; component < 3; ++component)
                 for (int k = 0; k < kShifts; ++k)
                     table[component * kSquare + row * kShifts + k] = summed[component * kShifts + k];
+        }
+    }
+
+    // Those of so many shifts along x, kShifts apart by component.
+    template <int kCount>
+    void add_products(const float* from, Floats* products) const {
+        Floats with_x[kCount], with_y[kCount], with_value[kCount];
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kCount; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
+        for (int i = 0; i < steps(); i += kFloats) {
+            const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
+            FINGERFLOW_UNROLL
+            for (int k = 0; k < kCount; ++k) {
+                const Floats sample = held(load(from + i + k));
+                with_x[k] += x * sample;
+                with_y[k] += y * sample;
+                with_value[k] += value * sample;
+            }
+        }
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kCount; ++k) {
+            products[k] = with_x[k];
+            products[kShifts + k] = with_y[k];
+            products[2 * kShifts + k] = with_value[k];
         }
     }
 
