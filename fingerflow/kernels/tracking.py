@@ -275,9 +275,7 @@ def search_windows(
 
 
 @torch_op()
-def sample_windows(
-    images: Tensor, image_index: Tensor, places: Tensor, warp: Tensor, window: int, step: int
-) -> Tensor:
+def sample_windows(images: Tensor, image_index: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
     """Windows (N, m) as `ops.window_correlation` has them, to the rounding of their places, of images (n, 1, H, W) of
     FRAME_KINDS, at least 4 x 4.
 

@@ -90,9 +90,7 @@ def test_a_slope_that_the_mask_cuts_is_no_corner() -> None:
         (slice(0, 0), slice(0, 0)),
     ],
 )
-def test_only_what_the_mask_depends_on_is_looked_at(
-    part: tuple[slice, slice], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_what_the_mask_depends_on_is_looked_at(part: tuple[slice, slice], monkeypatch: pytest.MonkeyPatch) -> None:
     """The same, number for number, as of the whole view."""
     mask = torch.zeros_like(everywhere())
     mask[(..., *part)] = True
