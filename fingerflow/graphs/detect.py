@@ -8,6 +8,7 @@ from torch.nn import functional
 
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
+from fingerflow.ops.mask_bounds import mask_bounds
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
@@ -52,7 +53,7 @@ class DetectGraph(nn.Module):
         edge = min(self.border_px, (min(height, width) - 1) // 2)
         count = min(self.points, height * width)
         # Nothing is chosen beyond the mask: there only what decides on a local maximum is looked at.
-        (top, bottom), (left, right) = _around(mask, count)
+        (top, bottom), (left, right) = mask_bounds(mask, _MARGIN, count)
         mask = mask[..., top:bottom, left:right]
         response = _response(view[..., top:bottom, left:right])
         above, below = _beyond(edge, height, top, bottom)
@@ -82,25 +83,6 @@ class DetectGraph(nn.Module):
         missing = falling.values <= 0
         points = torch.stack((column, row), dim=2).masked_fill(missing[..., None], torch.nan)
         return points, falling.values.masked_fill(missing, torch.nan)
-
-
-def _around(mask: Tensor, least: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last + 1 row, then column, of what a mask (B, 1, H, W) covers and what its local maxima depend on; of
-    all where that is small or has fewer pixels than `least`, and where the shape of nothing may depend on data.
-    """
-    height, width = mask.shape[-2:]
-    whole = (0, height), (0, width)
-    if torch.compiler.is_compiling():
-        return whole
-    found = []
-    for axis, length in ((3, height), (2, width)):
-        touched = mask.any(axis).flatten(0, 1).any(0).nonzero()
-        if not len(touched):
-            return whole
-        found.append((max(int(touched[0]) - _MARGIN, 0), min(int(touched[-1]) + 1 + _MARGIN, length)))
-    rows, columns = found
-    high, wide = rows[1] - rows[0], columns[1] - columns[0]
-    return (rows, columns) if high * wide >= least and min(high, wide) > 2 * _MARGIN else whole
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
