@@ -42,7 +42,7 @@ Floats4 four(const Pixel* from) {
 #endif
 }
 
-#if defined(__AVX2__)
+#if defined(__AVX2__) && (defined(__GNUC__) || defined(__clang__))
 // Compilers would widen bytes one by one.
 Floats4 four(const std::uint8_t* from) {
     int bytes;
