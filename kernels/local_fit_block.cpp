@@ -104,21 +104,23 @@ void sum_usable(const Candidates<Real>& candidates, Real* to) {
     }
 }
 
-// w, w dx, w dy times some fields of the records, (kFields, 3, kFitBlock).
-template <int kFields, class Real>
-void sum_values(const Candidates<Real>& candidates, std::int64_t field, Real* to) {
+// w, w dx, w dy times some fields of the records, and of those `frame_step` numbers later, (kFrames, kFields, 3, kFitBlock):
+// four at a time, for which weights are loaded once.
+template <int kFields, int kFrames, class Real>
+void sum_values(const Candidates<Real>& candidates, std::int64_t field, std::int64_t frame_step, Real* to) {
     for (int first = 0; first < kFitBlock; first += kWide<Real>) {
-        Wide<Real> sums[3 * kFields] = {};
+        Wide<Real> sums[3 * kFields * kFrames] = {};
         const Real* weights = candidates.weights + kFitBlock + first;
         for (std::int64_t k = 0; k < candidates.count; ++k, weights += kFitWeights * kFitBlock) {
             const Real* values = candidates.records + candidates.point[k] * candidates.fields + field;
             const Wide<Real> plain = load_wide(weights), x = load_wide(weights + kFitBlock);
             const Wide<Real> y = load_wide(weights + 2 * kFitBlock);
             FINGERFLOW_UNROLL
-            for (int f = 0; f < kFields; ++f) {
-                sums[3 * f] += plain * values[f];
-                sums[3 * f + 1] += x * values[f];
-                sums[3 * f + 2] += y * values[f];
+            for (int f = 0; f < kFields * kFrames; ++f) {
+                const Real value = values[f / kFields * frame_step + f % kFields];
+                sums[3 * f] += plain * value;
+                sums[3 * f + 1] += x * value;
+                sums[3 * f + 2] += y * value;
             }
         }
         write_sums<Real>(sums, first, to);
@@ -252,23 +254,34 @@ void write_covariance(const FitFrames<Real>& frames, const FitBlock<Real>& block
 template <class Real>
 void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real* memory) {
     Real* const usable = memory;
-    Real* const values = usable + kFitWeights * kFitBlock;
-    Real* const noise = values + 3 * kFitBlock * frames.components;
+    Real* const values_of_two = usable + kFitWeights * kFitBlock;
+    const std::int64_t sums_a_frame = 3 * kFitBlock * frames.components;
+    Real* const noise = values_of_two + 2 * sums_a_frame;
     Real* const weights = noise + 6 * kFitBlock * frames.noises;
     weigh(block, frames.radius, weights);
     const std::int64_t components = frames.components, fields = 1 + components + frames.noises;
     Candidates<Real> candidates{block.point, block.candidates, fields, weights, frames.records};
     sum_usable(candidates, usable);
     Geometry<Real> at(usable, frames);
+    const std::int64_t frame_step = frames.points * fields;
+    bool known = false;  // whether values were summed with those of the frame before
     for (std::int64_t frame = 0; frame < frames.count; ++frame) {
-        candidates.records = frames.records + frame * frames.points * fields;
+        candidates.records = frames.records + frame * frame_step;
         if (frame > 0 && !frames.same_usable[frame]) {
             sum_usable(candidates, usable);
             at = Geometry<Real>(usable, frames);
         }
+        Real* const values = values_of_two + (known ? sums_a_frame : 0);
+        const bool two = !known && components == 2 && frame + 1 < frames.count && frames.same_usable[frame + 1];
         std::int64_t c = 0;
-        for (; c + 2 <= components; c += 2) sum_values<2>(candidates, 1 + c, values + 3 * kFitBlock * c);
-        if (c < components) sum_values<1>(candidates, 1 + c, values + 3 * kFitBlock * c);
+        if (two) {
+            sum_values<2, 2>(candidates, 1, frame_step, values);
+        } else if (!known) {
+            for (; c + 4 <= components; c += 4) sum_values<4, 1>(candidates, 1 + c, 0, values + 3 * kFitBlock * c);
+            for (; c + 2 <= components; c += 2) sum_values<2, 1>(candidates, 1 + c, 0, values + 3 * kFitBlock * c);
+            if (c < components) sum_values<1, 1>(candidates, 1 + c, 0, values + 3 * kFitBlock * c);
+        }
+        known = two;
         for (std::int64_t v = 0; v < frames.noises; ++v)
             if (!frames.symmetric || v % components >= v / components)
                 sum_noise(candidates, 1 + components + v, noise + 6 * kFitBlock * v);

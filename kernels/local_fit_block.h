@@ -43,7 +43,7 @@ struct FitBlock {
 // How many numbers `memory` of a block has to hold.
 template <class Real>
 std::int64_t fit_memory(const FitFrames<Real>& frames) {
-    return kFitBlock * (kFitWeights * (frames.points + 1) + 3 * frames.components + 6 * frames.noises);
+    return kFitBlock * (kFitWeights * (frames.points + 1) + 2 * 3 * frames.components + 6 * frames.noises);
 }
 
 // clang-format off

@@ -265,31 +265,57 @@ private:
                 const Integers index = whole_x - left;
                 const float* taps = patch + (top - before_y) * stride + left - before_x;
                 Floats value = all(0), along_x = all(0), along_y = all(0);
-                const auto add_row = [&](int i, const Floats& weight, const Floats& weight_slope) {
-                    const Floats low = load(taps + i * stride), high = load(taps + i * stride + kFloats);
-                    Floats tap = looked_up(low, high, index);
-                    Floats row_value = tap * across[0], row_slope = tap * across_slope[0];
+                const auto add_taps = [&](const Floats (&tap)[kTaps], const Floats& weight, const Floats& weight_slope) {
+                    Floats row_value = tap[0] * across[0], row_slope = tap[0] * across_slope[0];
                     FINGERFLOW_UNROLL
                     for (int j = 1; j < kTaps; ++j) {
-                        tap = looked_up(low, high, index + j);
-                        row_value += tap * across[j];
-                        row_slope += tap * across_slope[j];
+                        row_value += tap[j] * across[j];
+                        row_slope += tap[j] * across_slope[j];
                     }
                     value += row_value * weight;
                     along_x += row_slope * weight;
                     along_y += row_value * weight_slope;
                 };
-                if (top == lowest) {
-                    FINGERFLOW_UNROLL
-                    for (int i = 0; i < kTaps; ++i) add_row(i, below[i], below_slope[i]);
+                const auto add_rows = [&](const auto& add_row) {
+                    if (top == lowest) {
+                        FINGERFLOW_UNROLL
+                        for (int i = 0; i < kTaps; ++i) add_row(i, below[i], below_slope[i]);
+                    } else {
+                        // A sample that lies one row lower has its first tap one row later.
+                        const Integers lower = whole_y > top;
+                        add_row(0, lower ? all(0) : below[0], lower ? all(0) : below_slope[0]);
+                        FINGERFLOW_UNROLL
+                        for (int i = 1; i < kTaps; ++i)
+                            add_row(i, lower ? below[i - 1] : below[i], lower ? below_slope[i - 1] : below_slope[i]);
+                        add_row(kTaps, lower ? below[kTaps - 1] : all(0), lower ? below_slope[kTaps - 1] : all(0));
+                    }
+                };
+                // Samples of a window that is hardly deformed lie as pixels do, but for a step of one: then of two loads one has it.
+                const Integers ahead = index - __builtin_convertvector(along - static_cast<float>(c - half), Integers);
+                const int first = warp.xx < 1 ? ahead[kFloats - 1] : 0;
+                int others = 0;  // whether a step is another one
+                for (int k = 0; k < kFloats; ++k) others |= (ahead[k] - first) & ~1;
+                if (others == 0) {
+                    const Integers later = ahead > first;
+                    const float* const beside = taps + first;
+                    add_rows([&](int i, const Floats& weight, const Floats& weight_slope) {
+                        Floats here = load(beside + i * stride), tap[kTaps];
+                        FINGERFLOW_UNROLL
+                        for (int j = 0; j < kTaps; ++j) {
+                            const Floats next = load(beside + i * stride + j + 1);
+                            tap[j] = later ? next : here;
+                            here = next;
+                        }
+                        add_taps(tap, weight, weight_slope);
+                    });
                 } else {
-                    // A sample that lies one row lower has its first tap one row later.
-                    const Integers lower = whole_y > top;
-                    add_row(0, lower ? all(0) : below[0], lower ? all(0) : below_slope[0]);
-                    FINGERFLOW_UNROLL
-                    for (int i = 1; i < kTaps; ++i)
-                        add_row(i, lower ? below[i - 1] : below[i], lower ? below_slope[i - 1] : below_slope[i]);
-                    add_row(kTaps, lower ? below[kTaps - 1] : all(0), lower ? below_slope[kTaps - 1] : all(0));
+                    add_rows([&](int i, const Floats& weight, const Floats& weight_slope) {
+                        const Floats low = load(taps + i * stride), high = load(taps + i * stride + kFloats);
+                        Floats tap[kTaps];
+                        FINGERFLOW_UNROLL
+                        for (int j = 0; j < kTaps; ++j) tap[j] = looked_up(low, high, index + j);
+                        add_taps(tap, weight, weight_slope);
+                    });
                 }
                 write_warped(r, c, warp, value, along_x, along_y);
             }

@@ -1,5 +1,8 @@
-// Points shared out to threads, a few at a time.
+// Points shared out to threads, a few neighbours at a time: their windows overlap, so that most pixels are in a near cache.
 #include <algorithm>
+#include <cstdint>
+#include <utility>
+#include <vector>
 
 #include "interface.h"
 #include "parallel.h"
@@ -9,9 +12,28 @@
 namespace {
 
 constexpr std::int64_t kAtATime = 16;
+constexpr float kBandPx = 16;
 
 fingerflow::Frames frames_of(const fingerflow_image& image, std::int64_t height, std::int64_t width) {
     return {image.data, image.count, height, width, image.image_stride, image.row_stride, static_cast<fingerflow::PixelKind>(image.kind)};
+}
+
+// Numbers of places (count, 2), those of an image together, in bands of its rows by their columns.
+std::vector<std::int64_t> in_bands(const float* places, std::int64_t count, std::int64_t points_an_image, std::int64_t height) {
+    std::vector<std::pair<std::pair<std::int64_t, float>, std::int64_t>> keys;
+    keys.reserve(static_cast<std::size_t>(count));
+    const float last = static_cast<float>(height) / kBandPx;
+    const std::int64_t bands = static_cast<std::int64_t>(last) + 1;
+    for (std::int64_t k = 0; k < count; ++k) {
+        const float x = places[2 * k], band = places[2 * k + 1] / kBandPx;
+        const std::int64_t row = band > 0 ? static_cast<std::int64_t>(std::min(band, last)) : 0;  // 0 where it is not a number
+        keys.push_back({{k / points_an_image * bands + row, x > 0 ? x : 0.0f}, k});
+    }
+    std::sort(keys.begin(), keys.end());
+    std::vector<std::int64_t> order;
+    order.reserve(keys.size());
+    for (const auto& key : keys) order.push_back(key.second);
+    return order;
 }
 
 template <class Function, class Work>
@@ -29,7 +51,8 @@ void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t he
                                   float* start, const float* inverse_warp, const float* variance, int window, int gain_offset,
                                   float rounding, float* samples, float* table, float* numbers, int threads) {
     using namespace fingerflow;
-    const TemplatesToPrepare work{frames_of(*image, height, width), points, window, gain_offset, rounding, start, inverse_warp,
+    const std::vector<std::int64_t> order = in_bands(start, image->count * points, points, height);
+    const TemplatesToPrepare work{frames_of(*image, height, width), order.data(), points, window, gain_offset, rounding, start, inverse_warp,
                                   variance, samples, table, numbers};
     share_out(FINGERFLOW_PICK(prepare_templates), work, image->count * points, window, threads);
 }
@@ -40,7 +63,8 @@ void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t heig
                                float rounding, float forward_backward_limit, float mismatch_limit, float* found, float* error,
                                float* covariance, unsigned char* status, float* estimate, int threads) {
     using namespace fingerflow;
-    const TemplatesToFind work{frames_of(*frames, height, width), batch, points, steps, window, rounds, start, samples, table,
+    const std::vector<std::int64_t> order = in_bands(place, batch * points, points, height);
+    const TemplatesToFind work{frames_of(*frames, height, width), order.data(), batch, points, steps, window, rounds, start, samples, table,
                                numbers, variance, place, speed, rounding, forward_backward_limit, mismatch_limit, found, error,
                                covariance, status, estimate};
     share_out(FINGERFLOW_PICK(find_templates), work, batch * points, window, threads);

@@ -246,33 +246,41 @@ private:
 
     // Sums of gx, gy and the values times the wide template, shifted: component by component, row by row.
     void correlate(float* table) const {
+        constexpr int kAtOnce = kFloats == 16 ? kShifts : 3;  // shifts whose sums stay in registers
         for (int row = 0; row < kShifts; ++row) {
             Floats products[whole_floats(3 * kShifts)] = {};
-            Floats with_x[kShifts], with_y[kShifts], with_value[kShifts];
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kShifts; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
-            const float* from = sampled_.value + row * wide_;
-            for (int i = 0; i < steps(); i += kFloats) {
-                const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
-                FINGERFLOW_UNROLL
-                for (int k = 0; k < kShifts; ++k) {
-                    const Floats sample = held(load(from + i + k));
-                    with_x[k] += x * sample;
-                    with_y[k] += y * sample;
-                    with_value[k] += value * sample;
-                }
-            }
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kShifts; ++k) {
-                products[k] = with_x[k];
-                products[kShifts + k] = with_y[k];
-                products[2 * kShifts + k] = with_value[k];
-            }
+            const float* const from = sampled_.value + row * wide_;
+            add_products<kAtOnce>(from, products);
+            if constexpr (kAtOnce < kShifts) add_products<kShifts - kAtOnce>(from + kAtOnce, products + kAtOnce);
             float summed[whole_floats(3 * kShifts)];
             sums(products, summed);
             for (int component = 0; component < 3; ++component)
                 for (int k = 0; k < kShifts; ++k)
                     table[component * kSquare + row * kShifts + k] = summed[component * kShifts + k];
+        }
+    }
+
+    // Those of so many shifts along x, kShifts apart by component.
+    template <int kCount>
+    void add_products(const float* from, Floats* products) const {
+        Floats with_x[kCount], with_y[kCount], with_value[kCount];
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kCount; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
+        for (int i = 0; i < steps(); i += kFloats) {
+            const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
+            FINGERFLOW_UNROLL
+            for (int k = 0; k < kCount; ++k) {
+                const Floats sample = held(load(from + i + k));
+                with_x[k] += x * sample;
+                with_y[k] += y * sample;
+                with_value[k] += value * sample;
+            }
+        }
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kCount; ++k) {
+            products[k] = with_x[k];
+            products[kShifts + k] = with_y[k];
+            products[2 * kShifts + k] = with_value[k];
         }
     }
 
@@ -310,15 +318,13 @@ public:
         for (float*& one : samples_) one = take(n_ * row_);
         for (float*& one : table_) one = take(kCells);
         patch_ = take((n_ + 2 * kBeyond) * stride_ + 2 * kPatchBlock);
-        values_ = take((n_ + 3) * kFloats);
         matched_ = take(n_ * row_);
         lines_ = memory;
     }
 
     static std::int64_t floats(int n) {
         const int stride = patch_span(n + 2 * kBeyond), side = n + 2 * kBeyond;
-        return 4 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) +
-               whole_floats((n + 3) * kFloats) + (side + 2) * stride;
+        return 4 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
     }
 
     void follow(std::int64_t point) {
@@ -364,7 +370,7 @@ public:
     }
 
 private:
-    static constexpr int kCells = whole_floats(32);  // of a table's component
+    static constexpr int kRow = whole_floats(kShifts), kCells = kShifts * kRow;  // of a table's component, each row in whole vectors
 
     static Look not_given(Vector guess) { return {{NAN, NAN}, is_finite(guess) ? guess : Vector{0, 0}, NAN, NAN, kNotFinite}; }
 
@@ -372,7 +378,9 @@ private:
         const float* from = all_.samples + point * 3 * n_ * n_;
         for (int k = 0; k < 3; ++k)
             for (int r = 0; r < n_; ++r, from += n_) std::memcpy(samples_[k] + r * row_, from, static_cast<std::size_t>(n_) * sizeof(float));
-        for (int k = 0; k < 3; ++k) std::memcpy(table_[k], all_.table + point * kTable + k * kSquare, kSquare * sizeof(float));
+        for (int k = 0; k < 3; ++k)
+            for (int r = 0; r < kShifts; ++r)
+                std::memcpy(table_[k] + r * kRow, all_.table + point * kTable + k * kSquare + r * kShifts, kShifts * sizeof(float));
         numbers_ = all_.numbers + point * kNumbers;
         spread_ = {numbers_[kCovarianceXx], numbers_[kCovarianceXy], numbers_[kCovarianceXy], numbers_[kCovarianceYy]};
     }
@@ -427,59 +435,84 @@ private:
         float value, x, y;
     };
 
-    // Sums of the samples times the spline on the window around the whole pixel.
-    Wanted first_sums() {
-        constexpr float kOuter = 1.0f / 6, kMiddle = 2.0f / 3;
+    // Sums of the samples times the spline on the window around the whole pixel: [1 4 1] / 6 along and down.
+    Wanted first_sums() const {
+        constexpr float kScale = 1.0f / 36;
         Floats of[whole_floats(3)] = {};
-        float* const values = values_;
-        for (int block = 0; block < n_; block += kFloats) {
-            const float* from = patch_ + kBeyond * stride_ - stride_ + kBeyond - 1 + block;
-            for (int r = 0; r < n_ + 2; ++r, from += stride_)
-                store(values + r * kFloats, (load(from) + load(from + 2)) * all(kOuter) + load(from + 1) * all(kMiddle));
-            const float* const own = samples_[0] + block;
-            const float* const x = samples_[1] + block;
-            const float* const y = samples_[2] + block;
-            Floats with_own = of[0], with_x = of[1], with_y = of[2];
-            for (int r = 0; r < n_; ++r) {
-                const float* const at = values + r * kFloats;
-                const Floats sample = (load(at) + load(at + 2 * kFloats)) * all(kOuter) + load(at + kFloats) * all(kMiddle);
-                with_own += sample * load(own + r * row_);
-                with_x += sample * load(x + r * row_);
-                with_y += sample * load(y + r * row_);
-            }
-            of[0] = with_own;
-            of[1] = with_x;
-            of[2] = with_y;
-        }
+        int block = 0;
+        for (; block + kFloats < n_; block += 2 * kFloats) first_block_sums<2>(block, of);
+        if (block < n_) first_block_sums<1>(block, of);
         float sum_of[whole_floats(3)];
         sums(of, sum_of);
-        return {sum_of[0], sum_of[1], sum_of[2]};
+        return {sum_of[0] * kScale, sum_of[1] * kScale, sum_of[2] * kScale};
     }
 
+    // Those of so many vectors of columns: sums of one would wait for one another.
+    template <int kVectors>
+    void first_block_sums(int block, Floats* of) const {
+        const int stride = stride_, row = row_;
+        const float* from = patch_ + kBeyond * stride - stride + kBeyond - 1 + block;
+        const float *own = samples_[0] + block, *x = samples_[1] + block, *y = samples_[2] + block;
+        const auto along = [](const float* place) { return load(place) + load(place + 2) + load(place + 1) * all(4); };
+        Floats with_own[kVectors], with_x[kVectors], with_y[kVectors], above[kVectors], here[kVectors];
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kVectors; ++k) {
+            with_own[k] = with_x[k] = with_y[k] = all(0);
+            above[k] = along(from + k * kFloats);
+            here[k] = along(from + stride + k * kFloats);
+        }
+        from += 2 * stride;
+        for (int r = 0; r < n_; ++r, from += stride, own += row, x += row, y += row) {
+            FINGERFLOW_UNROLL
+            for (int k = 0; k < kVectors; ++k) {
+                const Floats below = along(from + k * kFloats), sample = above[k] + below + here[k] * all(4);
+                with_own[k] += sample * load(own + k * kFloats);
+                with_x[k] += sample * load(x + k * kFloats);
+                with_y[k] += sample * load(y + k * kFloats);
+                above[k] = here[k];
+                here[k] = below;
+            }
+        }
+        FINGERFLOW_UNROLL
+        for (int k = 0; k < kVectors; ++k) {
+            of[0] += with_own[k];
+            of[1] += with_x[k];
+            of[2] += with_y[k];
+        }
+    }
+
+    // Weights of the values at -2 to 2 for the quartic through them (Lagrange), in whole vectors.
     static void between(float shift, float* weights) {
-        const float square = shift * shift, inner = (square - 4) * shift / -6, outer = (square - 1) * shift / 24;
-        weights[0] = outer * (shift - 2);
-        weights[1] = inner * (shift - 1);
-        weights[2] = (square - 1) * (square - 4) / 4;
-        weights[3] = inner * (shift + 1);
-        weights[4] = outer * (shift + 2);
+        alignas(64) static constexpr float kByPower[5][whole_floats(kShifts)] = {
+            {0, 0, 1, 0, 0},
+            {1.0f / 12, -2.0f / 3, 0, 2.0f / 3, -1.0f / 12},
+            {-1.0f / 24, 2.0f / 3, -1.25f, 2.0f / 3, -1.0f / 24},
+            {-1.0f / 12, 1.0f / 6, 0, -1.0f / 6, 1.0f / 12},
+            {1.0f / 24, -1.0f / 6, 0.25f, -1.0f / 6, 1.0f / 24},
+        };
+        const float square = shift * shift;
+        for (int k = 0; k < kRow; k += kFloats) {
+            const Floats even = load(kByPower[0] + k) + (load(kByPower[2] + k) + load(kByPower[4] + k) * square) * square;
+            store(weights + k, even + (load(kByPower[1] + k) + load(kByPower[3] + k) * square) * shift);
+        }
     }
 
     // The shift at which the table equals what is wanted.
     Vector initial_estimate(const Wanted& wanted, Vector shift) const {
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
-        alignas(64) float weights[kCells] = {};
+        alignas(64) float across[kRow], down[kRow];
         for (int step = 0; step < kEstimateSteps; ++step) {
-            float x[kShifts], y[kShifts];
-            between(shift.x, x);
-            between(shift.y, y);
-            for (int r = 0; r < kShifts; ++r)
-                for (int c = 0; c < kShifts; ++c) weights[r * kShifts + c] = y[r] * x[c];
+            between(shift.x, across);
+            between(shift.y, down);
             Floats of[whole_floats(3)] = {};
-            for (int k = 0; k < kCells; k += kFloats) {
-                const Floats weight = load(weights + k);
-                for (int component = 0; component < 3; ++component) of[component] += weight * load(table_[component] + k);
-            }
+            for (int k = 0; k < kRow; k += kFloats)
+                for (int component = 0; component < 3; ++component) {
+                    const float* const table = table_[component] + k;
+                    Floats column = load(table) * down[0];
+                    FINGERFLOW_UNROLL
+                    for (int r = 1; r < kShifts; ++r) column += load(table + r * kRow) * down[r];
+                    of[component] += column * load(across + k);
+                }
             float at[whole_floats(3)];
             sums(of, at);
             float gain = 1;
@@ -510,58 +543,64 @@ private:
         std::memcpy(result, sum_of, sizeof *result);
     }
 
-    // Those of some columns, which are kept.
+    // Those of some columns, which are kept. Rows that are interpolated along x stay in registers until the window has passed.
     template <bool kInPart>
-    void block_sums(const float* from, int block, const float* across, const float* down, Floats* of) {
-        const int rows = n_ + kTaps - 1, stride = stride_;
-        float* const values = values_;  // members would be read again after every store
-        Floats weight[kTaps], sum[5];
-        FINGERFLOW_UNROLL
-        for (int i = 0; i < kTaps; ++i) weight[i] = all(across[i]);
-        for (int r = 0; r < rows; ++r, from += stride) {
-            Floats value = load(from) * weight[0];
-            FINGERFLOW_UNROLL
-            for (int i = 1; i < kTaps; ++i) value += load(from + i) * weight[i];
-            store(values + r * kFloats, value);
-        }
-        FINGERFLOW_UNROLL
-        for (int i = 0; i < kTaps; ++i) weight[i] = all(down[i]);
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < 5; ++k) sum[k] = of[k];
-        const Beginning inside(kInPart ? n_ - block : kFloats);
+    void block_sums(const float* from, int block, const float* across, const float* down, Floats* of) const {
+        const int stride = stride_, row = row_, n = n_;
+        const Floats along_0 = all(across[0]), along_1 = all(across[1]), along_2 = all(across[2]), along_3 = all(across[3]);
+        const Floats down_0 = all(down[0]), down_1 = all(down[1]), down_2 = all(down[2]), down_3 = all(down[3]);
+        const auto along = [&](const float* place) {
+            return load(place) * along_0 + load(place + 1) * along_1 + load(place + 2) * along_2 + load(place + 3) * along_3;
+        };
+        Floats with_own = of[0], with_x = of[1], with_y = of[2], sum = of[3], squares = of[4];
+        const Beginning inside(kInPart ? n - block : kFloats);
         const float *own = samples_[0] + block, *gx = samples_[1] + block, *gy = samples_[2] + block;
-        float* const matched = matched_ + block;
-        const int row = row_;
-        for (int r = 0; r < n_; ++r) {
-            Floats m = load(values + r * kFloats) * weight[0];
-            FINGERFLOW_UNROLL
-            for (int i = 1; i < kTaps; ++i) m += load(values + (r + i) * kFloats) * weight[i];
+        float* matched = matched_ + block;
+        Floats first = along(from), second = along(from + stride), third = along(from + 2 * stride);
+        from += 3 * stride;
+        for (int r = 0; r < n; ++r, from += stride, own += row, gx += row, gy += row, matched += row) {
+            const Floats fourth = along(from);
+            Floats m = first * down_0 + second * down_1 + third * down_2 + fourth * down_3;
             if (kInPart) m = inside.of(m);
-            store(matched + r * row, m);
-            sum[0] += load(own + r * row) * m;
-            sum[1] += load(gx + r * row) * m;
-            sum[2] += load(gy + r * row) * m;
-            sum[3] += m;
-            sum[4] += m * m;
+            store(matched, m);
+            with_own += load(own) * m;
+            with_x += load(gx) * m;
+            with_y += load(gy) * m;
+            sum += m;
+            squares += m * m;
+            first = second;
+            second = third;
+            third = fourth;
         }
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < 5; ++k) of[k] = sum[k];
+        of[0] = with_own;
+        of[1] = with_x;
+        of[2] = with_y;
+        of[3] = sum;
+        of[4] = squares;
     }
 
     // Sums over the window of D grad D, D = M - gain T - offset the residual: half the differences of D^2 between opposite edges.
     Vector edges(float gain, float offset) const {
-        const float *const own = samples_[0], *const matched = matched_;
-        const int n = n_, row = row_, last = (n - 1) * row;
+        const int last_row = (n_ - 1) * row_;
+        Floats down = all(0), right = all(0), left = all(0);
         const auto square = [&](int k) {
-            const float left = matched[k] - gain * own[k] - offset;
-            return left * left;
+            const Floats rest = load(matched_ + k) - load(samples_[0] + k) * all(gain) - all(offset);
+            return rest * rest;
         };
-        Vector total{0, 0};
-        for (int k = 0; k < n; ++k) {
-            total.x += square(k * row + n - 1) - square(k * row);
-            total.y += square(last + k) - square(k);
+        // What fills up the rows is the same in both.
+        for (int c = 0; c < row_; c += kFloats) down += square(last_row + c) - square(c);
+        const int last = row_ - kFloats;
+        for (int k = 0; k <= last_row; k += row_) {
+            left += square(k);
+            right += square(k + last);
         }
-        return {total.x / 2, total.y / 2};
+        float total[kFloats], of_left[kFloats], of_right[kFloats];
+        store(total, down);
+        store(of_left, left);
+        store(of_right, right);
+        float sum = 0;
+        for (int k = 0; k < kFloats; ++k) sum += total[k];
+        return {(of_right[n_ - 1 - last] - of_left[0]) / 2, sum / 2};
     }
 
     Look judge(std::int64_t image, Vector guess, Vector center, Vector beside, Vector looked, const Sums& of) const {
@@ -621,7 +660,6 @@ private:
     float* samples_[3]{};
     float* table_[3]{};
     float* patch_ = nullptr;
-    float* values_ = nullptr;
     float* matched_ = nullptr;
     float* lines_ = nullptr;
 };
@@ -635,12 +673,12 @@ std::int64_t templates_workspace_bytes(int window) {
 
 void prepare_templates(const TemplatesToPrepare& all, std::int64_t first, std::int64_t last, void* workspace) {
     Preparer preparer(all, static_cast<float*>(workspace));
-    for (std::int64_t point = first; point < last; ++point) preparer.prepare(point);
+    for (std::int64_t k = first; k < last; ++k) preparer.prepare(all.order[k]);
 }
 
 void find_templates(const TemplatesToFind& all, std::int64_t first, std::int64_t last, void* workspace) {
     Finder finder(all, static_cast<float*>(workspace));
-    for (std::int64_t point = first; point < last; ++point) finder.follow(point);
+    for (std::int64_t k = first; k < last; ++k) finder.follow(all.order[k]);
 }
 
 }  // namespace FINGERFLOW_ISA

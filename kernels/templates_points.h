@@ -11,6 +11,7 @@ namespace fingerflow {
 // As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), table (P, 75), numbers (P, 34).
 struct TemplatesToPrepare {
     Frames image;
+    const std::int64_t* order;  // numbers of points, as they are gone through
     std::int64_t points_an_image;
     int window, gain_offset;
     float rounding;
@@ -25,6 +26,7 @@ struct TemplatesToPrepare {
 // The points of `batch` images followed through `steps` frames: image k * batch + b is frame k of the points of batch b.
 struct TemplatesToFind {
     Frames frames;
+    const std::int64_t* order;  // numbers of points, as they are gone through
     std::int64_t batch, points_an_image, steps;
     int window, rounds;
     const float* start;

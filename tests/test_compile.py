@@ -102,6 +102,9 @@ def of_kernels() -> dict[str, Callable[[], object]]:
         "find_templates": lambda: check(
             own.find_templates, list(templates), second, points, None, None, 1, 0.0, 1.0, 0.5
         ),
+        "sample_windows": lambda: check(
+            own.sample_windows, first, torch.zeros(POINTS, dtype=torch.int64), points[0], torch.ones(POINTS, 2, 2), 9, 3
+        ),
         "local_gradients": lambda: check(own.local_gradients, points, moved, points, covariance, **fits),
         "local_gradients without noise": lambda: check(own.local_gradients, points, moved, points, None, **fits),
     }

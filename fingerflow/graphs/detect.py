@@ -8,6 +8,7 @@ from torch.nn import functional
 
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
+from fingerflow.ops.mask_bounds import mask_bounds
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
@@ -15,6 +16,7 @@ _BOX = 5  # px, of the structure tensor: a corner must be local: averaged over a
 _QUALITY = 0.01  # least share of the strongest response
 _NOISE = 12 / 64 * (1 + 18 / _BOX)  # response of pure noise of variance 1 that no window reaches (`ops.corners`)
 _TINY = 1e-30
+_MARGIN = 2 + _BOX // 2  # px beyond a pixel on which it depends whether its response is the largest around
 
 
 class DetectGraph(nn.Module):
@@ -45,14 +47,19 @@ class DetectGraph(nn.Module):
         """
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
-        response = _response(view)
         noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
         if not topography_view.is_floating_point():
             noise = noise + 1 / 12  # of rounding
         edge = min(self.border_px, (min(height, width) - 1) // 2)
         count = min(self.points, height * width)
-        inside = functional.pad(response[..., edge : height - edge, edge : width - edge], (edge,) * 4)
-        inside = torch.where(finite(inside), inside, 0.0)
+        # Nothing is chosen beyond the mask: there only what decides on a local maximum is looked at.
+        (top, bottom), (left, right) = mask_bounds(mask, _MARGIN, count)
+        mask = mask[..., top:bottom, left:right]
+        response = _response(view[..., top:bottom, left:right])
+        above, below = _beyond(edge, height, top, bottom)
+        before, behind = _beyond(edge, width, left, right)
+        inside = response[..., above : bottom - top - below, before : right - left - behind]
+        inside = functional.pad(torch.where(finite(inside), inside, 0.0), (before, behind, above, below))
         # At the mask's edge a slope would be the largest.
         inside = torch.where(mask & (inside >= widest(inside)), inside, 0.0)
         strongest = inside.amax((2, 3), keepdim=True)
@@ -71,11 +78,17 @@ class DetectGraph(nn.Module):
         chosen = rank.flatten(1).topk(count, dim=1).indices
         falling = corners.flatten(1).gather(1, chosen).topk(count, dim=1)
         place = chosen.gather(1, falling.indices)
-        row = (place // width).to(self.precision)
-        column = (place % width).to(self.precision)
+        row = (place // (right - left) + top).to(self.precision)
+        column = (place % (right - left) + left).to(self.precision)
         missing = falling.values <= 0
         points = torch.stack((column, row), dim=2).masked_fill(missing[..., None], torch.nan)
         return points, falling.values.masked_fill(missing, torch.nan)
+
+
+def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
+    """How many of the pixels from `first` to before `last` lie in the edge at the start of an axis, and at its end."""
+    start = min(max(edge - first, 0), last - first)
+    return start, min(max(last - (length - edge), 0), last - first - start)
 
 
 def _response(view: Tensor) -> Tensor:

@@ -56,6 +56,12 @@ void fingerflow_search_windows(const float* templates, const float* images, std:
                                const std::int64_t* image_index, const float* points, const float* guess,
                                std::int64_t count, int size, int reach, float* found, int threads);
 
+// Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/window_correlation.py): image index
+// (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
+void fingerflow_sample_windows(const fingerflow_image* images, std::int64_t height, std::int64_t width,
+                               const std::int64_t* image_index, const float* places, const float* warp,
+                               std::int64_t windows, int reach, int step, float* found, int threads);
+
 // Mean absolute response (batch) of the noise mask, of `batch` frames of a kind of pixels.h, at least 3 x 3; NaN where no
 // response is finite.
 void fingerflow_mean_response(const void* frames, double* means, std::int64_t batch, std::int64_t height,

@@ -32,6 +32,7 @@ __all__ = [
     "halve",
     "mean_response",
     "prepare_templates",
+    "sample_windows",
     "search_windows",
     "spline_coefficients",
 ]
@@ -267,6 +268,43 @@ def search_windows(
         count=count,
         size=size,
         reach=reach,
+        found=found,
+        threads=torch.get_num_threads(),
+    )
+    return found
+
+
+@torch_op()
+def sample_windows(images: Tensor, image_index: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
+    """Windows (N, m) as `ops.window_correlation` has them, to the rounding of their places, of images (n, 1, H, W) of
+    FRAME_KINDS, at least 4 x 4.
+
+    Image_index (N,) int64; places (N, 2) and warp (N, 2, 2) float32.
+
+    Raises:
+        TypeError, ValueError: another dtype, shapes that do not belong together, smaller images, a window or a step
+            below 1.
+    """
+    check_frames(images, tuple(FRAME_KINDS))
+    count, reach = places.shape[0], window // 2
+    check_like("image_index", image_index, torch.int64, (count,))
+    check_indices("image_index", image_index, images.shape[0], "images")
+    check_like("places", places, torch.float32, (count, 2))
+    check_like("warp", warp, torch.float32, (count, 2, 2))
+    if window < 1 or step < 1 or min(images.shape[2:]) < 4:
+        raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
+    images = rows_in_one_piece(images)
+    found = empty(torch.float32, count, (2 * reach // step + 1) ** 2)
+    entry("sample_windows")(
+        **described(images),
+        height=images.shape[2],
+        width=images.shape[3],
+        image_index=image_index.contiguous(),
+        places=places.contiguous(),
+        warp=warp.contiguous(),
+        windows=count,
+        reach=reach,
+        step=step,
         found=found,
         threads=torch.get_num_threads(),
     )

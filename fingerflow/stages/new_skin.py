@@ -82,12 +82,12 @@ class NewSkin:
         if before is not None:
             old = len(before[0])
             way[:old] = (place[:old] - before[0]) - (middle - before[1])
-        rows, columns = np.indices(touching.shape)
-        at = _looked_at(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
         tracked, far = np.flatnonzero(known.tracked), self._window / 2 * self._per_px
         some = np.flatnonzero(self._may_be_empty(touching, place[tracked], way[tracked], far))
         if not len(some):
             return None
+        rows, columns = np.indices(touching.shape)
+        at = _looked_at(np.stack((columns, rows), axis=-1).reshape(-1, 2), self._cell)
         tree = cKDTree(place[tracked])
         distance, nearest = tree.query(at[some])
         coming = at[some] + _AHEAD * way[tracked[nearest]]
@@ -136,7 +136,9 @@ class NewSkin:
         return result
 
     def _middle(self, touching: Mask) -> Points:
-        result: Points = np.argwhere(touching).mean(0)[::-1] * self._cell * _STEP
+        lines = touching.sum(0), touching.sum(1)  # of columns, of rows
+        total = lines[0].sum()
+        result: Points = np.array([one @ np.arange(len(one)) / total for one in lines]) * self._cell * _STEP
         return result
 
     def _in(self, touching: Mask, at: Points) -> Mask:

@@ -115,6 +115,11 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                 fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), table.data(), numbers.data(), threads);
                 fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), table.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
             }
+        for (const fingerflow_image& image : {first, second})
+            for (int step : {1, 3}) {
+                std::vector<float> windows(static_cast<std::size_t>(points * (8 / step + 1) * (8 / step + 1)));
+                fingerflow_sample_windows(&image, height, width, index.data(), start.data(), warp.data(), points, 4, step, windows.data(), threads);
+            }
         for (int reach : {0, 5})
             fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads);
     }

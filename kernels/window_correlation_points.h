@@ -1,0 +1,28 @@
+// Deformed windows of frames by cubic convolution, some of them: the piece of work of one thread.
+#pragma once
+
+#include <cstdint>
+
+#include "instruction_sets.h"
+#include "pixels.h"
+
+namespace fingerflow {
+
+// As fingerflow/ops/window_correlation.py has them: steps of a window's grid go from -reach to reach, `step` px apart.
+struct WindowsToSample {
+    Frames frames;
+    const std::int64_t* image_index;  // (N)
+    const float* places;              // (N, 2)
+    const float* warp;                // (N, 2, 2)
+    int reach, step;
+    float* found;  // (N, side, side)
+};
+
+// clang-format off
+FINGERFLOW_FOR_EACH_SET(
+    std::int64_t windows_workspace_bytes(int reach, int step);
+    void sample_windows(const WindowsToSample& windows, std::int64_t first, std::int64_t last, void* workspace);
+)
+// clang-format on
+
+}  // namespace fingerflow
