@@ -89,10 +89,11 @@ def _go_through(
 ) -> Iterator[Result]:
     from distributed import as_completed
 
-    names: dict[str, str] = {}
+    names: dict[tuple[str, ...], str] = {}
 
     def submit(name: str, task: Task) -> Any:
-        future = client.submit(act, task, key=f"{name}-{os.getpid()}", pure=False)
+        # All of one group: a scheduler never forgets the statistics that it keeps of each group's name.
+        future = client.submit(act, task, key=(f"trial-{os.getpid()}", name), pure=False)
         names[future.key] = name
         return future
 
@@ -176,7 +177,12 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     # processor, and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
     # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
-    own = {"distributed.comm.retry.count": 3, "distributed.worker.profile.enabled": False}
+    # Its logs of messages and transitions are for those who mend Dask: 13 MB of the client and its scheduler.
+    own = {
+        "distributed.comm.retry.count": 3,
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.low-level-log-length": 100,
+    }
     with dask.config.set({**environment, **own}):
         cluster: Any = None
         try:
@@ -185,8 +191,9 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
             else:
                 if scheduler is None:
                     cluster = LocalCluster(
-                        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                        silence_logs=logging.ERROR,
+                        n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
+                        # Of no fixed port, which Dask would warn of where another study has it.
+                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
                     )  # fmt: skip
                 else:
                     cluster = _deployment(scheduler)()
