@@ -89,11 +89,11 @@ def _go_through(
 ) -> Iterator[Result]:
     from distributed import as_completed
 
-    names: dict[tuple[str, ...], str] = {}
+    names: dict[str, str] = {}
 
     def submit(name: str, task: Task) -> Any:
         # All of one group: a scheduler never forgets the statistics that it keeps of each group's name.
-        future = client.submit(act, task, key=(f"trial-{os.getpid()}", name), pure=False)
+        future = client.submit(act, task, key=f"trial-{os.getpid()}-{name}", pure=False)
         names[future.key] = name
         return future
 
