@@ -177,7 +177,7 @@ def _client(scheduler: str | None, workers: int, threads: int) -> Iterator[Any]:
     # processor, and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
     # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
-    # Its logs of messages and transitions are for those who mend Dask: 13 MB of the client and its scheduler.
+    # Its logs of messages and transitions are for those who mend Dask: 16 MB of the client and its scheduler.
     own = {
         "distributed.comm.retry.count": 3,
         "distributed.worker.profile.enabled": False,
