@@ -4,7 +4,6 @@ A stage's key is a digest of its settings, of the keys of the stages before it, 
 pictures, of the code and of what computes. Where it is the same, so are the results, bit for bit.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -15,6 +14,7 @@ import torch
 import xarray as xr
 
 from fingerflow import __version__, kernels
+from fingerflow.digest import digest_of, digest_of_bytes
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import Plan
 from fingerflow.recordings import open_recording
@@ -84,8 +84,8 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str) -> dict[type[Stage], Key]:
             pictures.add(stage.place())
         seen = frames if stage.place() in pictures else ""
         of_stages = [keys[one].digest for one in before]
-        content = [stage.name, settings, stage.depends_on(plan.stages), seen, of_stages, common]
-        keys[stage.place()] = Key(_digest(json.dumps(content, sort_keys=True).encode()), settings)
+        on = stage.depends_on(plan.stages)
+        keys[stage.place()] = Key(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
     return keys
 
 
@@ -163,7 +163,7 @@ def _why_not(
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
     """A key of the scene with its value, or all keys of a table."""
     if key == _TIMES:
-        yield key, _digest(inputs.times.tobytes())
+        yield key, digest_of_bytes([inputs.times.tobytes()])
         return
     value: Any = values
     for name in key.split("."):
@@ -182,7 +182,7 @@ def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[t
 
 def _content(file: Path) -> str:
     try:
-        return _digest(file.read_bytes())
+        return digest_of_bytes([file.read_bytes()])
     except OSError:  # the stage that reads it says so
         return ""
 
@@ -194,15 +194,8 @@ def code_version() -> str:
     named = [package / part for part in _CODE]
     files = [file for part in named for file in ([part] if part.is_file() else part.rglob("*.py"))]
     files += package.glob("_kernels*")
-    parts = [f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files)]
-    return f"{__version__} {_digest(*parts)}"
-
-
-def _digest(*parts: bytes) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()[:16]
+    parts = (f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files))
+    return f"{__version__} {digest_of_bytes(parts)}"
 
 
 def _shown(value: Any) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import functools
 import importlib
 import json
@@ -289,10 +290,17 @@ def _run(
 
 
 def leave_free(ballast: Path, free: int) -> None:
-    """Makes this file as large as leaves so many bytes of its disk."""
+    """Makes this file as large as leaves so many bytes of its disk, whoever else is writing to it meanwhile."""
     ballast.unlink(missing_ok=True)
     with ballast.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, max(shutil.disk_usage(ballast.parent).free - free, 1))
+        while (more := shutil.disk_usage(ballast.parent).free - free) > 0:
+            try:
+                os.posix_fallocate(file.fileno(), 0, more)
+            except OSError as error:
+                if error.errno != errno.ENOSPC:
+                    raise
+            else:
+                return
 
 
 def _state(command: Command, path: Path, reference: Path) -> str:

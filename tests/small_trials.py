@@ -1,5 +1,6 @@
 """Trials that are small enough for a test, and what may be wrong with a frame of them: one place for all tests."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from fingerflow.export import export_bundle
+from fingerflow.export.recipe import GRAPHS
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.scenes import Scene
 from tests.stages.rolling import Rolling
@@ -21,7 +23,6 @@ TINY_PRESS = Press(
 
 # What a stream and `process` are compared on.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150
-GRAPHS = ("background", "detect", "key", "renew", "search", "frame", "contact", "fields")
 _SHARED = f"""
 [tracking]
 points = {POINTS}
@@ -53,12 +54,18 @@ def write_scene_of_bundle(folder: Path, trial: Scene) -> Path:
 
 
 def write_bundle_of_trials(folder: Path) -> Path:
-    """Exports the graphs that play these trials."""
-    recipe = folder.with_name(f"{folder.name}.toml")
+    """Exports the graphs that play these trials and all others, and beside it what their verification has found."""
+    recipe, verification = beside(folder)
     views = f"[views]\nheight = {HEIGHT}\nwidth = {WIDTH}\n"
-    recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {list(GRAPHS)}\n".replace("'", '"'), encoding="utf-8")
-    export_unverified(recipe, folder)
+    recipe.write_text(f"{views}{_SHARED}[export]\ngraphs = {json.dumps(GRAPHS)}\n", encoding="utf-8")
+    found = export_bundle(recipe, folder)
+    verification.write_text(json.dumps([one._asdict() for one in found]), encoding="utf-8")
     return folder
+
+
+def beside(bundle: Path) -> tuple[Path, Path]:
+    """The files of a bundle's recipe and of its verification."""
+    return bundle.with_name(f"{bundle.name}.toml"), bundle.with_name(f"{bundle.name}.json")
 
 
 def export_unverified(recipe: Path, folder: Path) -> None:

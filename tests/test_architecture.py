@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
     "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
+    "digest": set(),
     "strict": set(),
     "toml_string": set(),
     "untrusted": {"errors"},
@@ -22,7 +23,7 @@ ARROWS: dict[str, set[str]] = {
     "ops": {"kernels"},
     "graphs": {"ops"},
     "models": {"errors", "kernels"},
-    "recordings": {"contract", "errors", "untrusted"},
+    "recordings": {"contract", "digest", "errors", "untrusted"},
     "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
@@ -33,7 +34,7 @@ ARROWS: dict[str, set[str]] = {
     "dictionary": {"contract", "stages"},
     "tables": {"atomic_write", "errors"},
     "deviations": {"contract", "store"},
-    "reuse": {"__init__", "errors", "kernels", "plan", "recordings", "stages", "store"},
+    "reuse": {"__init__", "digest", "errors", "kernels", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
@@ -76,6 +77,7 @@ ARROWS: dict[str, set[str]] = {
         "__init__",
         "atomic_write",
         "contract",
+        "digest",
         "errors",
         "models",
         "pipeline",

@@ -1,8 +1,11 @@
 """A short run of `python -m tests.kills`, the same moments each time; the command has 100."""
 
+import errno
+import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +35,20 @@ def test_half_a_result_is_seen(size: int, tmp_path: Path) -> None:
     assert kills._state(command, half, whole).startswith("is there and ")
     half.write_bytes(whole.read_bytes())
     assert kills._state(command, half, whole) == "whole"
+
+
+def test_a_disk_fills_up_while_others_write_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free, allocate = [300, 200], os.posix_fallocate
+
+    def of_200(file: int, start: int, size: int) -> None:
+        if start + size > 100:
+            raise OSError(errno.ENOSPC, "another one was faster")
+        allocate(file, start, size)
+
+    monkeypatch.setattr(kills.shutil, "disk_usage", lambda _: SimpleNamespace(free=free.pop(0)))
+    monkeypatch.setattr(os, "posix_fallocate", of_200)
+    kills.leave_free(tmp_path / "ballast", 100)
+    assert (tmp_path / "ballast").stat().st_size == 100
 
 
 def test_what_is_left_behind_is_seen(tmp_path: Path) -> None:

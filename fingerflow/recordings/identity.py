@@ -1,9 +1,8 @@
 """What tells one recording from another of the same length and size."""
 
-import hashlib
-
 import numpy as np
 
+from fingerflow.digest import digest_of_bytes
 from fingerflow.recordings.frames.recording import Recording
 
 
@@ -13,5 +12,4 @@ def identity_of(recording: Recording) -> str:
     """
     height, width = recording.frame_shape
     first = np.ascontiguousarray(recording[0])
-    digest = hashlib.sha256(first.tobytes()).hexdigest()[:16]
-    return f"{len(recording)} frames of {height} x {width} {recording.dtype}, {digest}"
+    return f"{len(recording)} frames of {height} x {width} {recording.dtype}, {digest_of_bytes([first.tobytes()])}"

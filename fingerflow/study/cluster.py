@@ -92,7 +92,8 @@ def _go_through(
     names: dict[str, str] = {}
 
     def submit(name: str, task: Task) -> Any:
-        future = client.submit(act, task, key=f"{name}-{os.getpid()}", pure=False)
+        # All of one group: a scheduler never forgets the statistics that it keeps of each group's name.
+        future = client.submit(act, task, key=f"trial-{os.getpid()}-{name}", pure=False)
         names[future.key] = name
         return future
 
@@ -181,7 +182,12 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
     if scheduler is None and sys.platform == "linux":  # on other systems a process that has loaded torch may not fork
         environment["distributed.worker.multiprocessing-method"] = "forkserver"
     # A worker's profiler keeps a tree of calls for every second of the last hour: 0.4 MB a small recording.
-    own = {"distributed.comm.retry.count": 3, "distributed.worker.profile.enabled": False}
+    # Its logs of messages and transitions are for those who mend Dask: 16 MB of the client and its scheduler.
+    own = {
+        "distributed.comm.retry.count": 3,
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.low-level-log-length": 100,
+    }
     with dask.config.set({**environment, **own}):
         cluster: Any = None
         try:
@@ -191,8 +197,9 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
                 if scheduler is None:
                     _load_once(loads)
                     cluster = LocalCluster(
-                        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                        silence_logs=logging.ERROR,
+                        n_workers=workers, threads_per_worker=1, processes=True, silence_logs=logging.ERROR,
+                        # Of no fixed port, which Dask would warn of where another study has it.
+                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
                     )  # fmt: skip
                 else:
                     cluster = _deployment(scheduler)()

@@ -4,14 +4,15 @@
 stages a changed setting touches, `fingerflow.reuse` knows: a changed gauge length reads no picture.
 """
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from fingerflow.digest import digest_of, digest_of_bytes
 from fingerflow.errors import FingerflowError
 from fingerflow.reuse import code_version
 from fingerflow.scene import Scene
@@ -98,13 +99,12 @@ def look_at(path: Path, earlier: InputFile | None = None) -> InputFile:
         size, modified = sum(fact.st_size for _, fact in facts), max((fact.st_mtime_ns for _, fact in facts), default=0)
         if earlier is not None and (earlier.size, earlier.modified) == (size, modified):
             return InputFile(str(path), size, modified, earlier.digest)
-        digest = hashlib.sha256(str(path).partition("::")[2].encode())
-        for one, fact in facts:
-            digest.update(f"{one.name} {fact.st_size} ".encode())
-            _add_content(digest, one, fact.st_size)
+        member = str(path).partition("::")[2].encode()
+        contents = (part for one, fact in facts for part in _content(one, fact.st_size))
+        digest = digest_of_bytes(chain([member], contents))
     except OSError as error:
         raise FingerflowError(f"{path} cannot be read ({error.strerror or error}); copy it again") from error
-    return InputFile(str(path), size, modified, digest.hexdigest()[:16])
+    return InputFile(str(path), size, modified, digest)
 
 
 def same_content(before: InputFile, now: InputFile) -> bool:
@@ -151,17 +151,14 @@ def _files_of(file: Path) -> list[Path]:
     return [file]
 
 
-def _add_content(digest: Any, file: Path, size: int) -> None:
+def _content(file: Path, size: int) -> Iterator[bytes]:
+    """Name and size, then all bytes or samples."""
+    yield f"{file.name} {size} ".encode()
     with file.open("rb") as opened:
         if size <= _WHOLE_BYTES:
             while part := opened.read(1 << 20):
-                digest.update(part)
+                yield part
             return
         for number in range(_SAMPLES):
             opened.seek(round(number * (size - _SAMPLE_BYTES) / (_SAMPLES - 1)))
-            digest.update(opened.read(_SAMPLE_BYTES))
-
-
-def digest_of(*parts: Any) -> str:
-    """Of what JSON can hold; short, for names and comparison."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+            yield opened.read(_SAMPLE_BYTES)

@@ -83,14 +83,13 @@ def run_trial(job: Job) -> Outcome:
         keys = keys_of(scene, stored.keys.inputs if stored is not None and stored.keys is not None else None)
         if stored is not None and stored.status == MEASURED and is_current(stored, keys, folder):
             return Outcome(job.entry.name, MEASURED, "was done by another run meanwhile")
-        path, whole = folder / result_name(keys), stored is not None and has_result(folder, stored)
-        if job.redo == "row" and whole and stored is not None and stored.result == path.name:
+        path, earlier = folder / result_name(keys), None
+        if job.redo != "everything" and stored is not None and stored.result and has_result(folder, stored):
+            earlier = folder / stored.result
+        if job.redo == "row" and earlier == path:
             with open_result(path) as result:
                 row, curves = measure(result)
         else:
-            earlier = None
-            if job.redo == "changed" and whole and stored is not None and stored.result is not None:
-                earlier = folder / stored.result
             # One that is there under this name may be damaged, and then it would not be known for a result.
             process_to(path, scene, earlier=earlier, overwrite=True)
             row, curves = measure(read_own(path, READ))

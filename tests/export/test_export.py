@@ -22,6 +22,7 @@ from fingerflow.player.motion import Motion
 from fingerflow.player.scene import load_scene
 from fingerflow.player.sources.synthetic import Synthetic
 from fingerflow.player.stepper import LAG
+from tests.small_trials import HEIGHT, POINTS, WIDTH, beside
 
 RECIPE = """
 [views]
@@ -51,26 +52,20 @@ def _recipe(
     return path
 
 
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Difference]]:
-    folder = tmp_path_factory.mktemp("export")
-    return folder / "bundle", export_bundle(_recipe(folder), folder / "bundle")
-
-
-def test_bundle_holds_graphs_player_and_what_to_do(bundle: tuple[Path, list[Difference]]) -> None:
-    folder, _ = bundle
+def test_bundle_holds_graphs_player_and_what_to_do(bundle_of_trials: Path) -> None:
+    folder = bundle_of_trials
     about = json.loads((folder / "bundle.json").read_text())
     assert list(about["graphs"]) == list(GRAPHS)
     for entry in about["graphs"].values():
         assert hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
     for name in ("player/__main__.py", "player/page/index.html", "README.md", "requirements.txt", "scene.toml"):
         assert (folder / name).stat().st_size > 0
-    assert not list(folder.parent.glob(".bundle-*"))
+    assert not list(folder.parent.glob(f".{folder.name}-*"))
 
 
 @pytest.mark.parametrize("name", GRAPHS)
-def test_graph_is_standard_and_says_what_it_is(name: str, bundle: tuple[Path, list[Difference]]) -> None:
-    model = onnx.load(bundle[0] / f"{name}.onnx")
+def test_graph_is_standard_and_says_what_it_is(name: str, bundle_of_trials: Path) -> None:
+    model = onnx.load(bundle_of_trials / f"{name}.onnx")
     onnx.checker.check_model(model, full_check=True)
     assert {(one.domain, one.version) for one in model.opset_import} == {("", 18)}
     assert not {node.op_type for node in model.graph.node} & {"Loop", "If", "Scan"}
@@ -83,23 +78,24 @@ def test_graph_is_standard_and_says_what_it_is(name: str, bundle: tuple[Path, li
     assert {"fingerflow.version", "fingerflow.recipe", "fingerflow.coordinates", "fingerflow.hash"} <= set(facts)
 
 
-def test_verification_covers_every_output(bundle: tuple[Path, list[Difference]]) -> None:
-    graphs = build(load_recipe(bundle[0].parent / "recipe.toml"))
+def test_verification_covers_every_output(bundle_of_trials: Path) -> None:
+    recipe, verification = beside(bundle_of_trials)
+    rows = [Difference(**one) for one in json.loads(verification.read_text(encoding="utf-8"))]
+    graphs = build(load_recipe(recipe))
     expected = {(name, output) for name, graph in graphs.items() for output in graph.outputs}
-    assert {(row.graph, row.output) for row in bundle[1]} == expected
-    points = {row.graph: row for row in bundle[1] if row.output == "points"}
+    assert {(row.graph, row.output) for row in rows} == expected
+    points = {row.graph: row for row in rows if row.output == "points"}
     assert points["track"].to_float64 <= 1e-3
     assert points["frame"].to_float64 <= 1e-3
-    assert all(row.to_torch == 0 for row in bundle[1] if row.output in ("real_contact_mask", "status", "covered"))
+    assert all(row.to_torch == 0 for row in rows if row.output in ("real_contact_mask", "status", "covered"))
 
 
-def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
+def test_state_goes_round(bundle_of_trials: Path) -> None:
     """Two frames of a stream by ONNX Runtime alone: what a frame gives as next_X is the next one's X."""
-    folder, _ = bundle
-    recipe = load_recipe(folder.parent / "recipe.toml")
+    recipe = load_recipe(beside(bundle_of_trials)[0])
     case = cases(recipe, 1)[0].inputs
     names = ("background", "key", "frame", "fields")
-    sessions = {name: onnxruntime.InferenceSession(folder / f"{name}.onnx") for name in names}
+    sessions = {name: onnxruntime.InferenceSession(bundle_of_trials / f"{name}.onnx") for name in names}
     known = {name: tensor.numpy() for name, tensor in case.items()}
     known["reference"] = np.full_like(known["points"], np.nan)
     known["reached"] = known["entry"] = np.zeros(known["points"].shape[:2], np.uint8)
@@ -136,10 +132,10 @@ def test_state_goes_round(bundle: tuple[Path, list[Difference]]) -> None:
     np.testing.assert_array_equal(run("fields")["next_reference"], second["next_reference"])
 
 
-SCENE = """
+SCENE = f"""
 [views]
-contact = {rows = [0, 96], columns = [120, 240]}
-topography = {rows = [0, 96], columns = [0, 120]}
+contact = {{rows = [0, {HEIGHT}], columns = [{WIDTH}, {2 * WIDTH}]}}
+topography = {{rows = [0, {HEIGHT}], columns = [0, {WIDTH}]}}
 [calibration]
 mm_per_px = 0.05
 topography_to_contact = [[0.999, 0.002, 0.4], [-0.002, 0.999, -0.3]]
@@ -148,13 +144,13 @@ rekey_frames = 12
 """
 
 
-def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]], tmp_path: Path) -> None:
+def test_the_player_gives_what_torch_gives(bundle_of_trials: Path, tmp_path: Path) -> None:
     """Every frame of a synthetic stream, with threshold and key frames, and torch's own states fed back to torch."""
     scene_file = tmp_path / "scene.toml"
     scene_file.write_text(SCENE)
     options = ["--source", "synthetic", "--scene", str(scene_file), "--frames", "40", "--output", str(tmp_path / "out")]
     settings = ["--page", "off", "--provider", "cpu", "--threads", "1", "--no-spin"]
-    assert player.main([str(bundle[0]), *options, *settings]) == 0
+    assert player.main([str(bundle_of_trials), *options, *settings]) == 0
     records, _, events = player.read_results(tmp_path / "out")
     assert len(records) == 40
     keyed = {event["frame"] for event in events if event["event"] == "key_frame"}
@@ -164,7 +160,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
 
     scene = load_scene(scene_file)
     drawn = Synthetic(scene, np.dtype(np.uint8), 8)
-    graphs = build(load_recipe(bundle[0].parent / "recipe.toml"))
+    graphs = build(load_recipe(beside(bundle_of_trials)[0]))
 
     def tensor(picture: np.ndarray) -> Tensor:
         return torch.from_numpy(picture[None, None].copy())
@@ -172,7 +168,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
     known: dict[str, Tensor] = {
         "background": tensor(scene.contact.crop(drawn.background)).float(),
         "threshold": torch.full((1,), torch.nan),
-        "mask": torch.ones(1, 1, 96, 120, dtype=torch.bool),
+        "mask": torch.ones(1, 1, HEIGHT, WIDTH, dtype=torch.bool),
         "topography_to_contact": torch.tensor(scene.topography_to_contact, dtype=torch.float32),
         "mm_per_px": torch.tensor([scene.mm_per_px]),
     }
@@ -185,7 +181,7 @@ def test_the_player_gives_what_torch_gives(bundle: tuple[Path, list[Difference]]
 
     def key(view: Tensor, points: Tensor) -> None:
         now = known["topography_view"]
-        known.update({"topography_view": view, "points": points, "warp": torch.eye(2).expand(1, 24, 2, 2)})
+        known.update({"topography_view": view, "points": points, "warp": torch.eye(2).expand(1, POINTS, 2, 2)})
         known.update(run("key"))
         known["topography_view"] = now
 
@@ -256,14 +252,11 @@ def test_other_recipes_export(settings: dict[str, str | int], graphs: str, tmp_p
     assert rows
 
 
-def test_a_graph_that_differs_is_refused(bundle: tuple[Path, list[Difference]], tmp_path: Path) -> None:
-    folder, _ = bundle
-    for name in GRAPHS:
-        (tmp_path / f"{name}.onnx").write_bytes((folder / f"{name}.onnx").read_bytes())
-    recipe = load_recipe(folder.parent / "recipe.toml")
-    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_length_mm": 3.0})})
+def test_a_graph_that_differs_is_refused(bundle_of_trials: Path) -> None:
+    recipe = load_recipe(beside(bundle_of_trials)[0])
+    other = recipe.model_copy(update={"fields": recipe.fields.model_copy(update={"gauge_length_mm": 1.4})})
     with pytest.raises(FingerflowError, match="divergence"):
-        verify(other, tmp_path)
+        verify(other, bundle_of_trials)
 
 
 def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,14 +1,17 @@
 """Tasks on workers: each comes back once, whatever happens to the worker."""
 
 import os
+import socket
 import sys
 import time
+import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from threading import Thread
 from typing import Any
 
 import pytest
-from distributed import LocalCluster
+from distributed import Client, LocalCluster
 
 from fingerflow.errors import FingerflowError
 from fingerflow.study import cluster
@@ -50,17 +53,31 @@ def test_workers_are_renewed_from_one_process_and_lose_nothing(monkeypatch: pyte
         assert os.getpid() not in parents
 
 
-def _profiled(_: int) -> int:
+def _kept(_: int) -> tuple[int, int | None]:
     from distributed import get_worker
 
     time.sleep(1.5)  # profiles are put by once a second
-    return len(get_worker().profile_history)
+    return len(get_worker().profile_history), get_worker().state.log.maxlen
 
 
-def test_workers_keep_no_profile_of_what_they_did() -> None:
-    """It would grow for an hour, by 0.4 MB a small recording."""
+def test_little_is_kept_of_what_was_done() -> None:
+    """Profiles would grow for an hour, by 0.4 MB a small recording, logs until they have 1,000 messages."""
     tasks = ((f"task-{number}", number) for number in range(2))
-    assert list(over_workers(_profiled, tasks, 2, _raise, workers=1, progress=False)) == [0, 0]
+    with socket.socket() as other, warnings.catch_warnings():
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with suppress(OSError):  # another study may run here
+            other.bind(("127.0.0.1", 8787))
+            other.listen()
+        warnings.simplefilter("error", UserWarning)  # that the port of Dask's pages is taken
+        assert list(over_workers(_kept, tasks, 2, _raise, workers=1, progress=False)) == [(0, 100)] * 2
+
+
+def test_a_scheduler_keeps_nothing_of_a_name(scheduler: str) -> None:
+    """It never forgets the first part of a key, and would grow with every trial."""
+    tasks = ((f"01_{number}um_1", number) for number in range(3))
+    list(over_workers(_process, tasks, 3, _raise, scheduler, progress=False))
+    with Client(scheduler) as client:
+        assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.task_prefixes)) == ["trial"]
 
 
 def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:

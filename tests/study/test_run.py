@@ -1,7 +1,6 @@
 """Runs: what is done, what is skipped, what fails, and that numbers do not depend on who computes them."""
 
 import json
-import os
 import random
 import re
 import signal
@@ -245,6 +244,18 @@ def test_two_runs_at_once(study: Manifest, scheduler: str) -> None:
         assert (study.results / entry.name / "row.json").stat().st_mtime_ns == stamps[entry.name]
 
 
+def test_a_result_that_is_not_needed_is_not_read(
+    study: Manifest, lab: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of another recording, nothing holds; its digest takes all its bytes."""
+    _run(study, scheduler, only="01_0_1")
+    frames = np.load(lab / "p01/0um/trial1/frames.npy")
+    frames[3, 50, 50] ^= 1
+    np.save(lab / "p01/0um/trial1/frames.npy", frames)
+    monkeypatch.setattr(worker, "has_result", lambda *_: 1 / 0)
+    assert _run(study, scheduler, only="01_0_1") == {"01_0_1": MEASURED}
+
+
 def test_a_damaged_row_is_run_again(study: Manifest, scheduler: str) -> None:
     _run(study, scheduler, only="01_0_1")
     (study.results / "01_0_1" / "row.json").write_text("{", encoding="utf-8")
@@ -261,23 +272,27 @@ def test_no_scheduler_there(study: Manifest) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_processes_that_are_killed_lose_nothing(study: Manifest, lab: Path, undisturbed: Manifest) -> None:
-    """The client with all its workers in the middle of a run, then a worker alone, then Ctrl-C: the table at the end
-    is that of an undisturbed run in one process, bit for bit.
+def test_processes_that_are_killed_lose_nothing(
+    study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
+) -> None:
+    """The client with all its workers in the middle of a run; in the next one a worker alone, then Ctrl-C: the table at
+    the end is that of an undisturbed run in one process, bit for bit.
     """
-    for blow in ("client", "worker", "interrupt"):
-        there, started = rows_of(study), start(lab)
-        try:
-            until(lambda there=there: rows_of(study) > there, started)
-            if blow == "worker":
-                workers_of(started)[0].kill()
-                until(lambda there=there: rows_of(study) > there + 1, started)
-            elif blow == "interrupt":
-                os.kill(started.pid, signal.SIGINT)
-                started.wait(120)
-        finally:
-            end(started)
-    summary = run_study(study, workers=2, progress=False)
+    there, started = rows_of(study), start(lab)
+    try:
+        until(lambda: rows_of(study) > there, started)
+    finally:
+        end(started)
+    there, started = rows_of(study), start(lab)
+    try:
+        until(lambda: rows_of(study) > there, started)
+        workers_of(started)[0].kill()
+        until(lambda: rows_of(study) > there + 1, started)
+        started.send_signal(signal.SIGINT)
+        started.wait(120)
+    finally:
+        end(started)
+    summary = run_study(study, scheduler, progress=False)
     assert not [one for one in summary.outcomes if one.status == FAILED]
     pd.testing.assert_frame_equal(table_of(study), table_of(undisturbed), check_exact=True)
     for entry in study.trials:
