@@ -178,7 +178,7 @@ def _client(scheduler: str | None, workers: int, threads: int, loads: str) -> It
     # Threads of OpenMP spin between operations unless told to sleep: two of them on a busy machine take four times the
     # processor, and three times as long.
     environment["distributed.nanny.pre-spawn-environ.OMP_WAIT_POLICY"] = os.environ.get("OMP_WAIT_POLICY", "PASSIVE")
-    # Client and workers look at themselves up to 50 times a second: 9 % of a core with two workers, and so less than 2 %.
+    # Client and workers look at themselves up to 50 times a second: with two workers 9 % of a core, so less than 2 %.
     environment |= {
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.tick.cycle": "2s",
