@@ -13,5 +13,5 @@ def identity_of(recording: Recording) -> str:
     """
     height, width = recording.frame_shape
     first = np.ascontiguousarray(recording[0])
-    digest = hashlib.sha256(first.data).hexdigest()[:16]
+    digest = hashlib.sha256(first.tobytes()).hexdigest()[:16]
     return f"{len(recording)} frames of {height} x {width} {recording.dtype}, {digest}"
