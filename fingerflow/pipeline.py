@@ -139,7 +139,9 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
     said: dict[str, str] = {}
     with torch.inference_mode(), ExitStack() as held:
-        keys = keys_of(wanted, inputs, "torch" if runtime is None else "onnx")
+        # Of forces alone no picture is looked at.
+        recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
+        keys = keys_of(wanted, inputs, "torch" if runtime is None else "onnx", recording)
         known: Reused | None = None
         if earlier is not None:
             known = reused(held.enter_context(open_result(Path(earlier))), Path(earlier), wanted, keys, inputs)
@@ -175,8 +177,7 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
             "topography_to_contact": json.dumps(inputs.topography_to_contact.tolist()),
             "frames": str(scene.recording.frames),
             **said,
-            # Of forces alone no picture is looked at.
-            **({"recording": identity_of(inputs.recording)} if any(one.reads_frames for one in wanted.stages) else {}),
+            **({"recording": recording} if recording else {}),
         },
     )
 

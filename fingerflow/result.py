@@ -1,12 +1,13 @@
 """Files of results: HDF5/NetCDF4."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import xarray as xr
+from numpy.typing import NDArray
 
 from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
@@ -57,16 +58,33 @@ def open_result(path: Path) -> xr.Dataset:
     return open_own(path)
 
 
-def read_own(path: Path, names: Iterable[str]) -> xr.Dataset:
+class Values(NamedTuple):
+    """A variable: values, and attributes where they were asked for."""
+
+    values: NDArray[Any]
+    attrs: Mapping[str, Any]
+
+
+class Own(dict[str, Values]):
+    """Some variables of a result by their names, and the attributes of the whole."""
+
+    def __init__(self, variables: Mapping[str, Values], attrs: Mapping[str, Any]) -> None:
+        super().__init__(variables)
+        self.attrs = attrs
+
+
+def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
     """Those variables of a file that this process has just written, as far as it has them, and its attributes.
 
-    Values, dimensions and texts are those of :func:`load_result`, which looks at every variable of the file first: of a
-    small recording that takes longer than a stage.
+    Of the variables, attributes are read of those that are `described`. Values and texts are those of
+    :func:`load_result`, which looks at every variable of the file first: of a small recording that takes longer than a
+    stage.
     """
+    described = set(described)
     with h5py.File(path) as file:
-        found = [name for name in dict.fromkeys((*names, "time", "frame")) if name in file]
-        variables = {name: _read(file[name]) for name in found}
-        return xr.Dataset(variables, attrs=_attributes(file))
+        found = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
+        variables = {name: Values(one[()], _attributes(one) if name in described else {}) for name, one in found}
+        return Own(variables, _attributes(file))
 
 
 def open_own(path: Path) -> xr.Dataset:
@@ -84,11 +102,6 @@ def open_own(path: Path) -> xr.Dataset:
             "process` wrote"
         )
     return result
-
-
-def _read(stored: h5py.Dataset) -> xr.Variable:
-    dims = [dim[0].name.rpartition("/")[2] if len(dim) else stored.name.rpartition("/")[2] for dim in stored.dims]
-    return xr.Variable(dims, stored[()], _attributes(stored))
 
 
 def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:

@@ -70,19 +70,18 @@ class Reused(NamedTuple):
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
-def keys_of(plan: Plan, inputs: Inputs, engine: str) -> dict[type[Stage], Key]:
-    """The key of each stage of a plan, by `Stage.place`."""
+def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], Key]:
+    """The key of each stage of a plan, by `Stage.place`; ``recording`` is what `identity_of` says of it."""
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], Key] = {}
     pictures: set[type[Stage]] = set()  # stages whose results depend on some
-    frames = identity_of(inputs.recording) if any(stage.reads_frames for stage in plan.stages) else ""
     for stage in plan.stages:
         before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
         settings = {key: value for one in stage.settings for key, value in _settings(one, values, inputs)}
         if stage.reads_frames or pictures.intersection(before):
             pictures.add(stage.place())
-        seen = frames if stage.place() in pictures else ""
+        seen = recording if stage.place() in pictures else ""
         of_stages = [keys[one].digest for one in before]
         on = stage.depends_on(plan.stages)
         keys[stage.place()] = Key(digest_of(stage.name, settings, on, seen, of_stages, common), settings)

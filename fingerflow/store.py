@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -20,7 +21,7 @@ _CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
-_TEXT = h5t.py_create(h5py.string_dtype(), logical=True)
+_TEXT, _ONE_VALUE = h5t.py_create(h5py.string_dtype(), logical=True), h5s.create(h5s.SCALAR)
 _CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
 
 
@@ -230,11 +231,18 @@ def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -
     """
     for name, value in attributes.items():
         if isinstance(value, str):
-            given, space, kind = np.array(value, dtype=object), h5s.create(h5s.SCALAR), _TEXT
+            given, space, kind, own = np.array(value, dtype=object), _ONE_VALUE, _TEXT, h5t.PYTHON_OBJECT
         else:
             given = np.asarray(value) if isinstance(value, np.generic) else np.atleast_1d(value)
-            space, kind = h5s.create_simple(given.shape), h5t.py_create(given.dtype, logical=True)
-        h5a.create(stored.id, name.encode(), kind, space).write(given)
+            space, kind = h5s.create_simple(given.shape), _type(given.dtype)
+            own = kind
+        h5a.create(stored.id, name.encode(), kind, space).write(given, own)
+
+
+@cache
+def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
+    """That of HDF5 for numbers."""
+    return h5t.py_create(dtype, logical=True)
 
 
 class _Stored:
@@ -242,7 +250,7 @@ class _Stored:
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
-        self._dtype, self._kind = variable.dtype, h5t.py_create(variable.dtype)
+        self._dtype, self._kind = variable.dtype, _type(variable.dtype)
 
     def resize(self, size: int, axis: int) -> None:
         """Makes an axis longer."""

@@ -30,11 +30,13 @@ class Border(NamedTuple):
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
         """(frames, P) mm, how far places (frames, P, 2) are inside the border, to first order: exact on it."""
-        center, semi_axes, angle = (one[:, None] for one in self)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        right, down = np.moveaxis(places - center, -1, 0)
-        principal = np.stack((right * cosine + down * sine, down * cosine - right * sine), axis=-1) / semi_axes
-        radius = np.linalg.norm(principal, axis=-1)
-        slope = np.linalg.norm(principal / semi_axes, axis=-1)
+        # By components: NumPy takes several times as long for sums over an axis of two.
+        (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
+        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+        right, down = places[..., 0] - center_x, places[..., 1] - center_y
+        along, across = (right * cosine + down * sine) / first, (down * cosine - right * sine) / second
+        radius = np.sqrt(along * along + across * across)
+        along, across = along / first, across / second
+        slope = np.sqrt(along * along + across * across)
         distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
         return distance

@@ -231,7 +231,7 @@ class DisplacementStage(Stage):
         moved = np.where(touching[..., None], position - place, np.nan)
         noise = self._noise(variance, then, begins)
         noise *= np.float32(self._scale**2)
-        noise[np.isnan(moved).any(-1)] = np.nan
+        noise[np.isnan(moved[..., 0]) | np.isnan(moved[..., 1])] = np.nan
         return Moved(moved, noise)
 
     def _noise(
@@ -325,8 +325,10 @@ class _Touch:
         begins = (length == 1) & (np.concatenate((self.length[None], length[:-1])) == 0)
         began = np.maximum.accumulate(np.where(begins, number, 0), axis=0)
         here, at = began > 0, np.maximum(began - 1, 0)
-        place = np.where(here[..., None], np.take_along_axis(position, at[..., None], 0), self.place)
-        spread = np.where(here, np.take_along_axis(variance, at, 0), self.variance)
+        place, spread = (np.repeat(one[None], len(frames), axis=0) for one in (self.place, self.variance))
+        new = np.flatnonzero(begins.any(0))  # most go on as they were
+        place[:, new] = np.where(here[:, new, None], position[at[:, new], new], self.place[new])
+        spread[:, new] = np.where(here[:, new], variance[at[:, new], new], self.variance[new])
         came = np.flatnonzero(begins.any(0) & (self.first < 0))
         first = begins[:, came].argmax(0)
         self.first[came], self.first_place[came] = frames[first], position[first, came]

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fingerflow.result import Own
 from fingerflow.stages.series import rate
 from fingerflow.study.columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
@@ -32,6 +33,9 @@ READ = (
     *("frame_status", "normal_force", "load_ratio", "status", "in_contact", "displacement", "stuck_ratio"),
     *("ellipse_angle", "ellipse_semi_axes", "median_strain", "median_strain_std", "median_strain_rate"),
 )
+_JUDGED = "stuck_ratio"  # has the verdict on slip among its attributes
+#: Variables of which `measure` looks at attributes.
+DESCRIBED = (_JUDGED,)
 
 _LARGEST_QUANTILE = 0.99
 _ANGLE_SHARE = 0.1  # of the largest force, below which T/N is noise over little
@@ -39,7 +43,7 @@ _SLID = 0.02  # stuck share below which no skin sticks
 _FEWEST_SLID = 5  # frames
 
 
-def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
+def measure(result: xr.Dataset | Own) -> tuple[dict[str, Any], dict[str, list[float | None]]]:
     """The row of a trial by the names of `columns.NUMBERS` and `FACTS`, and its curves on `FORCE_GRID`.
 
     None stands for what is not known: it was not measured, its moment did not come, or a frame there is not usable.
@@ -70,7 +74,7 @@ def measure(result: xr.Dataset) -> tuple[dict[str, Any], dict[str, list[float | 
 class _Trial:
     """The series of a result by the names of the table, and its moments."""
 
-    def __init__(self, result: xr.Dataset) -> None:
+    def __init__(self, result: xr.Dataset | Own) -> None:
         self._result = result
         self._time = np.asarray(result["time"].values, dtype=np.float64)
         self._window = float(json.loads(result.attrs["settings"])["fields"]["rate_window_s"])
@@ -208,7 +212,7 @@ class _Trial:
         assert self.onset is not None
         assert self.last is not None
         assert self.top is not None
-        moved = np.asarray(self._result["displacement"][self.onset : self.last + 1].values, dtype=np.float64)
+        moved = np.asarray(self._result["displacement"].values[self.onset : self.last + 1], dtype=np.float64)
         usable = self._usable[self.onset : self.last + 1]
         length = np.hypot(moved[..., 0], moved[..., 1])
         length[~usable] = np.nan
@@ -231,7 +235,7 @@ class _Trial:
 
     def facts(self) -> dict[str, Any]:
         """What is no number with a unit."""
-        attributes = self._result["stuck_ratio"].attrs if "stuck_ratio" in self._result else {}
+        attributes = self._result[_JUDGED].attrs if _JUDGED in self._result else {}
         return {
             "frames": len(self._time),
             "usable_frames": int(self._usable.sum()),

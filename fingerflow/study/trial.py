@@ -25,7 +25,7 @@ from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.row import READ, measure
+from fingerflow.study.row import DESCRIBED, READ, measure
 
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
 _VERSIONS = ("torch", "numpy", "scipy", "opencv-contrib-python-headless", "xarray", "h5py", "distributed")
@@ -92,7 +92,7 @@ def run_trial(job: Job) -> Outcome:
         else:
             # One that is there under this name may be damaged, and then it would not be known for a result.
             process_to(path, scene, earlier=earlier, overwrite=True)
-            row, curves = measure(read_own(path, READ))
+            row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(look_at(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
     except Exception as error:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any
 
+import dask
 import pytest
 from distributed import Client, LocalCluster
 
@@ -22,8 +23,8 @@ def _process(number: int) -> tuple[int, int, int]:
     return number, os.getpid(), os.getppid()
 
 
-def _wait_policy(number: int) -> tuple[int, str | None]:
-    return number, os.environ.get("OMP_WAIT_POLICY")
+def _settings(_: int) -> tuple[str | None, str]:
+    return os.environ.get("OMP_WAIT_POLICY"), dask.config.get("distributed.admin.tick.interval")
 
 
 def _fails_at_three(number: int) -> int:
@@ -95,11 +96,11 @@ def test_a_task_that_raises_has_a_result_of_its_own(scheduler: str) -> None:
 
 
 def test_a_deployment_by_the_name_of_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its workers' threads sleep where they wait for each other."""
+    """Its workers' threads sleep where they wait for each other, and its workers look at themselves once a second."""
     monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
     tasks = ((f"task-{number}", number) for number in range(2))
-    found = list(over_workers(_wait_policy, tasks, 2, _raise, "distributed.LocalCluster", 1, progress=False))
-    assert sorted(found) == [(0, "PASSIVE"), (1, "PASSIVE")]
+    found = list(over_workers(_settings, tasks, 2, _raise, "distributed.LocalCluster", 1, progress=False))
+    assert found == [("PASSIVE", "1s")] * 2
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:

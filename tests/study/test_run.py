@@ -22,7 +22,7 @@ from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
 from fingerflow.study.report import write_study_report
-from fingerflow.study.row import READ, measure
+from fingerflow.study.row import DESCRIBED, READ, measure
 from fingerflow.study.run import plan_run, run_study
 from fingerflow.study.table import write_tables
 from tests.kills import KEPT_FREE, disk_in_memory, leave_free
@@ -93,7 +93,7 @@ def test_a_row_reads_what_it_needs_of_a_result(study: Manifest, scheduler: str) 
     assert made is not None
     assert made.result is not None
     path = study.results / "01_0_1" / made.result
-    row, curves = measure(read_own(path, READ))
+    row, curves = measure(read_own(path, READ, DESCRIBED))
     assert (row, curves) == measure(load_result(path))
     assert (row, curves) == (made.row, made.curves)
 

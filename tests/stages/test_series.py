@@ -1,0 +1,22 @@
+"""Rates of series."""
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from fingerflow.stages.series import rate
+
+STEP = 1 / 300
+
+
+def test_rates_are_those_of_savitzky_and_golay() -> None:
+    """By the field's own code: what is left is the rounding of sums of numbers near 1,000."""
+    values = 1e3 + np.random.default_rng(4).normal(size=(60, 2)).cumsum(0)
+    values[:5, 0], values[30, 0], values[35, 0] = np.nan, np.nan, np.nan  # a run of 25, one of 4 and one of 24
+    found = rate(values, STEP * np.arange(60), 10 * STEP)
+    for column, runs in ((0, ((5, 30), (36, 60))), (1, ((0, 60),))):
+        expected = np.full(60, np.nan)
+        for first, end in runs:
+            expected[first:end] = savgol_filter(values[first:end, column], 11, 2, deriv=1, delta=STEP)
+        np.testing.assert_allclose(found[:, column], expected, atol=1e-8)
+    parabola = (STEP * np.arange(3.0)) ** 2
+    np.testing.assert_allclose(rate(parabola, STEP * np.arange(3), 0.0), 2 * STEP * np.arange(3), atol=1e-12)
