@@ -133,7 +133,7 @@ def cases() -> dict[str, Case]:
         "FollowGraph": Case(follow, (second, points, held)),
         "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
         "SinceOnsetGraph": Case(
-            SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, unreached, turn, scale, *of_ellipse)
+            SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, unreached, warp - straight, points - moved, turn, scale, *of_ellipse)
         ),
     }
 

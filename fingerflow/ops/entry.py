@@ -1,9 +1,11 @@
-"""How skin comes into contact: covered by a contact that grows, or moving in over its border."""
+"""How skin comes into contact, covered by a contact that grows or moving in over its border, and its gradient since."""
 
 import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.point_gradients import point_gradients
 from fingerflow.ops.tensors import finite, sum_rows
 
 #: Gauge lengths by which skin that touches has moved where its neighbours move in: a contact that grows over skin is
@@ -54,6 +56,43 @@ def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_
         entered = entered | (asked & _are_most(asked, entered & known, asked, place, gauge_length, _LEAST_VOTES, some))
     kind = place.dtype  # ONNX Runtime adds no uint8
     return (later.to(kind) + entered.to(kind)).to(torch.uint8)  # what has moved in came later
+
+
+def since_entry(
+    at_entry: Tensor, chosen: Tensor, moved: Tensor, begins: Tensor, entered: Tensor, gauge_length: float
+) -> tuple[Tensor, Tensor]:
+    """Gradient of the displacement of each point since its own entry, its neighbours counted from that moment.
+
+    With F = I + G the gradient of position by the place where points were chosen, all in one frame, it is
+    F(t) F(entry)^-1 - I = (G(t) - G(entry)) F(entry)^-1: it does not depend on what frame that is.
+    `stages.entered_skin.EntryGradients` has the same of a recording.
+
+    Args:
+        at_entry: (B, N, 2, 2) what the frame before gave, NaN in the first.
+        chosen: (B, N, 2) L, where points were chosen; NaN for none.
+        moved: (B, N, 2) L, the displacement since then; NaN where a point is lost.
+        begins: (B, N) bool, whether it begins to touch in this frame.
+        entered: (B, N) bool, of which points it is asked.
+        gauge_length: L, of the fits.
+
+    Returns:
+        (B, N, 2, 2), NaN where it is not known or nobody asked, and `at_entry` for the next frame.
+    """
+    if kernels.serve(chosen, moved) and not torch.compiler.is_compiling():
+        rows = (begins | entered).any(0).nonzero()[:, 0]
+        now = torch.full_like(at_entry, torch.nan)
+        own = torch.where(finite(moved), 0.0, torch.nan)[..., None]
+        fit = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length)
+        now[:, rows] = fit.gradient + own[:, rows]
+    else:
+        now, _ = point_gradients(chosen, moved, gauge_length)
+    at_entry = torch.where(begins[..., None, None], now, at_entry)
+    (a, b), (c, d) = (row.unbind(-1) for row in at_entry.unbind(-2))
+    more = now - at_entry
+    # The adjugate of F(entry); NaN passes.
+    turned = torch.stack((torch.stack((1 + d, -b), dim=-1), torch.stack((-c, 1 + a), dim=-1)), dim=-2)
+    gradient = more @ turned / ((1 + a) * (1 + d) - b * c)[..., None, None]
+    return torch.where(entered[..., None, None], gradient, torch.nan), at_entry
 
 
 def _are_most(

@@ -68,7 +68,7 @@ class MedianBias:
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
         for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
-            beside = None if apart is None else Apart(*(one[some] for one in apart))
+            beside = None if apart is None else Apart(apart.among[some], apart.fields[some], None)
             center, semi_axes, angle = (one[some] for one in ellipse)
             median, variance = found.median[some], found.median_std[some].square()
             square = torch.zeros_like(median)

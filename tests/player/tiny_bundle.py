@@ -41,7 +41,7 @@ def write_bundle(folder: Path, bit_depth: int = 8, without: str = "", **changes:
         (folder / f"{name}.onnx").write_bytes(data)
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     recipe = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": bit_depth}, "tracking": {"window_px": 15}}
-    facts = {"format": 3, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
+    facts = {"format": 4, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
     (folder / "bundle.json").write_text(json.dumps(facts | changes))
     return folder
 

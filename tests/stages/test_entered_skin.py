@@ -161,14 +161,14 @@ def test_no_strain_comes_from_skin_that_counts_from_elsewhere(result: xr.Dataset
     assert result["field_coverage"].values[LAST] > 0.9
 
 
+@pytest.mark.usefixtures("each_form")
 def test_medians_are_of_old_and_new_skin_together() -> None:
     """Half of a disc counts from elsewhere, its own fields given: the median lies between, its errors add up."""
     points = torch.rand(1, 900, 2, generator=torch.Generator().manual_seed(1)) * 12 - 6
-    new = points[0, :, 0] > 0
+    new = points[..., 0] > 0
     displacement = 0.05 * points
-    displacement[:, new] = torch.nan
-    fields = torch.full((1, int(new.sum()), 5), 0.3)
-    apart = Apart(points[:, new] * 1.05, fields, torch.full_like(fields, 0.01))
+    fields = torch.where(new[..., None], 0.3, torch.nan).expand(1, 900, 5)
+    apart = Apart(new, fields, torch.full_like(fields, 0.01))
     ellipse = torch.zeros(1, 2), torch.full((1, 2), 4.0), torch.zeros(1)
     found = area_medians(
         points,
@@ -181,8 +181,9 @@ def test_medians_are_of_old_and_new_skin_together() -> None:
     assert found.known.item() > 0.93
     divergence = found.median[0, 0].item()
     assert min(abs(divergence - one) for one in (0.1, 0.2, 0.3)) < 1e-4  # either half, or the middle of both
-    without = area_medians(points, displacement, *ellipse, gauge_length=1.6)
+    unknown = Apart(new, torch.full_like(fields, torch.nan), None)  # no part of the others' fits all the same
+    without = area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=unknown)
     assert without.known.item() < 0.6
     assert without.median.isnan().all()
-    moved = Apart(apart.place + 6.0, fields, apart.std)  # nobody is near: nothing is known there
-    assert area_medians(points, displacement, *ellipse, gauge_length=1.6, apart=moved).known.item() < 0.6
+    moved = displacement + 6.0 * new[..., None]  # nobody is near: nothing is known there
+    assert area_medians(points, moved, *ellipse, gauge_length=1.6, apart=apart).known.item() < 0.6
