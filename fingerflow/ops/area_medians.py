@@ -173,7 +173,7 @@ def medians_of_components(
     if apart is not None and theirs is not None:
         nearest = _of_nearest(apart, theirs, fit.weights)
         fields = torch.where(nearest.apart, nearest.fields, fields)
-        known = torch.where(nearest.apart, nearest.within & good, known)
+        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
     count = known.to(fields.dtype).sum(2, keepdim=True)
     falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
     enough = (count >= _LEAST_SHARE * fields.shape[2]).squeeze(2)
