@@ -5,13 +5,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow import kernels
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.graphs.fields import Entered, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
-from fingerflow.ops.entry import MOVED_IN, entries, since_entry
+from fingerflow.ops.entry import MOVED_IN, entries, looks, since_entry
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support
@@ -255,10 +254,8 @@ class SinceOnsetGraph(nn.Module):
         )
         middle = (center.to(kind) - topography_to_contact[:, 2].to(kind)) * scale
         ellipse = GrossEllipse(middle, semi_axes.to(kind) * scale, angle.to(kind))
-        # Where nothing is traced and looking costs no wait for a device, a press is not asked about skin that it lacks.
-        asks = kernels.serve(points) and not torch.compiler.is_compiling()
-        none = asks and not moved_in.any()
-        fields = self.fields(then, moved, None, ellipse, None if none else Entered(moved_in, since, None))
+        some = None if looks(points) and not moved_in.any() else Entered(moved_in, since, None)
+        fields = self.fields(then, moved, None, ellipse, some)
         assert fields.median is not None
         return SinceOnset(
             onset,

@@ -105,14 +105,17 @@ def area_medians(
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
     if apart is not None:
         apart = _checked(apart, displacement, covariance is not None)
-    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, *(apart or ())):
+    among, fields, std = (None, None, None) if apart is None else apart
+    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
         return AreaMedians(
             *kernels.area_medians(
                 reference,
                 displacement,
                 torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
                 None if covariance is None else covariance.to(kind),
-                *((None,) * 3 if apart is None else apart),
+                among,
+                fields,
+                std,
                 _LATTICE.to(kind),
                 measure=STRAIN_MEASURES.index(measure),
                 minimum_points=MINIMUM_POINTS,
@@ -156,7 +159,8 @@ def medians_of_components(
         usable = usable & ~apart.among[:, None]
         theirs = given & apart.among[:, None] & finite(sum_rows(apart.fields.mT))
     # Of points that are neither none is the nearest.
-    places = torch.where(usable if theirs is None else usable | theirs, (now - middle) / radius, 0.0 if theirs is None else _FAR)
+    counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
+    places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
     along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
@@ -317,6 +321,7 @@ def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
         *([("std", apart.std, (batch, points, _FIELDS))] if with_std else []),
     ):
         if values is None or values.shape != shape:
-            raise ValueError(f"{name} of apart must be {shape}, found {None if values is None else tuple(values.shape)}")
+            found = None if values is None else tuple(values.shape)
+            raise ValueError(f"{name} of apart must be {shape}, found {found}")
     std = apart.std.to(displacement.dtype) if with_std and apart.std is not None else None
     return Apart(apart.among, apart.fields.to(displacement.dtype), std)

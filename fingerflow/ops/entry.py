@@ -44,8 +44,7 @@ def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_
     later = (begins & touched.any(1, keepdim=True)) | ((before > _AT_FIRST) & touched)
     entered = (before == MOVED_IN) & touched
     known = finite(sum_rows(place.mT))[:, 0]
-    # Points are asked about, not all of them, where nothing is traced and looking costs no wait for a device.
-    some = kernels.serve(place, moved) and not torch.compiler.is_compiling()
+    some = looks(place, moved)
     if not some or begins.any():
         # NaN, of a point whose onset is not known, is on neither side.
         far, near = (touched & known & one for one in (moved > MOVED * gauge_length, moved <= MOVED * gauge_length))
@@ -78,21 +77,39 @@ def since_entry(
     Returns:
         (B, N, 2, 2), NaN where it is not known or nobody asked, and `at_entry` for the next frame.
     """
-    if kernels.serve(chosen, moved) and not torch.compiler.is_compiling():
-        rows = (begins | entered).any(0).nonzero()[:, 0]
-        now = torch.full_like(at_entry, torch.nan)
-        own = torch.where(finite(moved), 0.0, torch.nan)[..., None]
-        fit = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length)
-        now[:, rows] = fit.gradient + own[:, rows]
-    else:
+    if not looks(chosen, moved):
         now, _ = point_gradients(chosen, moved, gauge_length)
-    at_entry = torch.where(begins[..., None, None], now, at_entry)
-    (a, b), (c, d) = (row.unbind(-1) for row in at_entry.unbind(-2))
-    more = now - at_entry
-    # The adjugate of F(entry); NaN passes.
-    turned = torch.stack((torch.stack((1 + d, -b), dim=-1), torch.stack((-c, 1 + a), dim=-1)), dim=-2)
-    gradient = more @ turned / ((1 + a) * (1 + d) - b * c)[..., None, None]
-    return torch.where(entered[..., None, None], gradient, torch.nan), at_entry
+        at_entry = torch.where(begins[..., None, None], now, at_entry)
+        return torch.where(entered[..., None, None], _since(at_entry, now), torch.nan), at_entry
+    since = torch.full_like(at_entry, torch.nan)
+    rows = (begins | entered).any(0).nonzero()[:, 0]
+    if len(rows):
+        now = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length).gradient
+        now = torch.where(finite(moved[:, rows])[..., None], now, torch.nan)
+        begun = torch.where(begins[:, rows, None, None], now, at_entry[:, rows])
+        at_entry = at_entry.index_copy(1, rows, begun)
+        if entered.any():
+            since[:, rows] = torch.where(entered[:, rows, None, None], _since(begun, now), torch.nan)
+    return since, at_entry
+
+
+def looks(*tensors: Tensor) -> bool:
+    """Whether it is worth looking which points are to be asked about: where nothing is traced, and looking costs no
+    wait for a device.
+    """
+    return kernels.serve(*tensors) and not torch.compiler.is_compiling()
+
+
+def _since(before: Tensor, now: Tensor) -> Tensor:
+    """(I + now) (I + before)^-1 - I of gradients (B, N, 2, 2), with no digits lost; NaN passes."""
+    # Components before points: runtimes are slow where the last axis is short.
+    gone = before.flatten(2).mT
+    xx, xy, yx, yy = gone.split(1, dim=1)
+    ux, uy, vx, vy = (now.flatten(2).mT - gone).split(1, dim=1)
+    first, last = 1 + xx, 1 + yy
+    rows = (ux * last - uy * yx, uy * first - ux * xy, vx * last - vy * yx, vy * first - vx * xy)
+    result: Tensor = (torch.cat(rows, dim=1) / (first * last - xy * yx)).mT.unflatten(2, (2, 2))
+    return result
 
 
 def _are_most(

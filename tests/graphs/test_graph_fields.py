@@ -104,12 +104,12 @@ def test_a_touch_that_does_not_stay_is_forgotten(monkeypatch: pytest.MonkeyPatch
     graph = SinceOnsetGraph(1.6)
     reference = torch.full((1, 1, 2), torch.nan)
     reached, entry = torch.zeros(2, 1, 1, dtype=torch.uint8)
-    at_entry, chosen = torch.full((1, 1, 2, 2), torch.nan), torch.zeros(1, 1, 2)
+    entering = torch.full((1, 1, 2, 2), torch.nan), torch.zeros(1, 1, 2)
     glass = (torch.eye(2, 3), torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
     starts = []
     for number, covers in enumerate([0, 1, 1, 0, 0, 1, 1, 1, 0, 1]):
         touched = torch.full((1, 1), covers, dtype=torch.uint8)
-        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, at_entry, chosen, *glass)
+        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, *entering, *glass)
         reference, reached, entry = found.next_reference, found.next_reached, found.next_entry
         starts.append(float(reference[0, 0, 0]))
     nothing = torch.nan
