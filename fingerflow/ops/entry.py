@@ -77,20 +77,20 @@ def since_entry(
     Returns:
         (B, N, 2, 2), NaN where it is not known or nobody asked, and `at_entry` for the next frame.
     """
-    if not looks(chosen, moved):
+    some = looks(chosen, moved)
+    unknown = torch.full_like(at_entry, torch.nan)
+    if some:
+        rows = (begins | entered).any(0).nonzero()[:, 0]
+        if not len(rows):
+            return unknown, at_entry
+        fit = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length)
+        now = unknown.index_copy(1, rows, torch.where(finite(moved[:, rows])[..., None], fit.gradient, torch.nan))
+    else:
         now, _ = point_gradients(chosen, moved, gauge_length)
-        at_entry = torch.where(begins[..., None, None], now, at_entry)
-        return torch.where(entered[..., None, None], _since(at_entry, now), torch.nan), at_entry
-    since = torch.full_like(at_entry, torch.nan)
-    rows = (begins | entered).any(0).nonzero()[:, 0]
-    if len(rows):
-        now = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length).gradient
-        now = torch.where(finite(moved[:, rows])[..., None], now, torch.nan)
-        begun = torch.where(begins[:, rows, None, None], now, at_entry[:, rows])
-        at_entry = at_entry.index_copy(1, rows, begun)
-        if entered.any():
-            since[:, rows] = torch.where(entered[:, rows, None, None], _since(begun, now), torch.nan)
-    return since, at_entry
+    at_entry = torch.where(begins[..., None, None], now, at_entry)
+    if some and not entered.any():
+        return unknown, at_entry
+    return torch.where(entered[..., None, None], _since(at_entry, now), unknown), at_entry
 
 
 def looks(*tensors: Tensor) -> bool:
