@@ -37,6 +37,11 @@ public:
           displacement_(given.displacement + number * 2 * given.point_count),
           covariance_(given.covariance == nullptr ? nullptr : given.covariance + number * 4 * given.point_count),
           ellipse_(given.ellipses + 6 * number),
+          apart_(given.apart == nullptr ? nullptr : given.apart + number * given.point_count),
+          apart_fields_(given.apart == nullptr ? nullptr : given.apart_fields + kAreaFields * number * given.point_count),
+          apart_deviations_(given.apart_deviations == nullptr
+                                ? nullptr
+                                : given.apart_deviations + kAreaFields * number * given.point_count),
           medians_(given.medians + kAreaFields * number),
           deviations_(given.deviations == nullptr ? nullptr : given.deviations + kAreaFields * number),
           share_(given.shares + number),
@@ -75,9 +80,15 @@ private:
         AreaFits fits;
         int positions;
         AreaPoints points;
+        std::int64_t apart[kAreaBlock];  // the point apart whose fields a position has, or -1
+    };
+    struct Place {
+        float x, y;
+        std::int64_t number;
     };
 
-    // Usable points, without the mean of their displacement, in cells of half a radius around the ellipse.
+    // Usable points, without the mean of their displacement, in cells of half a radius around the ellipse; and those
+    // apart whose fields are known.
     void sort_points() {
         const std::int64_t count = given_.point_count;
         std::vector<std::int64_t> usable;
@@ -86,6 +97,12 @@ private:
         for (std::int64_t k = 0; k < count; ++k) {
             const float u = displacement_[2 * k], v = displacement_[2 * k + 1];
             bool good = std::isfinite(reference_[2 * k] + u) && std::isfinite(reference_[2 * k + 1] + v);
+            if (apart_ != nullptr && apart_[k]) {
+                const float* const own = apart_fields_ + kAreaFields * k;
+                if (good && std::all_of(own, own + kAreaFields, [](float field) { return std::isfinite(field); }))
+                    places_apart_.push_back({place(k, 0), place(k, 1), k});
+                continue;
+            }
             if (covariance_ != nullptr) {
                 const float* const own = covariance_ + 4 * k;
                 good = good && std::isfinite(own[0] + own[1] + own[3]) && own[0] >= 0 && own[3] >= 0;
@@ -111,12 +128,8 @@ private:
         rows_ = cells(half_y_);
         std::vector<std::int64_t> cell(usable.size());
         starts_.assign(size(rows_ * columns_ + 1), 0);
-        const auto place_x = [&](std::int64_t k) { return (reference_[2 * k] + displacement_[2 * k] - ellipse_[0]) / radius; };
-        const auto place_y = [&](std::int64_t k) {
-            return (reference_[2 * k + 1] + displacement_[2 * k + 1] - ellipse_[1]) / radius;
-        };
         for (std::size_t n = 0; n < usable.size(); ++n) {
-            const float x = place_x(usable[n]), y = place_y(usable[n]);
+            const float x = place(usable[n], 0), y = place(usable[n], 1);
             const bool near = std::fabs(x) < half_x_ && std::fabs(y) < half_y_;
             cell[n] = near ? row_of(y) * columns_ + column_of(x) : -1;
             if (near) ++starts_[size(cell[n] + 1)];
@@ -130,14 +143,18 @@ private:
             if (cell[n] < 0) continue;
             const std::size_t to = size(next[size(cell[n])]++);
             const std::int64_t k = usable[n];
-            x_[to] = place_x(k);
-            y_[to] = place_y(k);
+            x_[to] = place(k, 0);
+            y_[to] = place(k, 1);
             u_[to] = displacement_[2 * k] - level_u;
             v_[to] = displacement_[2 * k + 1] - level_v;
             number_[to] = k;
         }
     }
 
+    // Of a point now, in radii from the middle of the ellipse, by axis.
+    float place(std::int64_t k, int axis) const {
+        return (reference_[2 * k + axis] + displacement_[2 * k + axis] - ellipse_[axis]) / settings_.radius;
+    }
     static std::int64_t cells(float half) { return std::clamp<std::int64_t>(static_cast<std::int64_t>(4 * half), 1, 256); }
     std::int64_t column_of(float x) const { return of(x, half_x_, columns_); }
     std::int64_t row_of(float y) const { return of(y, half_y_, rows_); }
@@ -168,8 +185,39 @@ private:
             }
             block.points = near(low_x, low_y, high_x, high_y, memory + (&block - blocks_.data()) * kNumbers * room);
             FINGERFLOW_PICK(fit_area)(settings_, block.points, block.fits);
+            std::fill_n(block.apart, kAreaBlock, -1);
+            if (!places_apart_.empty()) take_apart(block);
             for (int q = block.positions; q < kAreaBlock; ++q) block.fits.known[q] = 0;
             first += kAreaBlock;
+        }
+    }
+
+    // Positions whose nearest point is one of those apart have its fields, or none where it is too far.
+    void take_apart(Block& block) const {
+        const auto far = static_cast<float>(given_.same_place * given_.same_place);
+        float others[kAreaBlock], nearest[kAreaBlock];
+        std::fill_n(others, kAreaBlock, 1.0f);  // what is farther away is nobody's
+        std::fill_n(nearest, kAreaBlock, 1.0f);
+        for (std::int64_t k = 0; k < block.points.count; ++k)
+            for (int q = 0; q < kAreaBlock; ++q) {
+                const float dx = block.points.x[k] - block.fits.x[q], dy = block.points.y[k] - block.fits.y[q];
+                others[q] = std::min(others[q], dx * dx + dy * dy);
+            }
+        for (const Place& one : places_apart_)
+            for (int q = 0; q < kAreaBlock; ++q) {
+                const float dx = one.x - block.fits.x[q], dy = one.y - block.fits.y[q], distance = dx * dx + dy * dy;
+                const bool nearer = distance < nearest[q];
+                nearest[q] = nearer ? distance : nearest[q];
+                block.apart[q] = nearer ? one.number : block.apart[q];
+            }
+        for (int q = 0; q < kAreaBlock; ++q) {
+            if (!(nearest[q] < others[q])) {
+                block.apart[q] = -1;
+                continue;
+            }
+            block.fits.known[q] = nearest[q] < far ? 1.0f : 0.0f;
+            for (int field = 0; field < kAreaFields; ++field)
+                block.fits.fields[field][q] = apart_fields_[kAreaFields * block.apart[q] + field];
         }
     }
 
@@ -204,6 +252,19 @@ private:
         beside_.reach = static_cast<float>(given_.reach);
         beside_.even = static_cast<float>(given_.even);
         float total[kAreaFields] = {};
+        double joint[kAreaFields] = {};  // of points apart: their errors are taken for one and the same
+        for (Block& block : blocks_)
+            for (int q = 0; q < block.positions; ++q)
+                if (block.apart[q] >= 0 && block.fits.known[q] > 0) {
+                    block.fits.known[q] = 0;  // no fit
+                    for (int field = 0; field < kAreaFields; ++field) {
+                        const float own = apart_deviations_[kAreaFields * block.apart[q] + field], wide = beside_.reach * own;
+                        const float away = block.fits.fields[field][q] - medians_[field];
+                        const float left = std::max(1 - away * away / std::max(wide * wide, 1e-30f), 0.0f);
+                        total[field] += left * left;
+                        joint[field] += left * left * own;
+                    }
+                }
         std::vector<float> all(number_.size() * kAreaShares), memory;
         for (const Block& block : blocks_) {
             memory.resize(std::max(memory.size(), 2 * kAreaBlock * size(block.points.count)));
@@ -218,13 +279,16 @@ private:
             }
         }
         for (int field = 0; field < kAreaFields; ++field) {
-            const double scale = settings_.radius * static_cast<double>(std::max(total[field], 1.0f));
-            deviations_[field] = static_cast<float>(std::sqrt(std::max(variance[field], 0.0)) / scale);
+            const double scale = static_cast<double>(std::max(total[field], 1.0f));
+            const double by_points = std::sqrt(std::max(variance[field], 0.0)) / (settings_.radius * scale);
+            deviations_[field] = static_cast<float>(joint[field] > 0 ? std::hypot(by_points, joint[field] / scale) : by_points);
         }
     }
 
     const fingerflow_area_medians& given_;
     const float *const reference_, *const displacement_, *const covariance_, *const ellipse_;
+    const unsigned char* const apart_;
+    const float *const apart_fields_, *const apart_deviations_;
     float *const medians_, *const deviations_, *const share_;
     const AreaSettings settings_;
     AreaBeside beside_{};
@@ -232,6 +296,7 @@ private:
     std::int64_t columns_ = 0, rows_ = 0;
     std::vector<std::int64_t> starts_, number_;
     std::vector<float> x_, y_, u_, v_;
+    std::vector<Place> places_apart_;
     std::vector<Block> blocks_;
 };
 

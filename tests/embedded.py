@@ -20,6 +20,8 @@ from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.frame import FollowGraph, FrameGraph, HeldGraph, RenewGraph, SinceOnsetGraph
 from fingerflow.graphs.search import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.ops.entry import MOVED_IN
+from fingerflow.ops.onset import LASTING
 from fingerflow.ops.outliers import find_neighbours
 
 HEIGHT, WIDTH, POINTS = 64, 80, 24
@@ -80,11 +82,7 @@ def cases() -> dict[str, Case]:
     warp = straight + gradient / 10
     turn = torch.tensor([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]], dtype=torch.float32)
     of_ellipse = (ellipse.center, ellipse.semi_axes, ellipse.angle)
-    nowhere = torch.full_like(points, torch.nan)
-    unreached, reached = (
-        torch.zeros(points.shape[:2], dtype=torch.uint8),
-        torch.ones(points.shape[:2], dtype=torch.uint8),
-    )
+    reached = torch.ones(points.shape[:2], dtype=torch.uint8)
     scale = torch.tensor([0.05], dtype=torch.float32)
     return {
         "curl": Case(ops.curl, (gradient,)),
@@ -133,7 +131,11 @@ def cases() -> dict[str, Case]:
         "FollowGraph": Case(follow, (second, points, held)),
         "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
         "SinceOnsetGraph": Case(
-            SinceOnsetGraph(3.0), (points, reached, nowhere, unreached, unreached, turn, scale, *of_ellipse)
+            SinceOnsetGraph(3.0),
+            (
+                *(points + moved, reached, points, LASTING * reached, MOVED_IN * (points[..., 0] > 40).to(torch.uint8)),
+                *(warp - straight, points - moved, turn, scale, *of_ellipse),
+            ),
         ),
     }
 

@@ -35,7 +35,7 @@ UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "key_view", "background", "dark"), "counts"),
     **dict.fromkeys(("light", "black"), "counts"),
     **dict.fromkeys(("points", "prediction", "reference", "next_reference", "by_neighbours"), "px"),
-    **dict.fromkeys(("estimate", "found"), "px"),
+    **dict.fromkeys(("estimate", "found", "chosen"), "px"),
     **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start"), "px"),
     **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
     **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
@@ -45,6 +45,7 @@ UNITS = {
     **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
     **dict.fromkeys(("key_image", "key_noise"), "counts"),
     **dict.fromkeys(("covered", "reached", "next_reached", "entry", "next_entry", "moved_in"), "1"),
+    **dict.fromkeys(("at_entry", "next_at_entry"), "1"),
     "mm_per_px": "mm/px",
     "angle": "rad",
     "response": "counts^2/px^2",
@@ -160,8 +161,8 @@ def build(
         "fields": (
             SinceOnsetGraph(recipe.fields.gauge_length_mm),
             (
-                *("points", "covered", "reference", "reached", "entry", "topography_to_contact"),
-                *("mm_per_px", "center", "semi_axes", "angle"),
+                *("points", "covered", "reference", "reached", "entry", "at_entry", "chosen"),
+                *("topography_to_contact", "mm_per_px", "center", "semi_axes", "angle"),
             ),
             SinceOnset._fields,
         ),

@@ -25,7 +25,7 @@ from fingerflow.export.trial import cases, feed
 from fingerflow.export.verification import Difference, missing, verify
 from fingerflow.player.contract.unfinished import unfinished
 
-FORMAT = 3  # of the bundle
+FORMAT = 4  # of the bundle
 COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"

@@ -73,6 +73,8 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
         "reached": (radius < _BORDER - 0.05).to(torch.uint8),
         "covered": (radius < _BORDER).to(torch.uint8),
         "entry": MOVED_IN * (radius < _MOVED_IN).to(torch.uint8),
+        "chosen": _reference(points, size) - 5.0,
+        "at_entry": (_warp(points) - torch.eye(2)) / 2,
         "warp": _warp(points),
         "mm_per_px": torch.tensor([pictures.mm_per_px]),
         **dict(zip(("center", "semi_axes", "angle"), _ellipse(batch, size), strict=True)),

@@ -1,7 +1,7 @@
 """Torch modules made of ops: exactly what runs for a batch of frames, for any device, without hidden state."""
 
 from fingerflow.graphs.contact import Contact, ContactGraph
-from fingerflow.graphs.fields import Fields, FieldsGraph, GrossEllipse
+from fingerflow.graphs.fields import Entered, Fields, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.light import Light, LightGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph
@@ -11,6 +11,7 @@ __all__ = [
     "Contact",
     "ContactGraph",
     "DeformationGraph",
+    "Entered",
     "Fields",
     "FieldsGraph",
     "GrossEllipse",

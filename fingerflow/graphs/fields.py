@@ -2,12 +2,14 @@
 
 from typing import ClassVar, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.area_medians import area_medians
+from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.point_gradients import point_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange, shear
-from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
+from fingerflow.ops.strain_uncertainty import curl_std, divergence_std, field_std
+from fingerflow.ops.tensors import finite, sum_rows
 
 
 class GrossEllipse(NamedTuple):
@@ -16,6 +18,24 @@ class GrossEllipse(NamedTuple):
     center: Tensor  # (B, 2), x and y
     semi_axes: Tensor  # (B, 2)
     angle: Tensor  # (B,), from x towards y, rad
+
+
+class Entered(NamedTuple):
+    """Those of N points in B frames that came into contact by moving into it. Displacements from onsets so far apart in
+    time have no gradient: these points have that of the displacement since their own entry, their neighbours counted
+    from that moment, and are no part of the fits of others.
+    """
+
+    among: Tensor  # (B, N) bool
+    gradient: Tensor  # (B, N, 2, 2), NaN where it is not known
+    covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as `LocalFit` has it, where displacements have one
+
+    def apart(self, measure: str) -> Apart:
+        """For `area_medians`."""
+        first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
+        fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
+        std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)
+        return Apart(self.among, fields, std)
 
 
 class Fields(NamedTuple):
@@ -61,13 +81,21 @@ class FieldsGraph(nn.Module):
         displacement: Tensor,
         covariance: Tensor | None = None,
         ellipse: GrossEllipse | None = None,
+        entered: Entered | None = None,
     ) -> Fields:
         """Reference positions (1 or B, N, 2) and displacements (B, N, 2) of one unit, NaN where not known.
 
         ``covariance`` (B, N, 2, 2) of the displacements, of errors that are independent from point to point, asks for
-        standard deviations; ``ellipse`` for the medians.
+        standard deviations; ``ellipse`` for the medians; ``entered`` says which points count from their own entry.
         """
-        gradient, spread = point_gradients(reference, displacement, self.gauge_length, covariance)
+        rest = displacement if entered is None else torch.where(entered.among[..., None], torch.nan, displacement)
+        gradient, spread = point_gradients(reference, rest, self.gauge_length, covariance)
+        if entered is not None:
+            # Where a point is lost nothing is known of it.
+            own = entered.among & finite(sum_rows(displacement.mT))[:, 0]
+            gradient = torch.where(own[..., None, None], entered.gradient, gradient)
+            if spread is not None and entered.covariance is not None:
+                spread = torch.where(own[..., None, None, None, None], entered.covariance, spread)
         median = median_std = known_share = None
         if ellipse is not None:
             median, median_std, known_share = area_medians(
@@ -77,6 +105,7 @@ class FieldsGraph(nn.Module):
                 gauge_length=self.gauge_length,
                 measure=self.measure,
                 covariance=covariance,
+                apart=None if entered is None else entered.apart(self.measure),
             )
         return Fields(
             divergence(gradient),

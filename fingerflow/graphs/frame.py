@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from fingerflow.graphs.contact import ContactGraph
-from fingerflow.graphs.fields import FieldsGraph, GrossEllipse
+from fingerflow.graphs.fields import Entered, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
-from fingerflow.ops.entry import MOVED_IN, entries
+from fingerflow.ops.entry import MOVED_IN, entries, looks, since_entry
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support
@@ -190,13 +190,15 @@ class SinceOnset(NamedTuple):
 
     `next_reference` (B, N, 2) px, where a point was when the contact reached it, NaN where that is not known;
     `next_reached` (B, N) uint8, for how many frames in a row the contact has covered it; `LASTING` once it did for so
-    many; `next_entry` (B, N) uint8 of `ops.entry.entries`. `moved_in` (B, N) uint8 is 1 for points that came into
-    contact by moving into it.
+    many; `next_entry` (B, N) uint8 of `ops.entry.entries`; `next_at_entry` (B, N, 2, 2), the gradient of the
+    displacement since the choice of points, by the places then, when the contact reached a point. `moved_in` (B, N)
+    uint8 is 1 for points that came into contact by moving into it.
     """
 
     next_reference: Tensor
     next_reached: Tensor
     next_entry: Tensor
+    next_at_entry: Tensor
     moved_in: Tensor
     divergence: Tensor
     curl: Tensor
@@ -208,8 +210,9 @@ class SinceOnsetGraph(nn.Module):
     """Onset of contact of each point, and the fields that count from there, on the glass.
 
     A point that is lost when the contact reaches it has no known place of onset: a later one would be taken for it.
-    Points that move into the contact (`ops.entry`) have no fields, and are no part of those of others: displacements
-    from onsets so far apart in time have no gradient.
+    Points that move into the contact (`ops.entry`) have the fields since their own entry, by the places where all
+    points were chosen (`ops.entry.since_entry`), and are no part of those of others: displacements from onsets so far
+    apart in time have no gradient. Medians are of both.
     """
 
     def __init__(self, gauge_length_mm: float = 1.6) -> None:
@@ -224,14 +227,17 @@ class SinceOnsetGraph(nn.Module):
         reference: Tensor,
         reached: Tensor,
         entry: Tensor,
+        at_entry: Tensor,
+        chosen: Tensor,
         topography_to_contact: Tensor,
         mm_per_px: Tensor,
         center: Tensor,
         semi_axes: Tensor,
         angle: Tensor,
     ) -> SinceOnset:
-        """Points, covered and the ellipse of the gross contact of `FrameGraph`; reference, reached and entry as the
-        frame before gave them, NaN and 0 in the first; transform (2, 3), scale (1,) of the contact view.
+        """Points, covered and the ellipse of the gross contact of `FrameGraph`; reference, reached, entry and at_entry
+        as the frame before gave them, NaN and 0 in the first; chosen (B, N, 2) px, where points were chosen, NaN for
+        none; transform (2, 3), scale (1,) of the contact view.
         """
         kind = points.dtype
         before = reached.to(kind)
@@ -242,16 +248,21 @@ class SinceOnsetGraph(nn.Module):
         # Displacements by themselves: of two positions on the glass the digits would be lost.
         moved, then = (points - onset) @ turn.T, onset @ turn.T
         entered = entries(entry, points @ turn.T, moved.square().sum(-1).sqrt(), lasts[..., 0], self.gauge_length_mm)
-        moved = torch.where((entered == MOVED_IN)[..., None], torch.nan, moved)
+        moved_in = entered == MOVED_IN
+        since, at_entry = since_entry(
+            at_entry, chosen @ turn.T, (points - chosen) @ turn.T, lasts[..., 0] == 1, moved_in, self.gauge_length_mm
+        )
         middle = (center.to(kind) - topography_to_contact[:, 2].to(kind)) * scale
         ellipse = GrossEllipse(middle, semi_axes.to(kind) * scale, angle.to(kind))
-        fields = self.fields(then, moved, None, ellipse)
+        some = None if looks(points) and not moved_in.any() else Entered(moved_in, since, None)
+        fields = self.fields(then, moved, None, ellipse, some)
         assert fields.median is not None
         return SinceOnset(
             onset,
             lasts[..., 0].to(torch.uint8),
             entered,
-            (entered == MOVED_IN).to(torch.uint8),
+            at_entry,
+            moved_in.to(torch.uint8),
             fields.divergence,
             fields.curl,
             fields.strain,

@@ -99,6 +99,9 @@ def area_medians(
     displacement: Tensor,
     ellipses: Tensor,
     covariance: Tensor | None,
+    apart: Tensor | None,
+    apart_fields: Tensor | None,
+    apart_std: Tensor | None,
     lattice: Tensor,
     *,
     measure: int,
@@ -110,12 +113,14 @@ def area_medians(
     least_share: float,
     reach: float,
     even: float,
+    same_place: float,
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """Medians (B, 5) over ellipses, their deviations and the share of positions (B,) in which they are known, as
     `ops.area_medians` has them to rounding; all float32.
 
     Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
-    (B, N, 2, 2), lattice (P, 2); measure 0 to 2, limits as in kernels/interface.h.
+    (B, N, 2, 2), lattice (P, 2); `apart` (B, N) bool with fields and deviations (B, N, 5), these where there is a
+    covariance; measure 0 to 2, limits as in kernels/interface.h.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -128,6 +133,13 @@ def area_medians(
     check_like("lattice", lattice, torch.float32, (positions, 2))
     if covariance is not None:
         check_like("covariance", covariance, torch.float32, (batch, count, 2, 2))
+    if apart is not None:
+        check_like("apart", apart, torch.bool, (batch, count))
+        if apart_fields is None or (apart_std is None) != (covariance is None):
+            raise ValueError("points apart have fields, and deviations where there is a covariance")
+        for name, values in (("apart_fields", apart_fields), ("apart_std", apart_std)):
+            if values is not None:
+                check_like(name, values, torch.float32, (batch, count, 5))
     if measure not in (0, 1, 2) or not positions:
         raise ValueError(f"measure {measure} of 0 to 2, {positions} positions")
     medians, shares = empty(torch.float32, batch, 5), empty(torch.float32, batch)
@@ -138,6 +150,9 @@ def area_medians(
         ellipses=ellipses.contiguous(),
         covariance=None if covariance is None else covariance.contiguous(),
         lattice=lattice.contiguous(),
+        apart=None if apart is None else apart.contiguous(),
+        apart_fields=None if apart_fields is None else apart_fields.contiguous(),
+        apart_deviations=None if apart_std is None else apart_std.contiguous(),
         medians=medians,
         deviations=deviations,
         shares=shares,
@@ -154,6 +169,7 @@ def area_medians(
         least_share=least_share,
         reach=reach,
         even=even,
+        same_place=same_place,
         threads=torch.get_num_threads(),
     )
     return medians, deviations, shares

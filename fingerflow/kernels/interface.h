@@ -156,12 +156,17 @@ void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::in
 // Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
 // their standard deviations where there are covariances, and the shares (batch) of positions where they are known: reference (1 or batch, point_count, 2), displacement (batch,
 // point_count, 2), covariance (batch, point_count, 2, 2) or null, ellipses (batch, 6) with centre, semi axes, cosine and
-// sine, lattice (positions, 2) in the unit disc. Measure 0 is Green-Lagrange, 1 as printed, 2 infinitesimal.
+// sine, lattice (positions, 2) in the unit disc. Measure 0 is Green-Lagrange, 1 as printed, 2 infinitesimal. `apart`
+// (batch, point_count) bytes, or null, tells points with fields (batch, point_count, 5) of their own, NaN where they are
+// not known, and their deviations where there are covariances; positions that such a point is nearest to have them
+// within `same_place` radii.
 struct fingerflow_area_medians {
     const float *reference, *displacement, *ellipses, *covariance, *lattice;
+    const unsigned char* apart;
+    const float *apart_fields, *apart_deviations;
     float *medians, *deviations, *shares;
     std::int64_t batch, reference_batch, point_count, positions, measure, minimum_points;
-    double radius, least_spread, farthest, least_ratio, least_share, reach, even;
+    double radius, least_spread, farthest, least_ratio, least_share, reach, even, same_place;
 };
 void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
 

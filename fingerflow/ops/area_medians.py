@@ -22,6 +22,7 @@ _LEAST_SHARE = 0.85
 _LEAST_RATIO = 0.1  # of areas before and after: less is no skin, but an edge that folds
 _REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
 _SAME_PLACE = 0.5  # radii
+_FAR = 1e3  # radii, from all positions
 _EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
 _TINY = 1e-30
 _FIELDS = 5
@@ -50,11 +51,11 @@ class AreaMedians(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """E points of B frames whose fields are known by themselves, and whose displacement is no part of the others'."""
+    """Those of N points in B frames whose displacement is no part of the others', with fields of their own."""
 
-    place: Tensor  # (B, E, 2) in the current picture, L; NaN where the fields are not known
-    fields: Tensor  # (B, E, 5) divergence, curl, exx, eyy, exy
-    std: Tensor  # (B, E, 5)
+    among: Tensor  # (B, N) bool
+    fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
+    std: Tensor | None  # (B, N, 5), where covariances are given
 
 
 def area_medians(
@@ -88,9 +89,9 @@ def area_medians(
             standard deviation. To first order the error of a median is the mean of the errors at the positions whose
             field lies next to it, within what the field itself is uncertain by, and so a sum over the points. What is
             not the points' is not in it: the error of the ellipse, and the smoothing over the gauge length.
-        apart: points that count from another state than the others. Positions that are nearer to one of them than to
-            any other point, and within a quarter of a gauge length, have its fields; the errors of these are taken for
-            one and the same. By the portable form.
+        apart: points that count from another state than the others. Positions that are nearer to one of them whose
+            fields are known than to any other point, and within a quarter of a gauge length, have its fields; the
+            errors of these are taken for one and the same.
 
     NaN where the field is known over less than 0.85 of the ellipse: a fit needs what `local_gradients` asks for,
     and points on all sides.
@@ -102,13 +103,19 @@ def area_medians(
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
     kind = displacement.dtype
     frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
-    if kind == torch.float32 and apart is None and kernels.serve(reference, displacement, *frame, covariance):
+    if apart is not None:
+        apart = _checked(apart, displacement, covariance is not None)
+    among, fields, std = (None, None, None) if apart is None else apart
+    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
         return AreaMedians(
             *kernels.area_medians(
                 reference,
                 displacement,
                 torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
                 None if covariance is None else covariance.to(kind),
+                among,
+                fields,
+                std,
                 _LATTICE.to(kind),
                 measure=STRAIN_MEASURES.index(measure),
                 minimum_points=MINIMUM_POINTS,
@@ -119,6 +126,7 @@ def area_medians(
                 least_share=_LEAST_SHARE,
                 reach=_REACH,
                 even=_EVEN,
+                same_place=_SAME_PLACE,
             )
         )
     planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
@@ -138,15 +146,21 @@ def medians_of_components(
 ) -> AreaMedians:
     """The portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv."""
     now = reference + displacement
+    given = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
     good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
     middle, axes, turn = (
         torch.where(good, one, 0.0) for one in (center[..., None], semi_axes[..., None], angle[:, None, None])
     )
-    usable = finite(sum_rows(now))
+    usable, theirs = given, None
     if covariance is not None:
         usable = usable & finite(sum_rows(covariance)) & (covariance[:, ::2] >= 0).all(1, keepdim=True)
-    places = torch.where(usable, (now - middle) / radius, 0.0)
+    if apart is not None:
+        usable = usable & ~apart.among[:, None]
+        theirs = given & apart.among[:, None] & finite(sum_rows(apart.fields.mT))
+    # Of points that are neither none is the nearest.
+    counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
+    places = torch.where(counts, (now - middle) / radius, elsewhere)
     cosine, sine = turn.cos(), turn.sin()
     along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
     positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
@@ -159,11 +173,11 @@ def medians_of_components(
     lost = xx * yy - xy * yx
     gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
     fields = _fields(gradient, measure)
-    theirs = None
-    if apart is not None:
-        theirs = _of_apart(apart, (apart.place.mT - middle) / radius, places, usable, positions)
-        fields = torch.where(theirs.nearer, theirs.fields, fields)
-        known = torch.where(theirs.nearer, theirs.within & good, known)
+    nearest = None
+    if apart is not None and theirs is not None:
+        nearest = _of_nearest(apart, theirs, fit.weights)
+        fields = torch.where(nearest.apart, nearest.fields, fields)
+        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
     count = known.to(fields.dtype).sum(2, keepdim=True)
     falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
     enough = (count >= _LEAST_SHARE * fields.shape[2]).squeeze(2)
@@ -176,13 +190,13 @@ def medians_of_components(
         return AreaMedians(median, None, known_share)
     share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
     joint = torch.zeros_like(median)
-    if theirs is not None:
-        away = (fields - median[..., None]).square() / (_REACH * theirs.std).square().clamp_min(_TINY)
-        share = torch.where(theirs.nearer, (1 - away).clamp_min(0).square() * known, share)
+    if nearest is not None and nearest.std is not None:
+        away = (fields - median[..., None]).square() / (_REACH * nearest.std).square().clamp_min(_TINY)
+        share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * known, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
-    if theirs is not None:
-        joint = (share * torch.where(theirs.nearer & known, theirs.std, 0.0)).sum(2)
-        share = torch.where(theirs.nearer, 0.0, share)
+    if nearest is not None and nearest.std is not None:
+        joint = (share * torch.where(nearest.apart & known, nearest.std, 0.0)).sum(2)
+        share = torch.where(nearest.apart, 0.0, share)
     by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
     x, y = by_points[:, :, 0], by_points[:, :, 1]
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
@@ -190,24 +204,29 @@ def medians_of_components(
     return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
 
 
-class _OfApart(NamedTuple):
-    nearer: Tensor  # (B, 1, Q) bool, whether a position is nearer to one of `Apart` than to any other point
-    within: Tensor  # (B, 1, Q) bool, and near enough to have its fields
-    fields: Tensor  # (B, 5, Q) of the nearest
-    std: Tensor
+class _OfNearest(NamedTuple):
+    """What positions have of the point that is nearest to each, if it is one of `Apart`."""
+
+    apart: Tensor  # (B, 1, Q) bool
+    within: Tensor  # (B, 1, Q) bool, whether it is near enough
+    fields: Tensor  # (B, 5, Q)
+    std: Tensor | None
 
 
-def _of_apart(apart: Apart, place: Tensor, places: Tensor, usable: Tensor, positions: Tensor) -> _OfApart:
-    """Of positions (B, 2, Q), places (B, 2, E) of `apart` and (B, 2, N) of the others, in radii from one origin."""
-    unknown = ~finite(sum_rows(place)).mT
-    distance = torch.cdist(torch.where(unknown, 0.0, place.mT), positions.mT).masked_fill(unknown, math.inf)
-    others = torch.cdist(places.mT, positions.mT).masked_fill(~usable.mT, math.inf)
-    nearest = distance.min(1, keepdim=True)
-    fields, std = (
-        one.mT.to(place.dtype).gather(2, nearest.indices.expand(-1, _FIELDS, -1)) for one in (apart.fields, apart.std)
+def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
+    """By `Support.weights` (B, Q, N), which fall with distance; `theirs` (B, 1, N) is where fields are known."""
+    nearest = weights.amax(2, keepdim=True)
+    own = apart.fields if apart.std is None else torch.cat((apart.fields, apart.std), dim=2)
+    columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
+    columns = torch.cat((columns, torch.where(theirs.mT, own, 0.0)), dim=2)
+    # A product with 0 and 1: runtimes gather far more slowly.
+    found = ((weights == nearest).to(weights.dtype) @ columns).mT
+    count, of_them = found[:, :1], found[:, 1:2]
+    fields = found[:, 2:] / of_them.clamp_min(1)
+    within = (nearest > (1 - _SAME_PLACE**2) ** 2).mT
+    return _OfNearest(
+        of_them > count / 2, within, fields[:, :_FIELDS], None if apart.std is None else fields[:, _FIELDS:]
     )
-    nearer = nearest.values < others.amin(1, keepdim=True)
-    return _OfApart(nearer, nearest.values < _SAME_PLACE, fields, std)
 
 
 def _fields(gradient: Tensor, measure: str) -> Tensor:
@@ -291,3 +310,18 @@ def _check(
         raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
     if covariance is not None and covariance.shape != (batch, points, 2, 2):
         raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")
+
+
+def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
+    """Of the type of the displacement, with deviations where they are asked for and without them else."""
+    batch, points = displacement.shape[:2]
+    for name, values, shape in (
+        ("among", apart.among, (batch, points)),
+        ("fields", apart.fields, (batch, points, _FIELDS)),
+        *([("std", apart.std, (batch, points, _FIELDS))] if with_std else []),
+    ):
+        if values is None or values.shape != shape:
+            found = None if values is None else tuple(values.shape)
+            raise ValueError(f"{name} of apart must be {shape}, found {found}")
+    std = apart.std.to(displacement.dtype) if with_std and apart.std is not None else None
+    return Apart(apart.among, apart.fields.to(displacement.dtype), std)

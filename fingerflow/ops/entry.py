@@ -1,9 +1,11 @@
-"""How skin comes into contact: covered by a contact that grows, or moving in over its border."""
+"""How skin comes into contact, covered by a contact that grows or moving in over its border, and its gradient since."""
 
 import torch
 from torch import Tensor
 
 from fingerflow import kernels
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.point_gradients import point_gradients
 from fingerflow.ops.tensors import finite, sum_rows
 
 #: Gauge lengths by which skin that touches has moved where its neighbours move in: a contact that grows over skin is
@@ -42,8 +44,7 @@ def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_
     later = (begins & touched.any(1, keepdim=True)) | ((before > _AT_FIRST) & touched)
     entered = (before == MOVED_IN) & touched
     known = finite(sum_rows(place.mT))[:, 0]
-    # Points are asked about, not all of them, where nothing is traced and looking costs no wait for a device.
-    some = kernels.serve(place, moved) and not torch.compiler.is_compiling()
+    some = looks(place, moved)
     if not some or begins.any():
         # NaN, of a point whose onset is not known, is on neither side.
         far, near = (touched & known & one for one in (moved > MOVED * gauge_length, moved <= MOVED * gauge_length))
@@ -54,6 +55,61 @@ def entries(before: Tensor, place: Tensor, moved: Tensor, length: Tensor, gauge_
         entered = entered | (asked & _are_most(asked, entered & known, asked, place, gauge_length, _LEAST_VOTES, some))
     kind = place.dtype  # ONNX Runtime adds no uint8
     return (later.to(kind) + entered.to(kind)).to(torch.uint8)  # what has moved in came later
+
+
+def since_entry(
+    at_entry: Tensor, chosen: Tensor, moved: Tensor, begins: Tensor, entered: Tensor, gauge_length: float
+) -> tuple[Tensor, Tensor]:
+    """Gradient of the displacement of each point since its own entry, its neighbours counted from that moment.
+
+    With F = I + G the gradient of position by the place where points were chosen, all in one frame, it is
+    F(t) F(entry)^-1 - I = (G(t) - G(entry)) F(entry)^-1: it does not depend on what frame that is.
+    `stages.entered_skin.EntryGradients` has the same of a recording.
+
+    Args:
+        at_entry: (B, N, 2, 2) what the frame before gave, NaN in the first.
+        chosen: (B, N, 2) L, where points were chosen; NaN for none.
+        moved: (B, N, 2) L, the displacement since then; NaN where a point is lost.
+        begins: (B, N) bool, whether it begins to touch in this frame.
+        entered: (B, N) bool, of which points it is asked.
+        gauge_length: L, of the fits.
+
+    Returns:
+        (B, N, 2, 2), NaN where it is not known or nobody asked, and `at_entry` for the next frame.
+    """
+    some = looks(chosen, moved)
+    unknown = torch.full_like(at_entry, torch.nan)
+    if some:
+        rows = (begins | entered).any(0).nonzero()[:, 0]
+        if not len(rows):
+            return unknown, at_entry
+        fit = local_gradients(chosen, moved, chosen[:, rows], gauge_length=gauge_length)
+        now = unknown.index_copy(1, rows, torch.where(finite(moved[:, rows])[..., None], fit.gradient, torch.nan))
+    else:
+        now, _ = point_gradients(chosen, moved, gauge_length)
+    at_entry = torch.where(begins[..., None, None], now, at_entry)
+    if some and not entered.any():
+        return unknown, at_entry
+    return torch.where(entered[..., None, None], _since(at_entry, now), unknown), at_entry
+
+
+def looks(*tensors: Tensor) -> bool:
+    """Whether it is worth looking which points are to be asked about: where nothing is traced, and looking costs no
+    wait for a device.
+    """
+    return kernels.serve(*tensors) and not torch.compiler.is_compiling()
+
+
+def _since(before: Tensor, now: Tensor) -> Tensor:
+    """(I + now) (I + before)^-1 - I of gradients (B, N, 2, 2), with no digits lost; NaN passes."""
+    # Components before points: runtimes are slow where the last axis is short.
+    gone = before.flatten(2).mT
+    xx, xy, yx, yy = gone.split(1, dim=1)
+    ux, uy, vx, vy = (now.flatten(2).mT - gone).split(1, dim=1)
+    first, last = 1 + xx, 1 + yy
+    rows = (ux * last - uy * yx, uy * first - ux * xy, vx * last - vy * yx, vy * first - vx * xy)
+    result: Tensor = (torch.cat(rows, dim=1) / (first * last - xy * yx)).mT.unflatten(2, (2, 2))
+    return result
 
 
 def _are_most(

@@ -47,6 +47,11 @@ def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Ten
     return torch.stack((exx, eyy, exy), dim=-3)
 
 
+def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
+    """Standard deviations (..., 5) of divergence, curl, exx, eyy and exy, to first order."""
+    return _deviation(field_sensitivity(gradient, measure), covariance[..., None, :, :, :, :])
+
+
 def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy by the displacement gradient."""
     rows = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]]

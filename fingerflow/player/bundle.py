@@ -13,7 +13,7 @@ import numpy as np
 
 from .errors import PlayerError
 
-BUNDLE_FORMAT = 3
+BUNDLE_FORMAT = 4
 GRAPHS = ("frame", "fields", "detect", "key", "renew", "search", "background")  # without which nothing can be played
 MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
 

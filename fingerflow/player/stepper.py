@@ -34,7 +34,8 @@ class Stepper:
     Two graphs run for a frame. `frame` needs of the frames before only where points are expected: so frames run side by
     side, each from the motion that was known `lag` frames before it. `fields` runs when a frame is finished, one after
     the other, and has states: an output ``next_X`` is the next frame's input ``X``. Other inputs are tensors that the
-    graphs `background` and `key` gave and that are held until these run again, and constants of the scene.
+    graphs `background` and `key` gave and that are held until these run again, the places where points were chosen, and
+    constants of the scene.
 
     Frames begin and are finished in their order. What a frame gives depends on the frames before it and on nothing
     else, neither the clock nor which of them happened to be done.
@@ -103,7 +104,9 @@ class Stepper:
         # One side of the states is read and the other written, in turns.
         self._states = [{name: self._room(inputs["fields"][name]) for name in states} for _ in range(2)]
         self._fields = {name: np.zeros(tensor.shape, tensor.dtype) for name, tensor in results.items()}
-        constants = self._constants("fields", inputs["fields"], {*states, *outputs["frame"]})
+        # Where points were chosen: at the last restart, whatever the key frame is.
+        self._choice = {name: self._room(inputs["fields"][name]) for name in ("chosen",) if name in inputs["fields"]}
+        constants = self._constants("fields", inputs["fields"], {*states, *self._choice, *outputs["frame"]})
         self._field_bindings = [self._field_binding(side, constants) for side in range(2)]
         self._of_frame = [name for name in inputs["fields"] if name in outputs["frame"]]
 
@@ -137,6 +140,11 @@ class Stepper:
         for value in self._states[self._finished % 2].values():
             state = value.numpy()
             value.update_inplace(np.full(state.shape, np.nan if state.dtype.kind == "f" else 0, state.dtype))
+        for name, value in self._choice.items():
+            value.update_inplace(np.ascontiguousarray(points, value.numpy().dtype))
+            # Providers with memory of their own copy an input when it is bound, not when they run.
+            for binding in self._field_bindings:
+                binding.bind_ortvalue_input(name, value)
         self._latest = self._latest.of_others(points, slot.number)
         self._motions = [self._latest for _ in self._motions]
         self.key(slot, points)
@@ -316,7 +324,7 @@ class Stepper:
 
     def _field_binding(self, side: int, constants: Mapping[str, Any]) -> Any:
         binding = self._sessions["fields"].io_binding()
-        for name, value in {**constants, **self._states[side]}.items():
+        for name, value in {**constants, **self._choice, **self._states[side]}.items():
             binding.bind_ortvalue_input(name, value)
         for name, value in self._states[1 - side].items():
             binding.bind_ortvalue_output(f"next_{name}", value)

@@ -3,14 +3,9 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from fingerflow.graphs import FieldsGraph, GrossEllipse
-from fingerflow.graphs.fields import Fields
-from fingerflow.ops.area_medians import Apart, area_medians
+from fingerflow.graphs import Entered, Fields, FieldsGraph, GrossEllipse
 from fingerflow.ops.rigid_motion import rigid_residual
-from fingerflow.ops.strain import curl, divergence, green_lagrange, shear
-from fingerflow.ops.strain_uncertainty import field_sensitivity
 from fingerflow.player.contract.variables import FIELDS
 from fingerflow.stages import plausibility
 from fingerflow.stages.border import Border
@@ -21,7 +16,6 @@ from fingerflow.stages.median_bias import MedianBias
 from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
 
-_AT_ONCE = 8  # frames, where medians are of skin of two kinds: 800 positions and all points in each
 _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
     ("divergence", 0, True),
     ("curl", 1, False),
@@ -71,14 +65,12 @@ class FieldsStage(Stage):
         moved: Moved = batch.of(DisplacementStage)
         ellipse = GrossEllipse(*map(self.inputs.tensor, Border.of(contact).at(batch.indices)))
         covariance = self.inputs.tensor(displacement.covariance(moved))
-        if self._entry is None:
-            apart, rest = None, self.inputs.tensor(moved.displacement)
-            found = self._graph(self._reference, rest, covariance, ellipse)
-        else:
-            found, apart, rest = self._with_entered(self._entry, batch.indices, moved, covariance, ellipse)
+        entered = None if self._entry is None else self._entered(self._entry, batch.indices)
+        shift = self.inputs.tensor(moved.displacement)
+        found: Fields = self._graph(self._reference, shift, covariance, ellipse, entered)
         for name in self._given:
             self.results[name][batch.indices] = getattr(found, name).cpu().numpy()
-        residual = rigid_residual(self._reference, self.inputs.tensor(moved.displacement)).cpu().numpy()
+        residual = rigid_residual(self._reference, shift).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
         self._residual[batch.indices] = nanmedian(np.linalg.norm(residual, axis=-1))
@@ -88,57 +80,21 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
-        self._bias.look(batch, found, rest, ellipse, apart)
+        apart = None if entered is None else entered.apart(self._settings.strain)
+        self._bias.look(batch, found, shift, ellipse, apart)
 
-    def _with_entered(
-        self, entry: EntryGradients, frames: NDArray[np.intp], moved: Moved, covariance: Tensor, ellipse: GrossEllipse
-    ) -> tuple[Fields, Apart, Tensor]:
-        """Fields of skin that moved into the contact since its entry, of the rest without it, and medians of both; what
-        they take of the one kind, and the displacement (n, N, 2) of the other.
-        """
-        device, measure = self.inputs.device, self._settings.strain
-        displacement = self.inputs.tensor(moved.displacement)
-        touching = displacement[:, entry.entered].isfinite().all(-1)
-        rest = displacement.clone()
-        rest[:, entry.entered] = torch.nan
-        found: Fields = self._graph(self._reference, rest, covariance)
-        position = self.results["position"][frames]
-        variance = self.trial.stage(DisplacementStage).tracked_variance(frames)
-        since = entry.at(frames, position, variance)
-        known = touching.cpu()[..., None, None]
-        gradient = torch.where(known, since.gradient, torch.nan)
-        sensitivity = field_sensitivity(gradient, measure)[..., None, None]
-        spread = (sensitivity * since.covariance[:, :, None]).sum((-4, -3))
-        std = (spread * sensitivity[..., 0, 0]).sum((-2, -1)).clamp_min(0).sqrt()
-        fields = torch.cat(
-            (divergence(gradient)[..., None], curl(gradient)[..., None], green_lagrange(gradient, measure)), dim=-1
+    def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> Entered:
+        """Of these frames, on the device."""
+        displacement = self.trial.stage(DisplacementStage)
+        since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
+        among = torch.zeros(len(frames), len(displacement.onset), dtype=torch.bool)
+        among[:, displacement.entered] = True
+        gradient, covariance = (
+            torch.full((*among.shape, *one.shape[2:]), torch.nan, dtype=self._reference.dtype) for one in since
         )
-        place = np.where(np.isfinite(fields[..., :1].numpy()), position[:, entry.entered], np.nan)
-        for values, own in (
-            (found.divergence, fields[..., 0]),
-            (found.curl, fields[..., 1]),
-            (found.shear, shear(gradient)),
-            (found.strain, fields[..., 2:]),
-            (found.divergence_std, std[..., 0]),
-            (found.curl_std, std[..., 1]),
-        ):
-            assert values is not None
-            values[:, entry.entered] = own.to(values)
-        apart = Apart(*(self.inputs.tensor(one) for one in (place, fields.numpy(), std.numpy())))
-        medians = [
-            area_medians(
-                self._reference,
-                rest[some],
-                *(one[some] for one in ellipse),
-                gauge_length=self.inputs.gauge_length_mm,
-                measure=measure,
-                covariance=covariance[some],
-                apart=Apart(*(one[some] for one in apart)),
-            )
-            for some in torch.arange(len(frames), device=device).split(_AT_ONCE)
-        ]
-        median, median_std, share = (torch.cat(parts) for parts in zip(*medians, strict=True))
-        return found._replace(median=median, median_std=median_std, known_share=share), apart, rest
+        gradient[:, displacement.entered] = since.gradient.to(gradient)
+        covariance[:, displacement.entered] = since.covariance.to(covariance)
+        return Entered(*(one.to(self.inputs.device) for one in (among, gradient, covariance)))
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)

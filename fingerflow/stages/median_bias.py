@@ -66,14 +66,14 @@ class MedianBias:
         """At these n frames: the medians that were found, of what `area_medians` took for them."""
         assert found.median is not None
         assert found.median_std is not None
-        entered = None if apart is None else apart.place.isfinite().all(-1).sum(1).cpu().numpy()
+        entered = None if apart is None else (apart.among & found.divergence.isfinite()).sum(1).cpu().numpy()
         self._square[batch.indices] = of_ranks(found, entered)
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
         for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
-            beside = None if apart is None else Apart(*(one[some] for one in apart))
+            beside = None if apart is None else Apart(apart.among[some], apart.fields[some], None)
             center, semi_axes, angle = (one[some] for one in ellipse)
             median, variance = found.median[some], found.median_std[some].square()
             square = torch.zeros_like(median)

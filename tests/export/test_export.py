@@ -190,6 +190,7 @@ def test_the_player_gives_what_torch_gives(bundle_of_trials: Path, tmp_path: Pat
         points = run("detect")["points"]
         known["reference"] = torch.full_like(points, torch.nan)
         known["reached"] = known["entry"] = torch.zeros(points.shape[:2], dtype=torch.uint8)
+        known["at_entry"], known["chosen"] = torch.full((*points.shape, 2), torch.nan), points
         key(view, points)
         return [Motion.at_rest(points.numpy(), number)] * LAG
 

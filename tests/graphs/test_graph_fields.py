@@ -89,9 +89,10 @@ def test_pixels_of_the_topographic_view_or_millimetres(monkeypatch: pytest.Monke
     monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
     touched = torch.ones(reference.shape[:2], dtype=torch.uint8)
     glass = (matrix, torch.tensor([millimetres]))
+    none = torch.zeros(*touched.shape, 2, 2)
     found = SinceOnsetGraph(GAUGE * millimetres)(
-        reference + displacement, touched, reference, touched, 0 * touched, *glass, center, axes, angle
-    )[4:]
+        reference + displacement, touched, reference, touched, 0 * touched, none, reference, *glass, center, axes, angle
+    )[5:]
     assert expected.median is not None
     for ours, theirs in zip(found, (*expected[:3], expected.median[:, 0]), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-4, equal_nan=True)
@@ -103,11 +104,12 @@ def test_a_touch_that_does_not_stay_is_forgotten(monkeypatch: pytest.MonkeyPatch
     graph = SinceOnsetGraph(1.6)
     reference = torch.full((1, 1, 2), torch.nan)
     reached, entry = torch.zeros(2, 1, 1, dtype=torch.uint8)
+    entering = torch.full((1, 1, 2, 2), torch.nan), torch.zeros(1, 1, 2)
     glass = (torch.eye(2, 3), torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
     starts = []
     for number, covers in enumerate([0, 1, 1, 0, 0, 1, 1, 1, 0, 1]):
         touched = torch.full((1, 1), covers, dtype=torch.uint8)
-        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, *glass)
+        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, *entering, *glass)
         reference, reached, entry = found.next_reference, found.next_reached, found.next_entry
         starts.append(float(reference[0, 0, 0]))
     nothing = torch.nan

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fingerflow import kernels
-from fingerflow.ops.area_medians import AreaMedians, area_medians
+from fingerflow.ops.area_medians import Apart, AreaMedians, area_medians
 
 Portable = Callable[[Callable[[], object]], Any]
 SETTINGS: dict[str, Any] = {
@@ -20,7 +20,9 @@ SETTINGS: dict[str, Any] = {
     "least_share": 0.85,
     "reach": 2.0,
     "even": 0.4,
+    "same_place": 0.5,
 }
+NOBODY = (None, None, None)
 
 
 def random(*shape: int, seed: int) -> torch.Tensor:
@@ -72,6 +74,33 @@ def test_same_medians(
         torch.testing.assert_close(one, other, rtol=0, atol=0, equal_nan=True)
 
 
+@pytest.mark.parametrize("noisy", [True, False])
+def test_same_medians_with_points_apart(instruction_set: int, portable: Portable, noisy: bool) -> None:
+    """A third of the points, on one side, of some of which nothing is known."""
+    batch, points = 5, 700
+    reference, displacement = 12 * random(1, points, 2, seed=1), 0.1 * random(batch, points, 2, seed=2)
+    displacement.masked_fill_(random(batch, points, 1, seed=3) < 0.1, torch.nan)
+    among = (reference[..., 0] < 4).expand(batch, points) & (random(batch, points, seed=8) < 0.9)
+    fields = 0.2 * random(batch, points, 5, seed=9).masked_fill(random(batch, points, 1, seed=10) < 0.2, torch.nan)
+    std = 0.05 * random(batch, points, 5, seed=11)
+    covariance = 1e-4 * torch.eye(2, dtype=torch.float64).expand(batch, points, 2, 2) if noisy else None
+    center, axes = 5 + 2 * random(batch, 2, seed=5), 2 + 2 * random(batch, 2, seed=6)
+
+    def call(kind: torch.dtype) -> AreaMedians:
+        given = (tensor.to(kind) for tensor in (reference, displacement, center, axes, center[:, 0]))
+        own = None if covariance is None else covariance.to(kind)
+        apart = Apart(among, fields.to(kind), std.to(kind) if noisy else None)
+        return area_medians(*given, gauge_length=2.0, covariance=own, apart=apart)
+
+    found, expected = call(torch.float32), portable(lambda: call(torch.float64))
+    assert found.median.isfinite().all()
+    torch.testing.assert_close(found.known.double(), expected.known, rtol=0, atol=3 / 800)
+    # A position between two points, as far from both, may have the field of either: a rank more or less of 800.
+    torch.testing.assert_close(found.median.double(), expected.median, rtol=0, atol=1e-3)
+    if noisy:
+        torch.testing.assert_close(found.std.double(), expected.std, rtol=2e-2, atol=1e-6)  # type: ignore[union-attr]
+
+
 def test_refusals() -> None:
     reference, displacement, ellipses, lattice = (
         torch.zeros(1, 5, 2),
@@ -80,10 +109,15 @@ def test_refusals() -> None:
         torch.zeros(4, 2),
     )
     with pytest.raises(ValueError, match="reference"):
-        kernels.area_medians(reference.expand(2, 5, 2), displacement, ellipses, None, lattice, **SETTINGS)
+        kernels.area_medians(reference.expand(2, 5, 2), displacement, ellipses, None, *NOBODY, lattice, **SETTINGS)
     with pytest.raises(ValueError, match="displacement is"):
-        kernels.area_medians(reference, displacement.double(), ellipses, None, lattice, **SETTINGS)
+        kernels.area_medians(reference, displacement.double(), ellipses, None, *NOBODY, lattice, **SETTINGS)
     with pytest.raises(ValueError, match="covariance"):
-        kernels.area_medians(reference, displacement, ellipses, torch.zeros(3, 5), lattice, **SETTINGS)
+        kernels.area_medians(reference, displacement, ellipses, torch.zeros(3, 5), *NOBODY, lattice, **SETTINGS)
+    apart, fields = torch.ones(3, 5, dtype=torch.bool), torch.zeros(3, 5, 5)
+    with pytest.raises(ValueError, match="apart_fields"):
+        kernels.area_medians(reference, displacement, ellipses, None, apart, fields[:2], None, lattice, **SETTINGS)
+    with pytest.raises(ValueError, match="deviations"):
+        kernels.area_medians(reference, displacement, ellipses, None, apart, fields, fields, lattice, **SETTINGS)
     with pytest.raises(ValueError, match="0 positions"):
-        kernels.area_medians(reference, displacement, ellipses, None, lattice[:0], **SETTINGS)
+        kernels.area_medians(reference, displacement, ellipses, None, *NOBODY, lattice[:0], **SETTINGS)

@@ -295,7 +295,8 @@ def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
 
 def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Upkeep, "_RESTART", 0)
-    ended = stream.run(*stream.frames(frame(found=number) for number in FOUND), "--policy", "every")
+    frames = [frame(found=found, moved=4 * (k > 0)) for k, found in enumerate(FOUND)]
+    ended = stream.run(*stream.frames(frames), "--policy", "every")
     records, number = ended.results.records, np.arange(len(FOUND))
     # `error` is the pixel of the key frame: what `key` gave is held until it runs again.
     np.testing.assert_array_equal(
@@ -303,6 +304,10 @@ def test_points_are_keyed_anew_and_chosen_anew(stream: Stream, monkeypatch: pyte
     )
     assert np.isnan(records["started"][9:17, 7:]).all()  # points lost before the key frame are not in it
     np.testing.assert_array_equal(records["divergence"][:, 0], np.where(number < 17, number, number - 17))
+    # Points that have moved are compared with a key frame, and stay those that were chosen.
+    assert np.isfinite(records["started"][9:17, 0]).all()
+    assert (records["started"][9:17, 0] != records["started"][0, 0]).all()
+    np.testing.assert_array_equal(records["curl"], np.broadcast_to(records["started"][0], records["curl"].shape))
     events = [(event["event"], event["frame"], event["points"]) for event in ended.results.events]
     assert events == [("restart", 0, 10), ("key_frame", 7, 7), ("restart", 15, 10)]
 

@@ -4,8 +4,8 @@ Pixel (0, 0) of the topography view says how many of the points are found: what 
 (0, 1) says how far they have moved since the key frame, pixel (0, 2) how many templates are stale, each of which moves
 its point by a pixel in x when it is renewed. The other outputs are simple: `error` is the number that pixel
 (0, 0) had in the key frame, `expected` is x or y of the prediction, `divergence` counts frames since the restart (a
-state), areas are the pixels that lose more than the threshold of light. Where the scene gives none it is half of what
-the darkest pixel loses, and unknown while that is less than 0.2.
+state), `curl` is x or y of where points were chosen, areas are the pixels that lose more than the threshold of light.
+Where the scene gives none it is half of what the darkest pixel loses, and unknown while that is less than 0.2.
 """
 
 import hashlib
@@ -41,7 +41,7 @@ def write_bundle(folder: Path, bit_depth: int = 8, without: str = "", **changes:
         (folder / f"{name}.onnx").write_bytes(data)
         graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     recipe = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": bit_depth}, "tracking": {"window_px": 15}}
-    facts = {"format": 3, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
+    facts = {"format": 4, "fingerflow": "0.1.0", "recipe": recipe, "graphs": graphs}
     (folder / "bundle.json").write_text(json.dumps(facts | changes))
     return folder
 
@@ -261,9 +261,13 @@ def _models(pixel: str) -> dict[str, onnx.ModelProto]:
                 helper.make_node("Where", ["unknown", "zeros", "reference"], ["known"]),
                 helper.make_node("Add", ["known", "one"], ["next_reference"]),
                 helper.make_node("ReduceMax", ["known", "last"], ["divergence"], keepdims=0),
+                helper.make_node("ReduceMax", ["chosen", "last"], ["curl"], keepdims=0),
             ],
-            {"points": ("float", (1, POINTS, 2)), "reference": ("float", (1, POINTS, 2))},
-            {"divergence": ("float", (1, POINTS)), "next_reference": ("float", (1, POINTS, 2))},
+            dict.fromkeys(("points", "reference", "chosen"), ("float", (1, POINTS, 2))),
+            {
+                **dict.fromkeys(("divergence", "curl"), ("float", (1, POINTS))),
+                "next_reference": ("float", (1, POINTS, 2)),
+            },
             {
                 "last": np.array([2]),
                 "zeros": np.zeros((1, POINTS, 2), np.float32),

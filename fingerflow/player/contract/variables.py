@@ -344,8 +344,8 @@ STREAM = (
         "moved_in",
         FRAME_POINT,
         "1",
-        "1 for a point that came into contact by moving into it: divergence, curl and strain there are not known to a "
-        "stream, and are NaN",
+        "1 for a point that came into contact by moving into it: divergence, curl and strain there count from its own "
+        "entry, its neighbours from that moment",
         "u1",
     ),
 )
