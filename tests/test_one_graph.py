@@ -147,9 +147,7 @@ def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: l
     chosen = (by_torch["status"] != TrackStatus.NOT_CHOSEN_YET).values.argmax(0)
     assert len(np.unique(chosen)) >= 3
     more = set(asked) - of_press
-    assert [name.rpartition("-")[0] for name in more] == [
-        "FieldsGraph"
-    ]  # without medians, which are of skin of two kinds
+    assert [name.rpartition("-")[0] for name in more] == ["FieldsGraph"]  # with skin that moved in
     kinds = Counter(name.rpartition("-")[0] for name in of_press)
     assert kinds.pop("KeyGraph") == 2  # with and without a deformation
     assert set(kinds.values()) == {1}

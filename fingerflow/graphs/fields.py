@@ -68,7 +68,7 @@ class FieldsGraph(nn.Module):
     At the points by `ops.point_gradients` in reference coordinates, over the contact by `ops.area_medians`.
     """
 
-    point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1}
+    point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1, "entered": 1}
 
     def __init__(self, gauge_length: float, measure: str = "green_lagrange") -> None:
         super().__init__()

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <limits>
 #include <vector>
 
 #include "entry.h"
@@ -138,12 +139,19 @@ void try_medians(std::int64_t points, std::int64_t positions, int threads) {
         for (float number : {2.0f, 0.5f, 0.5f, 1.0f}) covariance.push_back(number);
     for (float middle : {200.0f, 2000.0f})
         for (float number : {middle, middle, 100.0f, 40.0f, 0.8f, 0.6f}) ellipses.push_back(number);
-    for (const float* own : {static_cast<const float*>(nullptr), static_cast<const float*>(covariance.data())}) {
-        const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
-                                            medians.data(), own ? deviations.data() : nullptr, shares.data(), batch, 1, points, positions,
-                                            0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4};
-        fingerflow_medians_over_area(&given, threads);
-    }
+    // Every third point apart, of which some have no fields.
+    std::vector<unsigned char> apart(static_cast<std::size_t>(batch * points));
+    for (std::size_t k = 0; k < apart.size(); ++k) apart[k] = k % 3 == 0;
+    std::vector<float> fields = noise<float>(batch * 5 * points, 12), deviations_apart(fields.size(), 0.1f);
+    for (std::size_t k = 0; k < fields.size(); k += 30) fields[k] = std::numeric_limits<float>::quiet_NaN();
+    for (const float* own : {static_cast<const float*>(nullptr), static_cast<const float*>(covariance.data())})
+        for (const unsigned char* some : {static_cast<const unsigned char*>(nullptr), static_cast<const unsigned char*>(apart.data())}) {
+            const fingerflow_area_medians given{reference.data(), displacement.data(), ellipses.data(), own, lattice.data(),
+                                                some, some ? fields.data() : nullptr, some && own ? deviations_apart.data() : nullptr,
+                                                medians.data(), own ? deviations.data() : nullptr, shares.data(), batch, 1, points, positions,
+                                                0, 5, 50.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.4, 0.5};
+            fingerflow_medians_over_area(&given, threads);
+        }
 }
 
 void try_triangles(std::int64_t points, std::int64_t count, int threads) {

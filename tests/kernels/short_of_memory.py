@@ -41,6 +41,7 @@ def calls() -> dict[str, Callable[[], Any]]:
     mask = first > 110
     light = torch.full((1, 1, *first.shape[2:]), 200.0)
     tall = first.repeat(1, 1, 4, 1)  # work for several threads
+    count = points.shape[1]
     covariance = torch.eye(2).expand(*points.shape, 2).contiguous() / 100
     triangles = torch.tensor([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
@@ -83,6 +84,9 @@ def calls() -> dict[str, Callable[[], Any]]:
             "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
             "mean_response": lambda: kernels.mean_response(tall),
             "halve": lambda: kernels.halve(tall),
+            "sample_windows": lambda: kernels.sample_windows(
+                tall, torch.zeros(count, dtype=torch.int64), points[0], torch.eye(2).repeat(count, 1, 1), 9, 1
+            ),
             "spline_coefficients": lambda: kernels.spline_coefficients(tall),
             "dense_flow": lambda: ops.dense_flow(one, other),
             "triangle_strain": lambda: triangle_strain(
