@@ -8,10 +8,10 @@ covariance of what follows it, to first order. E, ν and h are fields.young_modu
 
 _STD = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"
 _MEDIAN_STD = (
-    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3, g the derivatives by what it is computed from, Δ the "
-    "change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the median "
-    "gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
-    "κ = field_coverage"
+    "σ² = g Σ gᵀ + Δ_gauge² + Δ_border² + late² + unknown²/3 + entered², g the derivatives by what it is computed "
+    "from, Δ the change by twice the gauge length and by an ellipse 0.06 mm smaller, less the noise in it, late the "
+    "median gradient of v Δt/2 at onset, unknown half of the difference of quantiles (1 − κ)/(2κ) below and above, "
+    "κ = field_coverage, entered that of fields √E points below and above, E points moved in"
 )
 _RATE = "slope of a parabola fitted over fields.rate_window_s (Savitzky & Golay 1964)"
 _STRAIN = (

@@ -195,7 +195,7 @@ _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = (
     "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, what skin "
-    "has moved by in half a frame at its onset, and the share that is not known"
+    "has moved by in half a frame at its onset, the share that is not known, and points that moved in"
 )
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
