@@ -59,6 +59,7 @@ class _Watch(threading.Thread):
         self.rows: list[Row] = []
         self._results, self._every = results, every
         self._over = threading.Event()
+        self._worker: psutil.Process | None = None
 
     def __enter__(self) -> "_Watch":
         self.start()
@@ -72,14 +73,18 @@ class _Watch(threading.Thread):
         while not self._over.wait(0.2):
             done = sum(1 for _ in self._results.glob("*/row.json"))
             if done >= self._every * (len(self.rows) + 1):
-                self.rows.append(_looked_at(done))
+                if self._worker is None:  # the process that workers are forked from is as large, and idle
+                    children = psutil.Process().children(recursive=True)
+                    self._worker = max(children, key=lambda one: sum(one.cpu_times()[:2]))
+                try:
+                    self.rows.append(_looked_at(self._worker, done))
+                except (psutil.NoSuchProcess, KeyError, OSError):  # it may have ended with the last recording
+                    return
                 print(self.rows[-1], flush=True)
 
 
-def _looked_at(done: int) -> Row:
+def _looked_at(worker: psutil.Process, done: int) -> Row:
     client = psutil.Process()
-    # The process that workers are forked from is as large, and idle.
-    worker = max(client.children(recursive=True), key=lambda one: sum(one.cpu_times()[:2]))
     return {
         "recordings": done,
         "own_mb": sizes_of(worker.pid)["RssAnon"] / 1e6,
