@@ -73,9 +73,13 @@ class _Watch(threading.Thread):
         while not self._over.wait(0.2):
             done = sum(1 for _ in self._results.glob("*/row.json"))
             if done >= self._every * (len(self.rows) + 1):
-                if self._worker is None:  # the process that workers are forked from is as large, and idle
-                    children = psutil.Process().children(recursive=True)
-                    self._worker = max(children, key=lambda one: sum(one.cpu_times()[:2]))
+                if self._worker is None:
+                    client = psutil.Process()
+                    # The process that it is forked from is as large, and a child of the client.
+                    self._worker = max(
+                        client.children(recursive=True),
+                        key=lambda one: (one.ppid() != client.pid, one.memory_info().rss),
+                    )
                 try:
                     self.rows.append(_looked_at(self._worker, done))
                 except (psutil.NoSuchProcess, KeyError, OSError):  # it may have ended with the last recording
