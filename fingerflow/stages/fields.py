@@ -80,8 +80,7 @@ class FieldsStage(Stage):
         self._known[batch.indices] = found.known_share.cpu()
         self._median[batch.indices] = found.median.cpu()
         self._median_std[batch.indices] = found.median_std.cpu()
-        apart = None if entered is None else entered.apart(self._settings.strain)
-        self._bias.look(batch, found, shift, ellipse, apart)
+        self._bias.look(batch, found, shift, ellipse, None if entered is None else entered.among)
 
     def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> Entered:
         """Of these frames, on the device."""

@@ -61,19 +61,19 @@ class MedianBias:
             self._late = torch.cat((*first, green_lagrange(gradient, measure)), dim=1).numpy()
 
     def look(
-        self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, apart: Apart | None = None
+        self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
     ) -> None:
-        """At these n frames: the medians that were found, of what `area_medians` took for them."""
+        """At these n frames: what was found of these displacements, where points (n, N) `entered` by moving in."""
         assert found.median is not None
         assert found.median_std is not None
-        entered = None if apart is None else (apart.among & found.divergence.isfinite()).sum(1).cpu().numpy()
-        self._square[batch.indices] = of_ranks(found, entered)
+        count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
+        self._square[batch.indices] = of_ranks(found, count)
         if self._late is not None:
             known = displacement.isfinite().all(-1).cpu().numpy()
             self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
         for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
             some = slice(k, k + 1)
-            beside = None if apart is None else Apart(apart.among[some], apart.fields[some], None)
+            beside = None if entered is None else Apart(entered[some], _five(found)[some], None)
             center, semi_axes, angle = (one[some] for one in ellipse)
             median, variance = found.median[some], found.median_std[some].square()
             square = torch.zeros_like(median)
@@ -119,7 +119,7 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # else both ranks are one
     if not len(some):
         return result
-    fields = torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1).cpu().numpy()[some]
+    fields = _five(found).mT.cpu().numpy()[some]
     whole = np.isfinite(fields).all(1, keepdims=True)
     # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
     ordered, count = np.sort(np.where(whole, fields, np.nan), axis=2), whole.sum(2)  # NaN last
@@ -141,3 +141,8 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     if entered is not None:
         result[some] += square_between(np.sqrt(came[some, None]))
     return result
+
+
+def _five(found: Fields) -> Tensor:
+    """(n, N, 5) divergence, curl and strain of points."""
+    return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=-1)
