@@ -10,7 +10,8 @@ from fingerflow.graphs.fields import Entered, FieldsGraph, GrossEllipse
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import RENEWAL_PX, DeformationGraph, TrackGraph
 from fingerflow.ops.cells import covered
-from fingerflow.ops.entry import MOVED_IN, entries, looks, since_entry
+from fingerflow.ops.entry import MOVED_IN, entries, since_entry
+from fingerflow.ops.looking import looks
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.onset import touch_length
 from fingerflow.ops.plane_fit import Support

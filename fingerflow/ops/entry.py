@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.looking import looks
 from fingerflow.ops.point_gradients import point_gradients
 from fingerflow.ops.tensors import finite, sum_rows
 
@@ -91,13 +91,6 @@ def since_entry(
     if some and not entered.any():
         return unknown, at_entry
     return torch.where(entered[..., None, None], _since(at_entry, now), unknown), at_entry
-
-
-def looks(*tensors: Tensor) -> bool:
-    """Whether it is worth looking which points are to be asked about: where nothing is traced, and looking costs no
-    wait for a device.
-    """
-    return kernels.serve(*tensors) and not torch.compiler.is_compiling()
 
 
 def _since(before: Tensor, now: Tensor) -> Tensor:

@@ -1,9 +1,8 @@
 """The part of pictures that a mask covers."""
 
-import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.ops.looking import looks
 
 Range = tuple[int, int]
 
@@ -16,7 +15,7 @@ def mask_bounds(mask: Tensor, margin: int, least: int) -> tuple[Range, Range]:
     """
     height, width = mask.shape[-2:]
     whole = (0, height), (0, width)
-    if torch.compiler.is_compiling() or not kernels.serve(mask):
+    if not looks(mask):
         return whole
     found = []
     for axis, length in ((3, height), (2, width)):
