@@ -3,7 +3,7 @@
 import http.server
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -180,6 +180,36 @@ def test_a_file_of_somebody_else_is_asked_about(browser: Any, press: Path) -> No
         page.wait_for_selector(".good:has-text('has these settings')")
         page.wait_for_selector("#ask", state="detached")
         assert load_scene(press / "scene.toml").tracking.points == 60
+
+
+@pytest.mark.parametrize("held", ["question", "answer"])
+def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Path, held: str) -> None:
+    late: list[Callable[[], None]] = []
+
+    def hold(route: Any) -> None:
+        """A busy server, or a slow way back."""
+        if held == "question":
+            late.append(route.continue_)
+        else:
+            late.append(partial(route.fulfill, response=route.fetch()))
+
+    with opened(browser, press / "scene.toml") as (page, _):
+        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.route("**/api/edit", hold, times=1)
+        with page.expect_request("**/api/edit"):
+            fill(page, "tracking.points", "50")
+        fill(page, "tracking.min_distance_px", "5")  # waits until the first one is through
+        page.click("#write")
+        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")  # what else is asked has its answer
+        late.pop()()
+        page.wait_for_selector("#legend:has-text('of 50 points')")
+        page.wait_for_selector(".good:has-text('has these settings')")
+        page.wait_for_function("() => document.getElementById('text').textContent.includes('min_distance_px = 5')")
+        page.evaluate("() => fetch('api/setup').then(answer => answer.json())")
+        assert "has these settings" in text_of(page, "#setup-status")
+        assert page.is_enabled("#process")
+    written = load_scene(press / "scene.toml").tracking
+    assert (written.points, written.min_distance_px) == (50, 5)
 
 
 @pytest.mark.parametrize("width", [1300, 400])

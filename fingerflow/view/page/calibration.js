@@ -1,13 +1,13 @@
 // Scale and transform from pictures of a ring and of a target, and the picture of what was found in them.
-import { post, say } from "./net.js";
+import { say } from "./net.js";
 import { digits, make } from "./elements.js";
 
 const FILES = [["ring", "ring", "gives the scale"], ["target", "target with three discs", "only with two views"],
   ["background", "empty glass", "none"]];
 
-// `found(facts)` is called with the scene, of which the new calibration is a part.
+// `ask(files)` gives the scene, of which the new calibration is a part; `found(facts)` is called with it.
 export class CalibrationCard {
-  constructor(found) {
+  constructor(ask, found) {
     this.inputs = {};
     const row = (name, label, attributes) => {
       this.inputs[name] = make("input", attributes);
@@ -16,7 +16,7 @@ export class CalibrationCard {
     };
     const rows = FILES.map(([name, label, placeholder]) => row(name, label, { type: "text", placeholder, list: "files" }));
     rows.push(row("hole_radius_mm", "radius of the hole (mm)", { type: "number", step: "any", min: 0, value: 2.75 }));
-    this.button = make("button", { id: "calibrate", onclick: () => this.run(found) }, "Find scale and transform");
+    this.button = make("button", { id: "calibrate", onclick: () => this.run(ask, found) }, "Find scale and transform");
     this.said = make("div");
     this.image = make("img", { id: "calibration-picture", alt: "What the calibration found in its pictures" });
     this.link = make("a", { target: "_blank", rel: "noopener", title: "Open it in its own size", hidden: true }, this.image);
@@ -24,11 +24,11 @@ export class CalibrationCard {
       make("p", { className: "soft" }, "Drag the views first: the discs are looked for in them. Writes calibration.toml, and its picture, beside the scene."),
       rows, make("div", { className: "bar" }, this.button), this.said, this.link);
   }
-  async run(found) {
+  async run(ask, found) {
     const asked = Object.fromEntries(Object.entries(this.inputs).map(([name, box]) => [name, name === "hole_radius_mm" ? +box.value : box.value]));
     this.button.disabled = true;
     try {
-      const facts = await post("api/calibrate", asked), { mm_per_px: scale, warnings } = facts.calibrated;
+      const facts = await ask(asked), { mm_per_px: scale, warnings } = facts.calibrated;
       say("");
       this.said.replaceChildren(make("p", { className: "good" }, `${digits(scale, 5)} mm per px. Look whether the outlines lie on what they are of:`),
         ...warnings.map(one => make("p", { className: "warned" }, one)));

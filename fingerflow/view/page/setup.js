@@ -19,6 +19,7 @@ export class Setup {
     this.question = null;  // { text, to }: whether a file may be replaced
     this.edited = newest(async () => this.send());
     this.pending = new Map();
+    this.turn = Promise.resolve();
   }
   get frames() { return this.facts?.recording?.frames || 0; }
   get first() { return 0; }
@@ -61,13 +62,13 @@ export class Setup {
     this.numbers = make("dl", { className: "numbers" });
     this.name = make("input", { type: "text", id: "scene-name", value: this.facts.draft.split(/[\\/]/).pop() });
     this.name.setAttribute("aria-label", "Scene file");
-    this.calibration = new CalibrationCard(facts => this.changed(facts));
+    this.calibration = new CalibrationCard(asked => this.change("api/calibrate", asked), facts => this.changed(facts));
     $("panel").replaceChildren(
-      make("div", { className: "card" }, make("h2", {}, "Scene"), this.status,
+      make("div", { className: "card" }, make("h2", {}, "Scene"),
         make("div", { className: "bar" }, this.name,
           make("button", { id: "write", className: "main", onclick: () => this.write(false) }, "Write scene"),
           make("button", { id: "process", onclick: () => this.process() }, "Process")),
-        this.asking,
+        this.asking, this.status,
         toggle("with principal strains, shear and what else is computed only when it is named", false, on => { this.all = on; }),
         make("div", { id: "progress" })),
       make("div", { className: "card" }, make("h2", {}, "This frame"), this.numbers),
@@ -109,16 +110,26 @@ export class Setup {
     this.pending.set(key, value);
     this.edited();
   }
+  // One change waits for the answer of another, and for what has been set by then: answers come in the order in which
+  // the scene changed, and what is written is what is seen.
+  change(path, content) {
+    const next = this.turn.then(async () => {
+      const set = [...this.pending];
+      this.pending.clear();
+      if (set.length) this.take(await post("api/edit", { set }));
+      return path && post(path, content);
+    });
+    this.turn = next.catch(() => {});
+    return next;
+  }
   async send() {
-    const set = [...this.pending];
-    if (!set.length) return;
-    this.pending.clear();
-    const facts = await post("api/edit", { set });
+    if (!this.pending.size) return;
+    await this.change();
     say("");
-    await this.changed(facts);
+    await this.changed();
   }
   async changed(facts) {
-    this.take(facts);
+    if (facts) this.take(facts);
     this.update();
     await this.app.measure();
     await this.app.show();
@@ -137,7 +148,7 @@ export class Setup {
       const found = await arrays("api/forces").catch(error => ({ why: error.message }));
       this.forces = found.arrays ? found : null;
       this.points = this.sensor ? null : await arrays("api/points").catch(error => ({ why: error.message }));
-      say(found.why || "");
+      if (found.why) say(found.why);
     }
     if (this.app.tab !== this) return;
     this.update();
@@ -335,10 +346,11 @@ export class Setup {
   async write(replace, to = this.name.value) {
     this.ask(null);
     try {
-      this.take(await post("api/write", { to, replace }));
+      const facts = await this.change("api/write", { to, replace });
       say("");
-      this.update();
+      await this.changed(facts);
     } catch (error) {
+      this.changed();
       if (error.asks) this.ask({ text: `${error.message}. Replace it?`, to });
       else say(error.message);
     }
@@ -352,11 +364,14 @@ export class Setup {
   }
   async process() {
     try {
-      const state = await post("api/process", { all: Boolean(this.all) });
+      const state = await this.change("api/process", { all: Boolean(this.all) });
       $("process").disabled = true;
       const { failed } = await follow("process", state, $("progress"));
       $("process").disabled = false;
       if (!failed) await this.app.openResult();
-    } catch (error) { say(error.message); }
+    } catch (error) {
+      this.changed();
+      say(error.message);
+    }
   }
 }
