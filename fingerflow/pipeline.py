@@ -26,7 +26,7 @@ from fingerflow.result import is_result, open_own, open_result
 from fingerflow.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
 from fingerflow.room import check_disk, check_memory, size_of_results
 from fingerflow.scene import Scene, load_scene
-from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
+from fingerflow.stages.inputs import Engine, Inputs, open_inputs, read_frames
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.store import FileStore, MemoryStore, Store
 
@@ -44,7 +44,7 @@ def process(
     outputs: Iterable[str] | None = None,
     device: str = "auto",
     progress: bool = False,
-    engine: str = "torch",
+    engine: str | Engine = "torch",
     to: str | Path | None = None,
     overwrite: bool = False,
     earlier: str | Path | None = None,
@@ -57,7 +57,8 @@ def process(
         device: "auto" (CUDA where it is there), "cpu", "cuda" ...
         progress: show a bar.
         engine: what runs the modules of `fingerflow.graphs`: "torch" with its compiled kernels, or "onnx", ONNX Runtime
-            on the processor, from graphs as an exported bundle has them. The results agree to rounding.
+            on the processor, from graphs as an exported bundle has them. The results agree to rounding. Or what
+            `fingerflow.side_by_side` gives each of several recordings, which then share the calls of their graphs.
         to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
             appears when it is complete. None keeps them in memory.
         overwrite: let that file replace one that is no result of `process`; never an input.
@@ -88,7 +89,7 @@ def process_to(
     outputs: Iterable[str] | None = None,
     device: str = "auto",
     progress: bool = False,
-    engine: str = "torch",
+    engine: str | Engine = "torch",
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> None:
@@ -108,27 +109,37 @@ def process_to(
 
 @dataclass(frozen=True)
 class _Ready:
-    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated."""
+    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated.
+
+    Attributes:
+        alone: no other recording is computed beside it, which would wait for it.
+    """
 
     plan: Plan
     inputs: Inputs
     runtime: "OnnxRuntime | None"
+    alone: bool
     size: float
     variables: dict[str, Variable]
 
 
 @contextmanager
-def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_Ready]:
+def _prepared(
+    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str | Engine
+) -> Iterator[_Ready]:
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
-    runtime = _onnx_runtime(engine, device)
+    runtime = _onnx_runtime(engine, device) if isinstance(engine, str) else None
     inputs = open_inputs(scene, device if runtime is None else "cpu")
     if runtime is not None:
         inputs.engine = runtime
+    elif not isinstance(engine, str):
+        inputs.engine = engine
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        alone = isinstance(engine, str)
+        yield _Ready(wanted, inputs, runtime, alone, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
 def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:
@@ -155,7 +166,7 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
                         with _timed(seconds, stage.name):
                             known.restore(stage)
                 running = [stage for stage in running if type(stage).place() not in known.stages]
-            _pass(running, trial, seconds, progress)
+            _pass(running, trial, seconds, progress, ready.alone)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     if runtime is not None:
@@ -182,21 +193,23 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
     )
 
 
-def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool, alone: bool) -> None:
     """Takes the frames through these stages, batch by batch."""
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
     stepping = [stage for stage in stages if type(stage).step is not Stage.step]
     if stepping:
-        _go_over_frames(stepping, trial, seconds, progress)
+        _go_over_frames(stepping, trial, seconds, progress, alone)
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.finish()
             stage.derive()
 
 
-def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+def _go_over_frames(
+    stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool, alone: bool
+) -> None:
     pictures = any(stage.reads_frames for stage in stages)
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):
@@ -216,7 +229,7 @@ def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, fl
                 _step(stage, batch, seconds)
         return batch
 
-    ahead = pictures and bool(early) and torch.get_num_threads() > 1
+    ahead = alone and pictures and bool(early) and torch.get_num_threads() > 1
     begun = _ahead(begin, batches) if ahead else (begin(indices) for indices in batches)
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
     # Closed also after an error: the recording must not be while another thread reads from it.

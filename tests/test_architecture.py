@@ -51,6 +51,7 @@ ARROWS: dict[str, set[str]] = {
         "stages",
         "store",
     },
+    "side_by_side": {"graphs", "stages"},
     "synthetic": {"contract", "errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "plot": {"errors", "graphs", "recordings", "scene", "stages"},

@@ -20,6 +20,7 @@ from torch.utils import _pytree as tree
 
 from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
+from fingerflow.graphs.calls import Call, filled_up, settings_of
 
 M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
@@ -93,7 +94,7 @@ class OnnxRuntime:
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
         """Of a file: of everything that decides what is in it."""
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
-        facts = [_code(), torch.__version__, leaves.title, _settings(leaves.module), shapes, repr(leaves.values)]
+        facts = [_code(), torch.__version__, leaves.title, settings_of(leaves.module), shapes, repr(leaves.values)]
         digest = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
         return f"{leaves.title}-{digest[:24]}"
 
@@ -113,25 +114,19 @@ class _Executed:
         return functools.partial(self._run, name) if inspect.ismethod(value) else value
 
     def _run(self, method: str, *arguments: Any, **named: Any) -> Any:
-        bound = inspect.signature(getattr(self._module, method)).bind(*arguments, **named)
-        bound.apply_defaults()
-        parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
-        names = [tree.keystr(path) for path, _ in parts]
-        along: dict[str, int] = getattr(self._module, "point_axes", {})
-        axes = [along.get(getattr(path[0], "key", "")) for path, _ in parts]
-        values = [value for _, value in parts]
-        own = [isinstance(value, Tensor) for value in values]
-        shared = [any(name in path for name in _OF_ALL) for path in names]
+        call = Call.of(self._module, method, arguments, named)
+        own = [isinstance(value, Tensor) for value in call.values]
+        shared = [any(name in path for name in _OF_ALL) for path in call.names]
         batch = max(
-            len(value) for value, tensor, of_all in zip(values, own, shared, strict=True) if tensor and not of_all
+            len(value) for value, tensor, of_all in zip(call.values, own, shared, strict=True) if tensor and not of_all
         )
         results = []
         for one in range(batch):
             single = [
                 value[one : one + 1] if tensor and not of_all and len(value) == batch > 1 else value
-                for value, tensor, of_all in zip(values, own, shared, strict=True)
+                for value, tensor, of_all in zip(call.values, own, shared, strict=True)
             ]
-            results.append(self._run_one(method, names, single, structure, axes))
+            results.append(self._run_one(method, call._replace(values=single)))
         if batch == 1:
             return results[0]
         flat = [tree.tree_flatten(result) for result in results]
@@ -141,26 +136,24 @@ class _Executed:
         ]
         return tree.tree_unflatten(joined, flat[0][1])
 
-    def _run_one(self, method: str, names: list[str], values: list[Any], structure: Any, axes: list[int | None]) -> Any:
-        given = [value for value in values if isinstance(value, Tensor)]
-        inputs = [name for name, value in zip(names, values, strict=True) if isinstance(value, Tensor)]
-        along = [axis for axis, value in zip(axes, values, strict=True) if isinstance(value, Tensor)]
-        points = next((one.shape[axis] for one, axis in zip(given, along, strict=True) if axis is not None), 0)
-        tensors = _filled_up(given, along, points, _room(points))
-        plain = repr([None if isinstance(value, Tensor) else value for value in values])
+    def _run_one(self, method: str, call: Call) -> Any:
+        given, along, points = call.tensors, call.tensor_axes, call.points
+        inputs = [name for name, value in zip(call.names, call.values, strict=True) if isinstance(value, Tensor)]
+        tensors = filled_up(given, along, _room(points))
+        plain = repr([None if isinstance(value, Tensor) else value for value in call.values])
         key = (
             method,
             plain,
-            tuple(names),
+            tuple(call.names),
             tuple((name, one.dtype, one.shape) for name, one in zip(inputs, tensors, strict=True)),
         )
         if key not in self._sessions:
-            leaves = _Leaves(self._module, method, values, structure)
+            leaves = _Leaves(self._module, method, call)
             with Portable():  # compiled kernels may give less
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
                 more = result
                 if points:
-                    more = tree.tree_leaves(leaves.result(*_filled_up(given, along, points, _room(points) + 1)))
+                    more = tree.tree_leaves(leaves.result(*filled_up(given, along, _room(points) + 1)))
             # What goes through as it is would be an output that has the name of an input.
             same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
             leaves.through = [place is not None for place in same]
@@ -196,20 +189,6 @@ def _room(points: int) -> int:
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
-def _filled_up(tensors: list[Tensor], axes: list[int | None], points: int, room: int) -> list[Tensor]:
-    """Tensors with so many more points along their axes, of which nothing is known."""
-    filled = []
-    for tensor, axis in zip(tensors, axes, strict=True):
-        if axis is None or room == points:
-            filled.append(tensor)
-            continue
-        shape = list(tensor.shape)
-        shape[axis] = room - points
-        nothing = torch.nan if tensor.is_floating_point() else 0
-        filled.append(torch.cat((tensor, tensor.new_full(shape, nothing)), dim=axis))
-    return filled
-
-
 def _grown(tensor: Tensor, other: Tensor) -> list[int]:
     """Axes that the other one has more of."""
     return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
@@ -218,20 +197,16 @@ def _grown(tensor: Tensor, other: Tensor) -> list[int]:
 class _Leaves(nn.Module):
     """A method of a module with the tensors of its arguments by position, and those of its result as a tuple."""
 
-    def __init__(self, module: nn.Module, method: str, values: list[Any], structure: Any) -> None:
+    def __init__(self, module: nn.Module, method: str, call: Call) -> None:
         super().__init__()
-        self.module, self.method, self.structure = module, method, structure
+        self.module, self.method, self.call = module, method, call
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
-        self.values = [None if isinstance(value, Tensor) else value for value in values]
+        self.values = [None if isinstance(value, Tensor) else value for value in call.values]
         self.through: list[bool] = []  # which leaves of the result are arguments, known after it was called
-        self.places = [place for place, value in enumerate(values) if isinstance(value, Tensor)]
 
     def result(self, *tensors: Tensor) -> Any:
         """As the method gives it."""
-        values = list(self.values)
-        for place, tensor in zip(self.places, tensors, strict=True):
-            values[place] = tensor
-        return getattr(self.module, self.method)(**tree.tree_unflatten(values, self.structure))
+        return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         leaves = tree.tree_leaves(self.result(*tensors))
@@ -245,15 +220,6 @@ def _own_folder() -> Path:
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
     return folder if folder.stat().st_uid in (user, 0) else Path(tempfile.mkdtemp(prefix=folder.name))
-
-
-def _settings(module: nn.Module) -> list[Any]:
-    """What modules of one class differ in: attributes that are plain values, and buffers."""
-    found: list[Any] = []
-    for name, part in module.named_modules():
-        plain = {key: repr(value) for key, value in vars(part).items() if isinstance(value, int | float | str | None)}
-        found.append([name, type(part).__name__, sorted(plain.items())])
-    return [*found, *([name, tensor.tolist()] for name, tensor in module.named_buffers())]
 
 
 @functools.cache
