@@ -88,6 +88,7 @@ ARROWS: dict[str, set[str]] = {
         "result",
         "reuse",
         "scene",
+        "side_by_side",
         "stages",
         "synthetic",
         "toml_string",

@@ -21,6 +21,14 @@ Scheduler = Annotated[
     ),
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default one a core.")]
+Together = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Trials that a worker takes through one graph at a time, for an accelerator. Default: 8, and one worker, "
+        "where this computer has one; else 1.",
+    ),
+]
 Only = Annotated[str | None, typer.Option(help="Trials whose names fit a pattern, such as 'p03_*', and no others.")]
 _INTERRUPTED = 130
 
@@ -52,6 +60,7 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Also trials that failed, though nothing of them has changed.")
     ] = False,
+    together: Together = None,
 ) -> None:
     """Process what has no result yet, or another one than it should, and write the table of trials."""
     from fingerflow.study.manifest import load_manifest
@@ -65,7 +74,7 @@ def run(
             typer.echo(f"{one.entry.name}: {one.why}")
         typer.echo(f"{len(planned)} of {len(loaded.trials)} trials would be run")
         return
-    summary = run_study(loaded, scheduler, workers, only, retry_failed)
+    summary = run_study(loaded, scheduler, workers, only, retry_failed, together=together)
     typer.echo(str(summary))
     typer.echo(f"table: {write_tables(loaded).trials}")
     if summary.interrupted:

@@ -43,16 +43,18 @@ def over_workers(
     scheduler: str | None = None,
     workers: int | None = None,
     progress: bool = True,
+    trials_of: Callable[[Result], int] = lambda _: 1,
 ) -> Iterator[Result]:
     """Results of tasks, as they come.
 
     Args:
         act: what a worker does; a function of a module.
         tasks: by their names, no two alike; taken when there is room for one.
-        count: of the tasks.
+        count: of the trials, by default one a task.
         of_error: what stands for a task that has raised, or whose workers were killed again and again.
         scheduler, workers: as in `run_study`.
         progress: show a bar with the time that is left.
+        trials_of: how many trials a result is of.
 
     Raises:
         FingerflowError: the cluster cannot be had.
@@ -67,7 +69,7 @@ def over_workers(
             of_round = islice(chain([first], waiting), each_round)
             with _client(scheduler, many, threads_each(scheduler, many), act.__module__) as client:
                 for result in _go_through(client, act, of_round, of_error):
-                    bar.update()
+                    bar.update(trials_of(result))
                     yield result
 
 

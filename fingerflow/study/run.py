@@ -1,6 +1,7 @@
 """Which trials are to be run and why, and running them on Dask."""
 
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
@@ -9,7 +10,9 @@ from fingerflow.study.cluster import Interrupted, over_workers, threads_each, wo
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, write_row
 from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
-from fingerflow.study.trial import Job, Outcome, is_current, run_trial
+from fingerflow.study.trial import Job, Outcome, is_current, run_trials
+
+_TOGETHER = 8  # trials that go through one graph on an accelerator
 
 
 @dataclass(frozen=True)
@@ -71,20 +74,25 @@ def run_study(
     only: str | None = None,
     retry_failed: bool = False,
     progress: bool = True,
+    together: int | None = None,
 ) -> Summary:
     """Runs what `plan_run` says, on processes of this computer or on a cluster.
 
-    Each task is one trial. What is finished stands in the folder of the results, whatever happens afterwards: Ctrl-C,
-    or the loss of a worker or of the scheduler, end the run and lose nothing of it.
+    Each task is one trial, or some that go through one graph. What is finished stands in the folder of the results,
+    whatever happens afterwards: Ctrl-C, or the loss of a worker or of the scheduler, end the run and lose nothing of
+    it.
 
     Args:
         manifest: the study.
         scheduler: the address of a Dask scheduler, or the class of a deployment by its name, such as
             "dask_jobqueue.SLURMCluster", which takes its settings from Dask's own configuration. None for a cluster
             of processes on this computer.
-        workers: processes; by default a core each. Cores that are left over become threads of each.
+        workers: processes; by default a core each, or one where trials go together. Cores that are left over become
+            threads of each.
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
+        together: trials that a worker takes through one graph at a time (`fingerflow.side_by_side`), of which an
+            accelerator has something; by default 8 where this computer has one, else 1.
 
     Raises FingerflowError where the cluster cannot be had.
     """
@@ -93,21 +101,55 @@ def run_study(
     summary = Summary(len(planned), len(chosen) - len(planned))
     if not planned:
         return summary
-    codes, threads = all_codes(), threads_each(scheduler, workers_for(len(planned), workers))
-    jobs = (
-        (one.entry.name, Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads))
-        for one in planned
-    )
-
-    def of_error(name: str, error: BaseException) -> Outcome:
-        return _of_error(error, name, manifest)
-
+    together = _by_default(scheduler) if together is None else together
+    if together > 1 and scheduler is None:
+        workers = workers or 1
+    codes, left = all_codes(), planned
     try:
-        for outcome in over_workers(run_trial, jobs, len(planned), of_error, scheduler, workers, progress):
-            summary.outcomes.append(outcome)
+        # Of a group that kills its worker each is tried by itself: one of them may be the cause.
+        for size in (together, 1) if together > 1 else (1,):
+            given, left = left, []
+            for outcomes in _run_groups(manifest, given, codes, size, left, scheduler, workers, progress):
+                summary.outcomes.extend(outcomes)
     except Interrupted as stop:
         summary.interrupted = str(stop)
     return summary
+
+
+def _run_groups(
+    manifest: Manifest,
+    planned: Sequence[Planned],
+    codes: Mapping[str, str],
+    size: int,
+    left: list[Planned],
+    scheduler: str | None,
+    workers: int | None,
+    progress: bool,
+) -> Iterator[list[Outcome]]:
+    """Outcomes by groups of so many at most; `left` gets those of groups that no worker could bring to an end."""
+    size = min(size, -(-len(planned) // (workers or 1))) or 1
+    groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
+    threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
+    jobs = (
+        (name, [Job(replace(manifest, trials=(one.entry,)), one.entry, one.redo, codes, threads) for one in group])
+        for name, group in groups.items()
+    )
+
+    def of_error(name: str, error: BaseException) -> list[Outcome]:
+        if len(groups[name]) > 1 and not isinstance(error, FingerflowError):
+            left.extend(groups[name])
+            return []
+        return [_of_error(error, name, manifest)]
+
+    if groups:
+        yield from over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len)
+
+
+def _by_default(scheduler: str | None) -> int:
+    """How many trials go together; what accelerators the workers of a cluster have is not known here."""
+    import torch
+
+    return _TOGETHER if scheduler is None and torch.cuda.is_available() else 1
 
 
 def _why(manifest: Manifest, entry: TrialEntry, retry_failed: bool) -> Planned | None:

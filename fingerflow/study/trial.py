@@ -6,10 +6,10 @@ import os
 import platform
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,8 @@ from fingerflow import __version__
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.pipeline import process_to
 from fingerflow.result import open_result, read_own
+from fingerflow.side_by_side import side_by_side
+from fingerflow.stages.inputs import Engine
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
@@ -62,11 +64,22 @@ class Outcome:
     cpu_seconds: float = 0.0
 
 
-def run_trial(job: Job) -> Outcome:
-    """Processes a trial and writes its row, or the reason why there is none.
+def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
+    """Processes trials side by side and writes the row of each, or the reason why there is none.
 
     Only what is wrong with the worker itself is raised, as FingerflowError: another version of the package.
     """
+    if len(jobs) == 1:
+        return [run_trial(jobs[0])]
+    return side_by_side([partial(_run_beside, job, len(jobs)) for job in jobs])
+
+
+def _run_beside(job: Job, together: int, engine: Engine) -> Outcome:
+    return run_trial(job, engine, together)
+
+
+def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Outcome:
+    """As `run_trials`, of one, that is one of so many which are computed together."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -91,7 +104,7 @@ def run_trial(job: Job) -> Outcome:
                 row, curves = measure(result)
         else:
             # One that is there under this name may be damaged, and then it would not be known for a result.
-            process_to(path, scene, earlier=earlier, overwrite=True)
+            process_to(path, scene, earlier=earlier, overwrite=True, engine=engine)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(look_at(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)
@@ -102,13 +115,15 @@ def run_trial(job: Job) -> Outcome:
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
     else:
         trace = {}
-    seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - cpu
+    seconds = time.perf_counter() - wall
+    cpu_seconds = (time.process_time() - cpu) / together  # of the process: they all share it, evenly
     made = {
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(seconds, 3),
         "cpu_seconds": round(cpu_seconds, 3),
         "redone_from": job.redo,
         "threads": job.threads,
+        "together": together,
         "seed": None,  # nothing of `process` is drawn
         **_machine(),
         **trace,

@@ -18,6 +18,7 @@ import xarray as xr
 from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.result import load_result, read_own
+from fingerflow.study import run
 from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row
 from fingerflow.study.manifest import Manifest, load_manifest
@@ -75,6 +76,40 @@ def test_a_rerun_does_what_changed_and_nothing_else(study: Manifest, lab: Path, 
     (planned,) = plan_run(changed)
     assert (planned.entry.name, planned.redo) == ("02_0_1", "everything")
     assert "recording.frames changed" in planned.why
+
+
+def test_trials_together_are_what_each_is_by_itself(
+    study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
+) -> None:
+    """And one that fails is one row."""
+    (lab / "p01/2um/trial3/forces.csv").write_text("no forces", encoding="utf-8")
+    found = _run(study, scheduler, together=3)
+    assert [name for name, status in found.items() if status == FAILED] == ["01_2_3"]
+    assert len(found) == 8
+    table, expected = table_of(study), table_of(undisturbed)
+    whole = table["status"] == MEASURED
+    assert whole.sum() == 7
+    pd.testing.assert_frame_equal(table[whole], expected[whole], check_exact=True, check_dtype=False)
+    made = [row.made for entry in study.trials if (row := read_row(study.results / entry.name)) is not None]
+    assert sorted(one["together"] for one in made) == [2, 2, 3, 3, 3, 3, 3, 3]
+
+
+def _only_one_by_one(jobs: list[worker.Job]) -> list[worker.Outcome]:
+    if len(jobs) > 1:
+        raise MemoryError("as where all of them are too much for a worker")
+    return worker.run_trials(jobs)
+
+
+def test_a_group_that_no_worker_brings_to_an_end_is_run_one_by_one(
+    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "run_trials", _only_one_by_one)
+    assert _run(study, scheduler, only="01_*", together=3) == dict.fromkeys(
+        [entry.name for entry in study.trials if entry.name.startswith("01_")], MEASURED
+    )
+    made = read_row(study.results / "01_0_1")
+    assert made is not None
+    assert made.made["together"] == 1
 
 
 def test_a_trial_has_where_it_comes_from(study: Manifest, scheduler: str) -> None:
