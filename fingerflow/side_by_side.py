@@ -69,8 +69,12 @@ class _Together:
         """The result of a call, when all members have asked for theirs."""
         with self._turn:
             self._waiting.append(asked)
-            self._answer_if_all_wait()
-            self._turn.wait_for(lambda: asked.answered)
+            while not asked.answered:
+                if len(self._waiting) < self._members:
+                    self._turn.wait()
+                    continue
+                self._answer_next()
+                self._turn.notify_all()
         if asked.error is not None:
             raise asked.error
         return asked.result
@@ -79,11 +83,10 @@ class _Together:
         """A member asks no more."""
         with self._turn:
             self._members -= 1
-            self._answer_if_all_wait()
+            self._turn.notify_all()  # one that waits answers: modes of torch, as that of inference, are a thread's own
 
-    def _answer_if_all_wait(self) -> None:
-        if not self._waiting or len(self._waiting) < self._members:
-            return
+    def _answer_next(self) -> None:
+        """Answers the calls whose turn it is; all members wait."""
         now = min(asked.turn for asked in self._waiting)
         waiting = sorted((asked for asked in self._waiting if asked.turn == now), key=lambda one: one.place)
         self._waiting = [asked for asked in self._waiting if asked.turn != now]
@@ -92,7 +95,6 @@ class _Together:
             groups.setdefault(asked.key, []).append(asked)
         for group in groups.values():
             self._answer(group)
-        self._turn.notify_all()
 
     def _answer(self, group: list["_Asked"]) -> None:
         try:

@@ -22,6 +22,7 @@ from bench.suites import (
     large_motion,
     memory,
     pipeline,
+    side_by_side,
     skin_chain,
     speed_against_error,
     stated,
@@ -288,6 +289,19 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all((row["launches"] is None) == (row["waits"] is not None) for row in rows)
     fields = [number(row, "launches") for row in rows if row["work"] == "fields"]
     assert fields[0] == fields[1] > 50
+
+
+def test_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two recordings call an accelerator little more often than one, for the same positions."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    rows = side_by_side.run(quick=True)
+    assert [(row["recordings"], row["way"]) for row in rows] == [
+        (number, way) for number in (1, 2) for way in ("one by one", "side by side")
+    ]
+    assert number(rows[1], "calls_to_peer") == pytest.approx(1, abs=0.02)
+    assert 0.5 < number(rows[3], "calls_to_peer") < 0.8
+    # px: products of matrices of two recordings are summed in another order than those of one.
+    assert all(number(row, "deviation") < 2e-4 for row in rows)
 
 
 def test_gpu_deviation_of_known_results() -> None:

@@ -1,0 +1,118 @@
+"""The recordings of a study on a graphics processor: one by one, and side by side through one graph.
+
+Presses of other skin motion each, from files to results in memory, all outputs; 64 frames, two views of 512 x 640 px
+and 700 points (9 frames of 96 x 120 px with --quick). `calls` are the operations of torch a frame, views left out, of
+the portable form: what an accelerator is called for by the host, which for a few hundred points is what takes the time.
+They are counted on the processor, where `calls_to_peer` is the ratio to one by one. `deviation` is the largest
+difference of a position from one by one, px; infinite where a point is found in one and not in the other. frames/s are
+those of a graphics processor, None without CUDA: on a processor compiled kernels do without the graphs.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import xarray as xr
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from bench.rows import Row
+from fingerflow import process
+from fingerflow.side_by_side import side_by_side
+from fingerflow.stages.inputs import Engine
+from fingerflow.synthetic import Press, write_recording
+
+_SMALL: dict[str, Any] = {"frame_shape": (96, 240), "finger": (1.8, 1.5), "semi_axes": (1.3, 1.1)}
+_SHIFTS = [
+    (0.12, -0.08),
+    (-0.1, 0.1),
+    (0.0, 0.15),
+    (0.14, 0.02),
+    (-0.15, -0.05),
+    (0.05, -0.14),
+    (0.1, 0.1),
+    (-0.05, 0.0),
+]
+
+
+def run(quick: bool) -> list[Row]:
+    """Two rows for each number of recordings."""
+    frames, numbers = (9, (1, 2)) if quick else (64, (1, 2, 4, 8))
+    with tempfile.TemporaryDirectory() as folder:
+        scenes = [_written(Path(folder) / f"{number}", frames, number, quick) for number in range(numbers[-1])]
+        return [row for number in numbers for row in _rows(scenes[:number], frames * number)]
+
+
+def _written(folder: Path, frames: int, number: int, small: bool) -> Path:
+    size = _SMALL if small else {}
+    press = Press(n_frames=frames, frame_rate=64.0, frames_before_trigger=2, shift=_SHIFTS[number], **size)
+    write_recording(folder, press)
+    return folder / "scene.toml"
+
+
+def _rows(scenes: Sequence[Path], frames: int) -> list[Row]:
+    cuda = torch.cuda.is_available()
+    rows: list[Row] = []
+    peer: tuple[int, list[xr.Dataset]] | None = None
+    for way, go in (("one by one", _one_by_one), ("side by side", _side_by_side)):
+        counters = [_Calls() for _ in scenes]
+        found = go([partial(_counted, scene, counter) for scene, counter in zip(scenes, counters, strict=True)])
+        calls = sum(counter.calls for counter in counters)
+        peer = peer or (calls, found)
+        rows.append(
+            {
+                "recordings": len(scenes),
+                "way": way,
+                "calls": calls / frames,
+                "calls_to_peer": calls / peer[0],
+                "deviation": max(map(_deviation, found, peer[1])),
+                "frames_per_second": _rate(go, scenes, frames) if cuda else None,
+            }
+        )
+    return rows
+
+
+def _one_by_one(acts: Sequence[Callable[[str | Engine], xr.Dataset]]) -> list[xr.Dataset]:
+    return [act("torch") for act in acts]
+
+
+def _side_by_side(acts: Sequence[Callable[[str | Engine], xr.Dataset]]) -> list[xr.Dataset]:
+    return side_by_side(acts)
+
+
+def _counted(scene: Path, counter: "_Calls | None", engine: str | Engine) -> xr.Dataset:
+    """While somebody counts, the portable form computes, as on an accelerator."""
+    with counter or nullcontext():
+        return process(scene, device="auto" if counter is None else "cpu", engine=engine)
+
+
+def _rate(go: Callable[..., list[xr.Dataset]], scenes: Sequence[Path], frames: int) -> float:
+    """Frames a second of the second run; the first one sets up what is set up once."""
+    for _ in range(2):
+        begun = time.perf_counter()
+        go([partial(_counted, scene, None) for scene in scenes])
+    return frames / (time.perf_counter() - begun)
+
+
+def _deviation(found: xr.Dataset, expected: xr.Dataset) -> float:
+    one, other = (data["position_px"].values for data in (found, expected))
+    if one.shape != other.shape or (np.isfinite(one) != np.isfinite(other)).any():
+        return float("inf")
+    return float(np.nanmax(np.abs(one - other)))
+
+
+class _Calls(TorchDispatchMode):
+    """Of one thread."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.calls = 0
+
+    def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), options: Any = None) -> Any:
+        self.calls += not operation.is_view
+        return operation(*arguments, **(options or {}))
