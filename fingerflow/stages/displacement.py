@@ -166,9 +166,10 @@ class DisplacementStage(Stage):
         return variance
 
     def covariance(self, moved: Moved) -> NDArray[np.float32]:
-        """(n, N, 2, 2) mm^2, of the displacement."""
-        own = moved.variance[:, :, None, None] * np.eye(2, dtype=np.float32)
-        result: NDArray[np.float32] = own + self.of_onset.astype(np.float32)
+        """(n, N, 2, 2) mm^2, of the displacement; variances are NaN where it is."""
+        result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
+        for component in range(2):
+            result[..., component, component] += moved.variance
         return result
 
     def _find_onsets(self) -> None:
