@@ -19,6 +19,7 @@ from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
+from fingerflow.ops.tensors import finite
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import Number, TrackStatus
 from fingerflow.player.contract.pace import MOST_FRAMES, frames_to_next_look
@@ -261,7 +262,7 @@ def _may_disagree(found: Found, expected: Tensor) -> Tensor:
 def _last_seen(points: Tensor, before: Tensor) -> Tensor:
     """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (1, N, 2)."""
     places = []
-    for one in points.split(1):
-        before = torch.where(one.isfinite(), one, before)
+    for one, known in zip(points.split(1), finite(points).split(1), strict=True):
+        before = torch.where(known, one, before)
         places.append(before)
     return torch.cat(places)
