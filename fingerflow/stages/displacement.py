@@ -277,13 +277,19 @@ class DisplacementStage(Stage):
         frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
         variance = gap**2 / 12 + (BORDER_MM * frames_per_mm) ** 2
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
-        before, after = np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)
-        before, after = (np.where(np.isfinite(self._place(k)).all(-1), k, onset) for k in (before, after))
-        step = self._place(after) - self._place(before)
+        # Both sides at once: each look at places reads all frames.
+        every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
+        place = self._place(every)
+        unknown = ~np.isfinite(place).all(-1)
+        every = np.where(unknown, onset, every)
+        if unknown.any():
+            place[unknown] = np.broadcast_to(self._place(onset), place.shape)[unknown]
+        before, after = every
+        step = place[1] - place[0]
         speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
         # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
-        errors = [self._scale * at_frames(self.results["position_std_px"], k % frames) for k in (after, before)]
-        noise = (errors[0] ** 2 + errors[1] ** 2) / 2 / np.maximum(after - before, 1) ** 2
+        errors = self._scale * at_frames(self.results["position_std_px"], every % frames)
+        noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
         square = (speed**2).sum(1)
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
@@ -291,7 +297,7 @@ class DisplacementStage(Stage):
         self.late = gap[:, None] * speed / 2
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
-        """(N, 2) mm, of each point in its frame (N,), -1 for the last."""
+        """(..., N, 2) mm, of each point in its frames (..., N), -1 for the last."""
         return at_frames(self.results["position"], frames % len(self.trial))
 
 
@@ -364,11 +370,11 @@ def _runs(frames: int) -> list[NDArray[np.intp]]:
 
 
 def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
-    """(P, ...) values (frames, N, ...) of each of these points, all by default, in its frame (P,)."""
-    points = np.arange(len(frames)) if points is None else points
-    found = np.empty((len(frames), *values.shape[2:]), dtype=np.float64)
+    """(..., P, ...) values (frames, N, ...) of each of these points, all by default, in its frames (..., P)."""
+    points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
+    found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
     for indices in _runs(values.shape[0]):
-        here = np.flatnonzero((frames >= indices[0]) & (frames <= indices[-1]))
-        if len(here):
+        here = np.nonzero((frames >= indices[0]) & (frames <= indices[-1]))
+        if len(here[0]):
             found[here] = values[indices][frames[here] - indices[0], points[here]]
     return found
