@@ -75,10 +75,14 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], Key] = {}
+    known: dict[str, list[tuple[str, Any]]] = {}  # several stages have the same pictures of the empty glass to read
     pictures: set[type[Stage]] = set()  # stages whose results depend on some
     for stage in plan.stages:
         before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
-        settings = {key: value for one in stage.settings for key, value in _settings(one, values, inputs)}
+        for one in stage.settings:
+            if one not in known:
+                known[one] = list(_settings(one, values, inputs))
+        settings = {key: value for one in stage.settings for key, value in known[one]}
         if stage.reads_frames or pictures.intersection(before):
             pictures.add(stage.place())
         seen = recording if stage.place() in pictures else ""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -239,6 +239,12 @@ def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -
         h5a.create(stored.id, name.encode(), kind, space).write(given, own)
 
 
+@lru_cache(64)
+def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
+    """That of HDF5 for an array of this shape, all of it."""
+    return h5s.create_simple(shape)
+
+
 @cache
 def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
     """That of HDF5 for numbers."""
@@ -267,34 +273,38 @@ class _Stored:
 
     def __setitem__(self, index: Any, values: Any) -> None:
         first, count, step = self._consecutive(index)
-        given = np.broadcast_to(values, (count, *self.shape[1:]))[::step].astype(self._dtype, order="C", copy=False)
+        given, shape = np.asarray(values, self._dtype), (count, *self.shape[1:])
+        if given.shape != shape:
+            given = np.broadcast_to(given, shape)
+        given = np.ascontiguousarray(given[::step])
         check_write(self._path, given.nbytes)
         if given.size:
-            memory, part = self._spaces(first, given.shape)
+            memory, part = self._spaces(first, shape)
             self._id.write(memory, part, given, self._kind)
 
     def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
         """Of so much in memory, and of as much from this frame on in the file."""
         part = self._id.get_space()
         part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
-        return h5s.create_simple(shape), part
+        return _space(shape), part
 
     def _consecutive(self, index: Any) -> tuple[int, int, int]:
         """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""
         if isinstance(index, slice):
             first, end, step = index.indices(self.shape[0])
-            count = max(end - first, 0)
-            if step != 1:
-                raise IndexError(f"frames {index} are not consecutive: a file is read and written by runs of frames")
+            if step == 1:
+                return first, max(end - first, 0), 1
+            numbers = list(range(first, end, step))
         else:
-            numbers = np.asarray(index)
-            count, step = len(numbers), -1 if len(numbers) > 1 and numbers[1] < numbers[0] else 1
-            first = int(min(numbers[0], numbers[-1])) if count else 0
-            if (numbers[1:] - numbers[:-1] != step).any():
-                raise IndexError(
-                    f"frames {numbers.tolist()} are not consecutive: a file is read and written by runs of frames"
-                )
-        return first, count, step
+            numbers = np.asarray(index).tolist()  # of a few numbers Python tells sooner than NumPy
+        if not numbers:
+            return 0, 0, 1
+        first, last = numbers[0], numbers[-1]
+        if numbers == list(range(first, last + 1)):
+            return first, len(numbers), 1
+        if numbers == list(range(first, last - 1, -1)):
+            return last, len(numbers), -1
+        raise IndexError(f"frames {numbers} are not consecutive: a file is read and written by runs of frames")
 
 
 def _fill(variable: Variable) -> tuple[float, str]:

@@ -14,16 +14,19 @@ import xarray as xr
 from typer.testing import CliRunner
 
 import fingerflow
-from fingerflow import load_scene, process
+from fingerflow import load_scene, process, reuse
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import OUTPUTS, VARIABLES, plan
 from fingerflow.player.contract.scene_kinds import KINDS
 from fingerflow.player.contract.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.recordings import Recording
+from fingerflow.recordings.identity import identity_of
 from fingerflow.result import scene_of
+from fingerflow.reuse import keys_of
 from fingerflow.scene import Scene
 from fingerflow.stages import all_stages
-from fingerflow.stages.inputs import Inputs
+from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.stage import Stage, Trial
 from fingerflow.synthetic import PartialSlip, Press, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
@@ -168,6 +171,23 @@ def test_a_file_with_other_content_is_a_change(folder: Path, ran: set[str]) -> N
         assert "contact" in ran  # whose reference frame is that of the largest force
     finally:
         forces.write_text(before, encoding="utf-8")
+
+
+def test_a_file_that_several_stages_depend_on_is_read_once_for_their_keys(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+
+    def noted(recording: Recording) -> str:
+        read.append(recording.path.name)
+        return identity_of(recording)
+
+    monkeypatch.setattr(reuse, "identity_of", noted)
+    scene = load_scene(folder / "scene.toml")
+    inputs = open_inputs(scene, "cpu")
+    with inputs.recording:
+        keys_of(plan(None, scene), inputs, "torch", "")
+    assert sorted(read) == ["dark.npy", "empty.npy"]
 
 
 def test_another_recording_is_refused(folder: Path, tmp_path: Path) -> None:

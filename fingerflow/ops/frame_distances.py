@@ -21,7 +21,8 @@ def block_means(frames: Tensor) -> Tensor:
     """
     height, width = frames.shape[2:]
     down, along = (max(1, side // samples) for side, samples in zip((height, width), _SAMPLES, strict=True))
-    sampled = frames[..., down // 2 :: down, along // 2 :: along].float()
+    # Lines first, as they are in memory: of the whole frame it takes half as long again.
+    sampled = frames[..., down // 2 :: down, :].contiguous()[..., along // 2 :: along].float()
     rows, columns = (
         min(max(1, side // _BLOCK_PX), _BLOCKS, read)
         for side, read in zip((height, width), sampled.shape[2:], strict=True)

@@ -110,7 +110,8 @@ class Found(NamedTuple):
     @classmethod
     def joined(cls, parts: Iterable["Found"]) -> "Found":
         """What was found in several frames, one after the other."""
-        return cls._make(torch.cat(one) for one in zip(*parts, strict=True))
+        first, *more = parts
+        return first if not more else cls._make(torch.cat(one) for one in zip(first, *more, strict=True))
 
 
 def prepare_templates(

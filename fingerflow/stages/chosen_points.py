@@ -19,6 +19,7 @@ from fingerflow.ops.following import Followed, expected, follow_templates
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
+from fingerflow.ops.tensors import finite
 from fingerflow.ops.tracking import ROUNDS, search_lost
 from fingerflow.ops.tracking_limits import Number, TrackStatus
 from fingerflow.player.contract.pace import MOST_FRAMES, frames_to_next_look
@@ -116,13 +117,14 @@ class ChosenPoints:
         """The same after a second look, with the variance since the key frame; all NaN of points that fail."""
         failed = self._second.failed(images, found.points, found.status, around.points[-1])
         differs = (found.status == TrackStatus.TRACKED) & failed
-        covariance = found.covariance
         if self._settings.template == "previous":
-            each = torch.eye(2, dtype=covariance.dtype, device=covariance.device)
-            covariance = self._since_start(found.variance)[..., None, None] * each
+            each = torch.eye(2, dtype=found.covariance.dtype, device=found.covariance.device)
+            found = found._replace(covariance=self._since_start(found.variance)[..., None, None] * each)
+        if not differs.any():
+            return found
         return found._replace(
             points=torch.where(differs[..., None], torch.nan, found.points),
-            covariance=torch.where(differs[..., None, None], torch.nan, covariance),
+            covariance=torch.where(differs[..., None, None], torch.nan, found.covariance),
             status=torch.where(differs, int(TrackStatus.WINDOW_DIFFERS), found.status).to(found.status.dtype),
         )
 
@@ -244,7 +246,9 @@ def part_of(found: Found, points: "slice | Tensor") -> Found:
 
 def beside(parts: Iterable[Found]) -> Found:
     """What was found of other points in the same frames, side by side."""
-    return Found._make(torch.cat(one, dim=1) for one in zip(*parts, strict=True))
+    every = list(parts)
+    some = [one for one in every if one.status.shape[1]] or every[:1]
+    return some[0] if len(some) == 1 else Found._make(torch.cat(one, dim=1) for one in zip(*some, strict=True))
 
 
 def _may_disagree(found: Found, expected: Tensor) -> Tensor:
@@ -261,7 +265,7 @@ def _may_disagree(found: Found, expected: Tensor) -> Tensor:
 def _last_seen(points: Tensor, before: Tensor) -> Tensor:
     """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (1, N, 2)."""
     places = []
-    for one in points.split(1):
-        before = torch.where(one.isfinite(), one, before)
+    for one, known in zip(points.split(1), finite(points).split(1), strict=True):
+        before = torch.where(known, one, before)
         places.append(before)
     return torch.cat(places)

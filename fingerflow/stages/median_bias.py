@@ -14,9 +14,10 @@ from fingerflow.graphs.fields import Fields
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
+from fingerflow.ops.tensors import finite
 from fingerflow.stages.border import BORDER_MM
 from fingerflow.stages.displacement import DisplacementStage
-from fingerflow.stages.series import nanmedian
+from fingerflow.stages.series import medians_among
 from fingerflow.stages.stage import Batch
 
 EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at so often, and between linear
@@ -69,27 +70,29 @@ class MedianBias:
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
         self._square[batch.indices] = of_ranks(found, count)
         if self._late is not None:
-            known = displacement.isfinite().all(-1).cpu().numpy()
-            self._square[batch.indices] += nanmedian(np.where(known[..., None], self._late, np.nan)) ** 2
-        for k in np.flatnonzero(np.isin(batch.indices, self._looks)):
-            some = slice(k, k + 1)
-            beside = None if entered is None else Apart(entered[some], _five(found)[some], None)
-            center, semi_axes, angle = (one[some] for one in ellipse)
-            median, variance = found.median[some], found.median_std[some].square()
-            square = torch.zeros_like(median)
-            for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
-                other = area_medians(
-                    self._reference.to(displacement),
-                    displacement[some],
-                    center,
-                    semi_axes - smaller,
-                    angle,
-                    gauge_length=gauge,
-                    measure=self._measure,
-                    apart=beside,
-                )
-                square += ((other.median - median).square() - variance).clamp_min(0)
-            self._seen[np.searchsorted(self._looks, batch.indices[k])] = square.cpu().numpy()[0]
+            across, down = displacement.unbind(-1)
+            known = finite(across + down).cpu().numpy()
+            self._square[batch.indices] += medians_among(self._late, known) ** 2
+        some = np.flatnonzero(np.isin(batch.indices, self._looks))
+        if not len(some):
+            return
+        beside = None if entered is None else Apart(entered[some], _five(found)[some].mT, None)
+        center, semi_axes, angle = (one[some] for one in ellipse)
+        median, variance = found.median[some], found.median_std[some].square()
+        square = torch.zeros_like(median)
+        for gauge, smaller in ((2 * self._gauge, 0.0), (self._gauge, BORDER_MM)):
+            other = area_medians(
+                self._reference.to(displacement),
+                displacement[some],
+                center,
+                semi_axes - smaller,
+                angle,
+                gauge_length=gauge,
+                measure=self._measure,
+                apart=beside,
+            )
+            square += ((other.median - median).square() - variance).clamp_min(0)
+        self._seen[np.searchsorted(self._looks, batch.indices[some])] = square.cpu().numpy()
 
     def square(self) -> NDArray[np.float64]:
         """(T, 5), to be added to the variance.
@@ -119,21 +122,21 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
     some = np.flatnonzero((share > 0) & ((share < 1) | (came > 0)))  # else both ranks are one
     if not len(some):
         return result
-    fields = _five(found).mT.cpu().numpy()[some]
-    whole = np.isfinite(fields).all(1, keepdims=True)
+    fields = _five(found).cpu().numpy()[some]
+    whole = np.isfinite(fields.sum(1, keepdims=True))
     # Points crowd where skin has texture, so that their own median is another one: about the rank of the one found.
-    ordered, count = np.sort(np.where(whole, fields, np.nan), axis=2), whole.sum(2)  # NaN last
+    ordered = np.where(whole, fields, np.float32(np.nan))
+    ordered.sort(axis=2)  # NaN last
+    count, frame, field = whole.sum(2), np.arange(len(some))[:, None], np.arange(5)
     ranks = (ordered < found.median.cpu().numpy()[some, :, None]).sum(2)
 
     def square_between(reach: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of half the difference of fields so many ranks (k, 1) above and below."""
         low, high = (
-            np.take_along_axis(
-                ordered, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)[..., None], 2
-            )
+            ordered[frame, field, np.clip(np.rint(ranks + step), 0, np.maximum(count - 1, 0)).astype(int)]
             for step in (-reach, reach)
         )
-        spread = np.asarray((high - low)[..., 0] / 2, dtype=np.float64)
+        spread = np.asarray((high - low) / 2, dtype=np.float64)
         return np.where(count > 0, spread**2, 0.0)
 
     share = share[some, None]
@@ -144,5 +147,5 @@ def of_ranks(found: Fields, entered: NDArray[np.integer] | None = None) -> NDArr
 
 
 def _five(found: Fields) -> Tensor:
-    """(n, N, 5) divergence, curl and strain of points."""
-    return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=-1)
+    """(n, 5, N) divergence, curl and strain of points."""
+    return torch.stack((found.divergence, found.curl, *found.strain.unbind(-1)), dim=1)

@@ -8,10 +8,38 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     """Medians (F, ...) over the second axis of values (F, N, ...), of what is not NaN; NaN where nothing is."""
     if values.shape[1] == 0:
         return np.full((len(values), *values.shape[2:]), np.nan)
-    ordered = np.sort(values, axis=1)  # NaN last
-    known = (~np.isnan(ordered)).sum(1, keepdims=True)
-    middle = [np.take_along_axis(ordered, np.maximum(rank, 0), axis=1) for rank in ((known - 1) // 2, known // 2)]
-    result: NDArray[np.float64] = np.where(known > 0, (middle[0] + middle[1]) / 2, np.nan).squeeze(1).astype(np.float64)
+    # In lines, as sorting and counting are twice as fast there.
+    ordered = np.array(np.moveaxis(values, 1, -1), order="C")
+    ordered.sort(axis=-1)  # NaN last
+    known = (~np.isnan(ordered)).sum(-1)
+    first = np.arange(0, ordered.size, ordered.shape[-1]).reshape(known.shape)
+    return _middle(ordered.ravel(), first, known)
+
+
+def medians_among(values: NDArray[np.float64], among: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Medians (F, K) of columns of values (N, K), in each of F times of the rows that are `among` (F, N), of what is
+    not NaN; NaN where nothing is.
+
+    As `nanmedian` of the values themselves, which are the same at all times: they are put in order once.
+    """
+    order = np.argsort(values, axis=0).T
+    ordered = np.take_along_axis(values.T, order, axis=1)
+    counts = among[:, order] & ~np.isnan(ordered)  # (F, K, N)
+    known = counts.sum(2)
+    places = np.flatnonzero(counts) % ordered.size  # in `ordered`, one time after the other
+    if not len(places):
+        return np.full(known.shape, np.nan)
+    end = known.cumsum().reshape(known.shape)
+    return _middle(ordered.ravel()[places], end - known, known)
+
+
+def _middle(
+    ordered: NDArray[np.floating], first: NDArray[np.integer], known: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Medians of runs of so many `known` numbers in order, from places `first` on."""
+    last = len(ordered) - 1  # beyond it lie runs of none
+    low, high = (ordered[np.minimum(first + rank, last)] for rank in (np.maximum(known - 1, 0) // 2, known // 2))
+    result: NDArray[np.float64] = np.where(known > 0, (low + high) / 2, np.nan).astype(np.float64)
     return result
 
 

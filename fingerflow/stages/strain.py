@@ -111,7 +111,7 @@ class StrainStage(Stage):
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """(n, M, ...) of values (n, N, ...) at points; corner by corner, as sums over an axis of three take longer."""
-        first, second, third = (values[:, corner] for corner in self._skin.triangles.T)
+        first, second, third = (values.take(corner, axis=1) for corner in self._skin.triangles.T)
         total: NDArray[Any] = first + second + third
         return total
 

@@ -288,7 +288,8 @@ class TrackingStage(Stage):
 
     def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
         """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
-        x, y = (points @ self._matrix[:, :2].T + self._matrix[:, 2]).unbind(-1)
+        # Components before points: torch is slow where the last axis is short.
+        x, y = (self._matrix[:, :2] @ points.mT + self._matrix[:, 2:]).unbind(1)
         return covered(density_margin, x, y, cell_of(self.inputs.scene.contact.gross_radius_px))
 
 

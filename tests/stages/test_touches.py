@@ -23,7 +23,7 @@ def test_runs_of_frames_are_counted_as_frame_after_frame() -> None:
             start, first = np.where(now, frame, start), np.where(now & (first < 0), frame, first)
             np.testing.assert_array_equal(begins[k], now)
             np.testing.assert_array_equal(touching[k], length > 0)
-            known, points = start >= 0, np.arange(POINTS)
+            known, points = (length > 0).numpy(), np.arange(POINTS)
             np.testing.assert_array_equal(place[k], np.where(known[:, None], position[start, points], np.nan))
             np.testing.assert_array_equal(spread[k], np.where(known, variance[start, points], np.nan))
         np.testing.assert_array_equal(touch.length, length)
