@@ -202,8 +202,9 @@ class FileStore(Store):
             if dim in self._datasets:
                 scales[dim], said = self._datasets[dim], dim
             else:
-                longest = _longest((dim,), (size,))
-                scales[dim] = self._file.create_dataset(dim, (size,), ">f4", maxshape=longest, track_order=True)
+                # Of a fixed size, as nothing grows any more: for the size of a dimension without an end h5netcdf asks
+                # all its variables, again and again, which takes longer than all else that opening does.
+                scales[dim] = self._file.create_dataset(dim, (size,), ">f4", track_order=True)
                 said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
             scales[dim].make_scale(said)
             _describe(scales[dim], {"_Netcdf4Dimid": number})

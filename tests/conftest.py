@@ -1,5 +1,6 @@
 """Fixtures that more than one room of tests uses."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,30 @@ from filelock import FileLock
 from bench.chromium import launch
 from fingerflow import kernels
 from fingerflow.synthetic import PartialSlip, write_recording
-from tests.small_trials import write_bundle_of_trials
+from fingerflow.synthetic.marker_gel import write_gel_recording
+from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
 
-SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+#: Modules that take longest come first, so that two processes end together; the one that exports a bundle comes long
+#: before the others that play it, which would wait for it.
+LONGEST = (
+    "export/test_export.py",
+    "kernels/test_kernel_sources.py",
+    "stages/test_slip.py",
+    "test_compile.py",
+    "study/test_run.py",
+    "view/test_view_walk.py",
+    "view/test_view_page.py",
+    "bench/test_bench_suites.py",
+    "test_kills.py",
+)
+HERE = Path(__file__).resolve().parent
+SHARED_DATA = HERE.parents[1] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {HERE / name: place for place, name in enumerate(LONGEST)}
+    assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")
@@ -25,41 +47,65 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def slip_trials(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders `abrupt` and `fading`: trials of 120 frames, views of 192 x 240 px, windows that fit a small contact.
-
-    Their scene files do not say where skin touches: a lab's do not either.
-    """
-    folder = tmp_path_factory.mktemp("slip")
-    for name, friction in (("abrupt", (0.8, 0.4)), ("fading", (0.6, 0.8))):
-        trial = PartialSlip(
-            n_frames=120,
-            frames_before_trigger=6,
-            frame_shape=(192, 480),
-            finger=(3.2, 2.7),
-            semi_axes=(2.3, 1.9),
-            creep=0.45,
-            travel=0.8,
-            static_friction=friction[0],
-            kinetic_friction=friction[1],
-        )
-        write_recording(folder / name, trial)
-        scene = folder / name / "scene.toml"
-        text = scene.read_text(encoding="utf-8")
-        for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
-            assert old in text
-            text = text.replace(old, new)
-        scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
-    return folder
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """The same for all processes of a run."""
+    own = tmp_path_factory.getbasetemp()
+    return own if worker_id == "master" else own.parent
 
 
 @pytest.fixture(scope="session")
-def bundle_of_trials(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+def slip_trials(shared_folder: Path) -> Path:
+    """Folders `abrupt` and `fading`: trials of 120 frames, views of 192 x 240 px, windows that fit a small contact.
+
+    Their scene files do not say where skin touches: a lab's do not either. They are not to be written to.
+    """
+
+    def write(folder: Path) -> None:
+        for name, friction in (("abrupt", (0.8, 0.4)), ("fading", (0.6, 0.8))):
+            trial = PartialSlip(
+                n_frames=120,
+                frames_before_trigger=6,
+                frame_shape=(192, 480),
+                finger=(3.2, 2.7),
+                semi_axes=(2.3, 1.9),
+                creep=0.45,
+                travel=0.8,
+                static_friction=friction[0],
+                kinetic_friction=friction[1],
+            )
+            write_recording(folder / name, trial)
+            scene = folder / name / "scene.toml"
+            text = scene.read_text(encoding="utf-8")
+            for old, new in (("window_px = 25", "window_px = 15"), ("min_distance_px = 6.0", "min_distance_px = 4.0")):
+                assert old in text
+                text = text.replace(old, new)
+            scene.write_text(text[: text.index("[stream]")], encoding="utf-8")
+
+    return _made_once(shared_folder / "slip", write)
+
+
+@pytest.fixture(scope="session")
+def gel_recording(shared_folder: Path) -> Path:
+    """The scene file of a soft sensor: `GEL` of tests/small_trials.py. Its folder is not to be written to."""
+    folder = shared_folder / "gel"
+    return _made_once(folder, lambda path: write_gel_recording(path, GEL, GEL_MM_PER_PX)) / "scene.toml"
+
+
+@pytest.fixture(scope="session")
+def bundle_of_trials(shared_folder: Path) -> Path:
     """What plays `small_trials`, not to be written to: exported once, in a minute, by the first that needs it."""
-    own = tmp_path_factory.getbasetemp()
-    folder = (own if worker_id == "master" else own.parent) / "bundle_of_trials"
+    return _made_once(shared_folder / "bundle_of_trials", write_bundle_of_trials)
+
+
+def _made_once(folder: Path, write: Callable[[Path], object]) -> Path:
+    """A folder that the first process that needs it writes, while the others wait."""
+    done = folder.with_name(f"{folder.name}.done")
     with FileLock(f"{folder}.lock"):
-        return folder if folder.exists() else write_bundle_of_trials(folder)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of one that failed
+            write(folder)
+            done.touch()
+    return folder
 
 
 @pytest.fixture

@@ -31,6 +31,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import xarray as xr
 
 from fingerflow import cli, load_scene, open_stream
 from fingerflow import export as exporting
@@ -79,7 +80,13 @@ class Command:
 
 
 def _same_result(path: Path, reference: Path) -> bool:
-    return results.load_result(path).equals(results.load_result(reference))
+    return results.load_result(path).equals(_reference_result(reference))
+
+
+@functools.cache
+def _reference_result(path: Path) -> xr.Dataset:
+    """Loaded once: that takes as long as the command."""
+    return results.load_result(path)
 
 
 def _same_pictures(path: Path, reference: Path) -> bool:

@@ -11,6 +11,7 @@ import pytest
 from fingerflow.export import export_bundle
 from fingerflow.export.recipe import GRAPHS
 from fingerflow.synthetic import Press, Slide, write_recording
+from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import Scene
 from tests.stages.rolling import Rolling
 
@@ -20,6 +21,8 @@ Frame = np.ndarray[Any, Any]
 TINY_PRESS = Press(
     n_frames=8, frame_rate=8.0, frames_before_trigger=1, frame_shape=(96, 240), finger=(1.8, 1.5), semi_axes=(1.3, 1.1)
 )
+
+GEL, GEL_MM_PER_PX = MarkerGel(n_frames=40), 0.06
 
 # What a stream and `process` are compared on.
 FRAMES, HEIGHT, WIDTH, POINTS = 72, 192, 240, 150

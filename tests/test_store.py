@@ -71,6 +71,14 @@ def test_points_may_be_added(tmp_path: Path) -> None:
     assert np.isnan(stored["position"].values[:8, 300:]).all()
 
 
+def test_nothing_of_a_finished_file_grows(tmp_path: Path) -> None:
+    """The size of a dimension without an end is that of its longest variable: readers ask all of them, every time."""
+    _, path = _both(tmp_path, 300)
+    with xr.open_dataset(path, engine="h5netcdf") as stored:
+        assert stored.sizes["point"] == 300
+        assert not stored.encoding["unlimited_dims"]
+
+
 def test_the_file_is_netcdf4(tmp_path: Path) -> None:
     """By a reader that knows dimensions by their scales alone."""
     _, path = _both(tmp_path, 300)

@@ -143,14 +143,13 @@ class PartialSlipMotion(SlideMotion):
     def material(self, x: Tensor, y: Tensor, progress: Tensor) -> tuple[Tensor, Tensor]:
         travelled = self.travelled(progress)
         radius = self.contact.radius(x - travelled * self.direction[0], y - travelled * self.direction[1])
-        slipped = travelled + self._slipped(radius, progress)
+        slipped = travelled + self._slipped(radius, self.stuck_radius(progress), self.leapt(progress))
         return x - slipped * self.direction[0], y - slipped * self.direction[1]
 
-    def _slipped(self, radius: Tensor, progress: Tensor) -> Tensor:
+    def _slipped(self, radius: Tensor, stuck: Tensor, leapt: Tensor) -> Tensor:
         """How far skin has gone beside what has travelled with the contact, mm."""
-        stuck = self.stuck_radius(progress)
         crept = self.creep * (_stretched(radius - stuck) - _stretched(radius - 1))
-        return crept + self.leapt(progress) * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
+        return crept + leapt * _rising((radius - stuck) / (1 - stuck).clamp(min=1e-6))
 
     def radius_of_displacement(self, progress: float, limit: float) -> float:
         at = torch.tensor(progress, dtype=torch.float64)
@@ -158,10 +157,12 @@ class PartialSlipMotion(SlideMotion):
         if left <= 0:
             return 0.0
         # Outwards the displacement grows. In the contact alone: the skin around it moves as one.
-        low, high = float(self.stuck_radius(at)), 1.0
+        stuck, leapt = self.stuck_radius(at), self.leapt(at)
+        low, high = float(stuck), 1.0
         for _ in range(_BISECTIONS):
             middle = torch.tensor((low + high) / 2, dtype=torch.float64)
-            low, high = (float(middle), high) if float(self._slipped(middle, at)) < left else (low, float(middle))
+            still = float(self._slipped(middle, stuck, leapt)) < left
+            low, high = (float(middle), high) if still else (low, float(middle))
         return high
 
 

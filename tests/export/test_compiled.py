@@ -9,10 +9,11 @@ import pytest
 from fingerflow import kernels
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import build
-from fingerflow.export.bundle import version, write_graph
+from fingerflow.export.bundle import version
 from fingerflow.export.compiled import CompiledGraphs
 from fingerflow.export.recipe import Recipe, load_recipe
 from fingerflow.graphs.frame import COMPILED_DO_WITHOUT
+from tests.small_trials import POINTS, beside
 
 RECIPE = """
 [views]
@@ -33,16 +34,14 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Recipe:
     return load_recipe(file)
 
 
-def test_a_graph_asks_for_what_its_file_asks_for_but_for_what_kernels_do_without(
-    recipe: Recipe, tmp_path: Path
-) -> None:
-    write_graph(recipe, "fields", build(recipe)["fields"], tmp_path)
-    session = CompiledGraphs(recipe.model_dump(), version()).open("fields", tmp_path / "fields.onnx")
+def test_a_graph_asks_for_what_its_file_asks_for_but_for_what_kernels_do_without(bundle_of_trials: Path) -> None:
+    recipe = load_recipe(beside(bundle_of_trials)[0])
+    session = CompiledGraphs(recipe.model_dump(), version()).open("fields", bundle_of_trials / "fields.onnx")
     assert session.get_modelmeta().custom_metadata_map["fingerflow.graph"] == "fields"
     inputs = {one.name: one.shape for one in session.get_inputs()}
-    assert inputs["points"] == [1, 20, 2]
+    assert inputs["points"] == [1, POINTS, 2]
     feed: dict[str, Any] = {name: np.ones(shape, np.float32) for name, shape in inputs.items()}
-    feed |= {name: np.ones((1, 20), np.uint8) for name in ("covered", "reached", "entry")}
+    feed |= {name: np.ones((1, POINTS), np.uint8) for name in ("covered", "reached", "entry")}
     reached, divergence = session.run(["next_reached", "divergence"], feed)
     assert (reached == 2).all()  # one more frame than before
     assert np.isnan(divergence).all()  # all points in one place

@@ -240,15 +240,21 @@ def test_the_player_gives_what_torch_gives(bundle_of_trials: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("settings", "graphs"),
     [
-        ({"bits": 12}, '"contact", "track"'),
+        ({"bits": 12}, '"contact"'),
         (
-            {"batch": '"dynamic"', "contact": "median_px = 9\nstride_px = 8", "tracking": "gain_offset = false"},
+            {
+                "bits": 12,
+                "batch": '"dynamic"',
+                "contact": "median_px = 9\nstride_px = 8",
+                "tracking": "gain_offset = false",
+            },
             '"frame"',
         ),
     ],
-    ids=["12 bit", "open batch"],
+    ids=["12 bit", "12 bit, open batch"],
 )
 def test_other_recipes_export(settings: dict[str, str | int], graphs: str, tmp_path: Path) -> None:
+    """`frame` follows points as `track` does."""
     rows = export_bundle(_recipe(tmp_path, graphs=graphs, **settings), tmp_path / "bundle")  # type: ignore[arg-type]
     assert rows
 
@@ -266,7 +272,7 @@ def test_a_failed_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr("fingerflow.export.bundle.verify", fail)
     with pytest.raises(FingerflowError, match="no"):
-        export_bundle(_recipe(tmp_path, graphs='"fields"'), tmp_path / "bundle")
+        export_bundle(_recipe(tmp_path, graphs='"background"'), tmp_path / "bundle")
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
 
 

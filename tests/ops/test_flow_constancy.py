@@ -10,7 +10,7 @@ from fingerflow.ops.flow import _fields, find_flow, prepare_flow
 from fingerflow.ops.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.tracking_limits import GRADIENT_NOISE
-from tests.ops.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave
+from tests.ops.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave, with_few_sweeps
 
 
 @pytest.mark.parametrize("constancy", ["brightness", "gradient"])
@@ -84,7 +84,8 @@ def test_compiled_and_portable_flow_are_one(penalty: Penalty, monkeypatch: pytes
     assert compiled.isfinite().all(1).double().mean() > 0.9
 
 
-def test_the_portable_form_is_exported() -> None:
+def test_the_portable_form_is_exported(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_few_sweeps(monkeypatch)
     first, current, truth = pair(wave, noise=2.0, shape=(9, 12))
     template = prepare_flow(photograph(first), constancy="gradient")
 

@@ -122,18 +122,18 @@ def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[[int], S
     file = tmp_path / "result.h5"
     process(long(9), to=file).close()
     bytes_of: dict[Path | None, list[int]] = {file: [], None: []}
-    for count in (40, 400):
+    few, many = 40, 400
+    for count in (few, many):
         scene = long(count)
         for to, found in bytes_of.items():
             gc.collect()
             tracemalloc.start()
-            process(scene, to=to).close()
+            made = process(scene, to=to)
+            made.close()
             found.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
-    a_frame = {to: (many - few) / 360 for to, (few, many) in bytes_of.items()}
+    a_frame = {to: (last - first) / (many - few) for to, (first, last) in bytes_of.items()}
     assert a_frame[file] < 1000  # some forty numbers, and places of chunks in the file
     assert a_frame[file] < a_frame[None] / 2.5  # of few points: a real recording has 700
-    xr.testing.assert_identical(
-        load_result(file).drop_attrs(deep=False), process(scene).drop_attrs(deep=False).drop_encoding()
-    )
+    xr.testing.assert_identical(load_result(file).drop_attrs(deep=False), made.drop_attrs(deep=False).drop_encoding())
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".h5"] == ["result.h5"]

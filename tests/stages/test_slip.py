@@ -1,5 +1,6 @@
 """The stuck part against truth, the verdict of known trials, and trials that cannot be judged."""
 
+import functools
 import json
 import math
 import re
@@ -38,6 +39,7 @@ def by(scene: Scene, criterion: str) -> Scene:
     return replace(scene, slip=replace(scene.slip, criterion=criterion))
 
 
+@functools.cache
 def shares(folder: Path, limit_mm: float | None = None) -> NDArray[np.float64]:
     """(F,) exact d^2: of what has not slipped, or has moved by less than a limit."""
     trial = rebuild_scene(folder)

@@ -20,21 +20,14 @@ from fingerflow.player.contract.scene_file import SceneError, read_scene
 from fingerflow.report import write_report
 from fingerflow.scene import gel_scene_text
 from fingerflow.stages.rest import find_rest
-from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
+from tests.small_trials import GEL, GEL_MM_PER_PX
 
-GEL = MarkerGel(n_frames=40)
-MM_PER_PX = 0.06
 TACTILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile"
 
 
 @pytest.fixture(scope="module")
-def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_gel_recording(tmp_path_factory.mktemp("gel") / "recording", GEL, MM_PER_PX)
-
-
-@pytest.fixture(scope="module")
-def result(scene_path: Path) -> xr.Dataset:
-    return process(scene_path)
+def result(gel_recording: Path) -> xr.Dataset:
+    return process(gel_recording)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +70,7 @@ def test_every_marker_in_view_is_followed(result: xr.Dataset) -> None:
 
 
 def test_displacement_counts_from_rest(result: xr.Dataset, truth: NDArray[np.float64]) -> None:
-    moved, expected = result["displacement"].values, MM_PER_PX * (truth - truth[:1])
+    moved, expected = result["displacement"].values, GEL_MM_PER_PX * (truth - truth[:1])
     assert np.sqrt(np.nanmean((moved - expected) ** 2)) < 0.006
     assert result["displacement"].attrs["long_name"] == "displacement since rest"
 
@@ -95,14 +88,14 @@ def test_contact_is_there_when_the_object_is(result: xr.Dataset) -> None:
     assert area[pressed == 1].all()
 
 
-def test_a_recording_that_begins_in_contact_is_read_from_where_it_rests(scene_path: Path, tmp_path: Path) -> None:
-    text = scene_path.read_text(encoding="utf-8")
-    video = (scene_path.parent / "frames.avi").as_posix()
+def test_a_recording_that_begins_in_contact_is_read_from_where_it_rests(gel_recording: Path, tmp_path: Path) -> None:
+    text = gel_recording.read_text(encoding="utf-8")
+    video = (gel_recording.parent / "frames.avi").as_posix()
     text = text.replace('frames = "frames.avi"', f'frames = "{video}"\nfirst_frame = 24')
     (tmp_path / "late.toml").write_text(text, encoding="utf-8")
     late = process(tmp_path / "late.toml", ["displacement", "gross_slip"])
     assert any("not at rest in frame 24" in one for one in json.loads(late.attrs["warnings"]))
-    moved = np.linalg.norm(late["displacement"].values, axis=-1) / MM_PER_PX
+    moved = np.linalg.norm(late["displacement"].values, axis=-1) / GEL_MM_PER_PX
     assert np.nanmax(moved[0]) > 20
     assert np.nanmax(moved[-1]) < 0.5
     assert np.flatnonzero(late["gross_slip"].values)[0] == GEL.slip_frame - 24
@@ -110,20 +103,20 @@ def test_a_recording_that_begins_in_contact_is_read_from_where_it_rests(scene_pa
 
 def test_a_video_without_markers_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "blank.npy", np.full((4, 64, 80), 120, dtype=np.uint8))
-    text = gel_scene_text("blank.npy", (64, 80), MM_PER_PX)
+    text = gel_scene_text("blank.npy", (64, 80), GEL_MM_PER_PX)
     (tmp_path / "scene.toml").write_text(text.replace("[views", "frame_rate = 25.0\n\n[views", 1), encoding="utf-8")
     with pytest.raises(FingerflowError, match="no printed markers were found"):
         process(tmp_path / "scene.toml")
 
 
-def test_what_other_kinds_give_is_refused_by_name(scene_path: Path) -> None:
+def test_what_other_kinds_give_is_refused_by_name(gel_recording: Path) -> None:
     with pytest.raises(FingerflowError, match="picture without a finger"):
-        process(load_scene(scene_path), ["printed_real_contact_area"])
+        process(load_scene(gel_recording), ["printed_real_contact_area"])
 
 
-def test_the_command_line_writes_its_scene_and_streams_refuse_it(scene_path: Path, tmp_path: Path) -> None:
+def test_the_command_line_writes_its_scene_and_streams_refuse_it(gel_recording: Path, tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
-    video = str(scene_path.parent / "frames.avi")
+    video = str(gel_recording.parent / "frames.avi")
     assert CliRunner().invoke(app, ["init", str(path), "--gel", video, "--mm-per-px", "0.05"]).exit_code == 0
     scene = load_scene(path)
     assert scene.kind == "soft_sensor"
@@ -136,8 +129,8 @@ def test_the_command_line_writes_its_scene_and_streams_refuse_it(scene_path: Pat
         read_scene(path, "stream")
 
 
-def test_the_report_shows_markers_and_slip(result: xr.Dataset, scene_path: Path, tmp_path: Path) -> None:
-    page = write_report(result, load_scene(scene_path), tmp_path).read_text(encoding="utf-8")
+def test_the_report_shows_markers_and_slip(result: xr.Dataset, gel_recording: Path, tmp_path: Path) -> None:
+    page = write_report(result, load_scene(gel_recording), tmp_path).read_text(encoding="utf-8")
     assert "Slip of what touches the gel" in page
     told = re.sub(r"base64,[A-Za-z0-9+/=\s]+", "", page).lower()
     assert "skin" not in told.replace(str(tmp_path).lower(), "")
@@ -165,7 +158,7 @@ def test_markers_of_a_real_sensor(name: str, tmp_path: Path) -> None:
     1.5 px, and the slip of the object is flagged.
     """
     video = TACTILE / f"{name}.avi"
-    (tmp_path / "scene.toml").write_text(gel_scene_text(video.as_posix(), (240, 320), MM_PER_PX), encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(gel_scene_text(video.as_posix(), (240, 320), GEL_MM_PER_PX), encoding="utf-8")
     found = process(tmp_path / "scene.toml", ["position_px", "status", "gross_slip"])
     capture, near, missed = cv2.VideoCapture(str(video)), 0, 0
     for places in found["position_px"].values:

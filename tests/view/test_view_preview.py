@@ -8,7 +8,6 @@ import pytest
 from fingerflow import load_scene, process
 from fingerflow.result import load_result
 from fingerflow.scene import scene_of_text
-from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from fingerflow.view.preview import Previewer
 from fingerflow.view.sensor_preview import SensorPreviewer
 
@@ -74,8 +73,8 @@ def test_warnings_do_not_come_together_over_many_changes(processed: Path) -> Non
     assert preview.warnings == first
 
 
-def test_markers_of_a_soft_sensor_are_those_of_process(tmp_path: Path) -> None:
-    scene = load_scene(write_gel_recording(tmp_path / "gel", MarkerGel(n_frames=40), 0.06))
+def test_markers_of_a_soft_sensor_are_those_of_process(gel_recording: Path) -> None:
+    scene = load_scene(gel_recording)
     result = process(scene, ["position_px", "gross_contact_area", "gross_contact_region", "contact_threshold"])
     preview = SensorPreviewer(scene)
     shared = []
@@ -99,14 +98,13 @@ def test_markers_of_a_soft_sensor_are_those_of_process(tmp_path: Path) -> None:
     assert preview.contact(24).mask.shape == (240, 320)
 
 
-def test_the_threshold_of_a_soft_sensor_moves_its_contact(tmp_path: Path) -> None:
-    path = write_gel_recording(tmp_path / "gel", MarkerGel(n_frames=24), 0.06)
-    text = path.read_text(encoding="utf-8")
+def test_the_threshold_of_a_soft_sensor_moves_its_contact(gel_recording: Path) -> None:
+    text = gel_recording.read_text(encoding="utf-8")
     found = []
     before: SensorPreviewer | None = None
     for threshold in (0.05, 0.2):  # the light changes by less than the second: what moves is the contact then
-        before = SensorPreviewer(scene_of_text(f"{text}\n[contact]\nthreshold = {threshold}\n", path), before)
-        found.append(before.contact(10))
+        before = SensorPreviewer(scene_of_text(f"{text}\n[contact]\nthreshold = {threshold}\n", gel_recording), before)
+        found.append(before.contact(17))
         assert found[-1].numbers["contact_threshold"] == pytest.approx(threshold)
     assert 0 < 2 * found[0].mask.sum() < found[1].mask.sum()
     np.testing.assert_array_equal(found[0].markers, found[1].markers)
