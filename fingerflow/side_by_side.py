@@ -9,7 +9,7 @@ A processor gains nothing: its compiled kernels follow the points without a grap
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from inspect import ismethod
 from threading import Condition
@@ -37,8 +37,11 @@ Result = TypeVar("Result")
 def side_by_side(acts: Sequence[Callable[[Engine], Result]]) -> list[Result]:
     """Results of acts, each given its own engine for graphs, and run in a thread of its own.
 
-    What one of them raises, the others do not notice; when all have ended, the first such error is raised.
+    What one of them raises, the others do not notice; when all have ended, the first such error is raised. Ctrl-C ends
+    each of them where it calls a graph next.
     """
+    if not acts:
+        return []
     together = _Together(len(acts))
 
     def run(act: Callable[[Engine], Result], place: int) -> Result:
@@ -48,8 +51,17 @@ def side_by_side(acts: Sequence[Callable[[Engine], Result]]) -> list[Result]:
             together.leave()
 
     with ThreadPoolExecutor(len(acts)) as threads:
-        ended = [threads.submit(run, act, place) for place, act in enumerate(acts)]
+        try:
+            ended = [threads.submit(run, act, place) for place, act in enumerate(acts)]
+            wait(ended)
+        except BaseException:  # as of Ctrl-C, or where there is no thread for one, for which others would wait
+            together.stop()
+            raise
     return [one.result() for one in ended]
+
+
+class _Stopped(BaseException):
+    """Nobody asks for the results any more; no Exception, which would be taken for one of the recording's."""
 
 
 class _Together:
@@ -58,8 +70,9 @@ class _Together:
     def __init__(self, members: int) -> None:
         self._members = members
         self._waiting: list[_Asked] = []
+        self._stopped = False
         self._turn = Condition()
-        self._point_axes: dict[Any, dict[str, int]] = {}
+        self._point_axes: dict[Any, dict[str, list[int]]] = {}
 
     def member(self, place: int, module: M) -> M:
         """The module that one of them calls in place of this one."""
@@ -70,20 +83,32 @@ class _Together:
         with self._turn:
             self._waiting.append(asked)
             while not asked.answered:
+                if self._stopped:
+                    raise _Stopped
                 if len(self._waiting) < self._members:
                     self._turn.wait()
                     continue
                 self._answer_next()
                 self._turn.notify_all()
-        if asked.error is not None:
-            raise asked.error
-        return asked.result
+        error, asked.error = asked.error, None
+        try:
+            if error is not None:
+                raise error
+            return asked.result
+        finally:
+            del error  # it knows this frame, and in a circle the tensors of a call would stay
 
     def leave(self) -> None:
         """A member asks no more."""
         with self._turn:
             self._members -= 1
             self._turn.notify_all()  # one that waits answers: modes of torch, as that of inference, are a thread's own
+
+    def stop(self) -> None:
+        """No member asks with success from now on."""
+        with self._turn:
+            self._stopped = True
+            self._turn.notify_all()
 
     def _answer_next(self) -> None:
         """Answers the calls whose turn it is; all members wait."""
@@ -99,16 +124,18 @@ class _Together:
     def _answer(self, group: list["_Asked"]) -> None:
         try:
             results = self._joined(group) if len(group) > 1 else [group[0].made()]
-        except Exception as error:
-            if len(group) > 1:  # whose it is shows when each is made by itself: memory, or what one of them asks
-                for asked in group:
-                    self._answer([asked])
+        except BaseException as error:  # of whatever kind: who waits for an answer would wait for ever
+            if len(group) == 1:
+                group[0].error, group[0].answered = error, True
                 return
-            group[0].error = error
-            group[0].answered = True
+        else:
+            for asked, result in zip(group, results, strict=True):
+                asked.result, asked.answered = result, True
             return
-        for asked, result in zip(group, results, strict=True):
-            asked.result, asked.answered = result, True
+        # Whose it is shows when each is made by itself: memory, or what one of them asks. Not before the error is gone,
+        # which holds the memory of the call that failed.
+        for asked in group:
+            self._answer([asked])
 
     def _joined(self, group: list["_Asked"]) -> list[Any]:
         """The results of calls that are made as one."""
@@ -123,13 +150,13 @@ class _Together:
             frames = slice(done, done := done + asked.frames)
             own = [leaf[frames] if isinstance(leaf, Tensor) else leaf for leaf in leaves]
             for place, name in enumerate(names):
-                if name in along:
-                    own[place] = own[place].narrow(along[name], 0, asked.call.points)
+                for axis in along.get(name, ()):
+                    own[place] = own[place].narrow(axis, 0, asked.call.points)
             parts.append(tree.tree_unflatten(own, structure))
         return parts
 
-    def _along(self, asked: "_Asked") -> dict[str, int]:
-        """Along which axis points lie in a result, by the names of its leaves: seen from shapes, without values."""
+    def _along(self, asked: "_Asked") -> dict[str, list[int]]:
+        """Along which axes points lie in a result, by the names of its leaves: seen from shapes, without values."""
         if asked.key not in self._point_axes:
             call = asked.call
             found = []
@@ -137,11 +164,9 @@ class _Together:
                 tensors = filled_up([one.to("meta") for one in call.tensors], call.tensor_axes, room)
                 found.append(tree.tree_flatten_with_path(asked.made(tensors))[0])
             self._point_axes[asked.key] = {
-                tree.keystr(path): axis
+                tree.keystr(path): [axis for axis in range(one.ndim) if one.shape[axis] != other.shape[axis]]
                 for (path, one), (_, other) in zip(*found, strict=True)
                 if isinstance(one, Tensor)
-                for axis in range(one.ndim)
-                if one.shape[axis] != other.shape[axis]
             }
         return self._point_axes[asked.key]
 
@@ -162,7 +187,7 @@ class _Asked:
         self.frames = max(len(one) for one in call.tensors)
         self.answered = False
         self.result: Any = None
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         kinds = [
             (value.dtype, value.device, *_beside(value, axis)) if isinstance(value, Tensor) else repr(value)
             for value, axis in zip(call.values, call.axes, strict=True)

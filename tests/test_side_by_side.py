@@ -1,9 +1,12 @@
 """Recordings computed side by side against each by itself."""
 
+import weakref
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial, wraps
 from inspect import signature
 from pathlib import Path
+from threading import Event, Thread, Timer
 from typing import Any
 
 import numpy as np
@@ -15,7 +18,9 @@ from torch import Tensor
 from fingerflow import kernels, process
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs.contact import ContactGraph
-from fingerflow.graphs.track import TrackGraph
+from fingerflow.graphs.key import KeyGraph
+from fingerflow.graphs.track import DeformationGraph, TrackGraph
+from fingerflow.ops.templates import Templates
 from fingerflow.pipeline import process_to
 from fingerflow.side_by_side import side_by_side
 from fingerflow.stages.inputs import Engine
@@ -184,3 +189,109 @@ def test_an_error_of_one_is_its_own(scenes: list[Path], tmp_path: Path, monkeypa
     assert len(ended) == 4
     assert {"0", "2", "3: the third one"} < set(ended)
     assert {path.name for path in tmp_path.iterdir()} == {"0.h5", "2.h5"}
+
+
+def _asks(engine: Engine) -> Tensor:
+    """A recording that asks the graph of keys once."""
+    key: Templates = engine(KeyGraph())(torch.zeros(1, 1, 64, 64), torch.full((1, 2, 2), 32.0))
+    return key.start
+
+
+def test_of_nobody_there_is_nothing() -> None:
+    assert side_by_side([]) == []
+
+
+@pytest.mark.usefixtures("portable")
+def test_no_error_of_a_graph_leaves_others_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exits(self: KeyGraph, view: Tensor, points: Tensor) -> None:
+        raise SystemExit(3)
+
+    monkeypatch.setattr(KeyGraph, "forward", exits)
+    with pytest.raises(SystemExit, match="3"):
+        _in_time(lambda: side_by_side([_asks, _asks]))
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, RuntimeError])
+def test_an_end_from_outside_ends_who_waits(monkeypatch: pytest.MonkeyPatch, stop: type[BaseException]) -> None:
+    """Ctrl-C while all run, and a system that has no thread for the second one."""
+    begun, go_on, ended = Event(), Event(), []
+
+    def asks(engine: Engine) -> None:
+        begun.set()
+        try:
+            assert go_on.wait(20)
+            _asks(engine)
+        except BaseException as error:
+            ended.append(type(error).__name__)
+            raise
+
+    def stopped(*given: Any, **named: Any) -> None:
+        assert begun.wait(20)
+        Timer(0.05, go_on.set).start()
+        raise stop
+
+    if stop is KeyboardInterrupt:
+        monkeypatch.setattr("fingerflow.side_by_side.wait", stopped)
+    else:
+        submit, taken = ThreadPoolExecutor.submit, []
+
+        def only_one(pool: ThreadPoolExecutor, *given: Any) -> Any:
+            taken.append(given)
+            return stopped() if len(taken) > 1 else submit(pool, *given)
+
+        monkeypatch.setattr("fingerflow.side_by_side.ThreadPoolExecutor.submit", only_one)
+    with pytest.raises(stop):
+        _in_time(lambda: side_by_side([asks, asks]))
+    assert set(ended) == {"_Stopped"}
+
+
+@pytest.mark.usefixtures("portable")
+def test_each_is_computed_when_the_memory_of_all_is_free_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As what a call of all has taken is no use while each is computed by itself."""
+    forward, held = KeyGraph.forward, []
+
+    def small(self: KeyGraph, view: Tensor, points: Tensor, noise: None = None, warp: None = None) -> Any:
+        if len(view) > 1:
+            taken = view.clone()
+            held.append(weakref.ref(taken))
+            raise torch.OutOfMemoryError(f"no room for two, {taken.shape}")
+        held.append(held[0]())
+        return forward(self, view, points)
+
+    monkeypatch.setattr(KeyGraph, "forward", small)
+    side_by_side([_asks, _asks])
+    assert len(held) == 3
+    assert held[1:] == [None, None]
+
+
+@pytest.mark.usefixtures("portable")
+def test_every_axis_of_points_is_cut_to_their_number() -> None:
+    """The support of a deformation has two."""
+    some = torch.rand(1, 6, 2, generator=torch.Generator().manual_seed(1)) * 50
+
+    def support(count: int, engine: Engine) -> Any:
+        return engine(DeformationGraph()).support(some[:, :count])
+
+    found = side_by_side([partial(support, 4), partial(support, 6)])
+    assert [one.weights.shape for one in found] == [(1, 4, 4), (1, 6, 6)]
+    expected = DeformationGraph().support(some[:, :4])
+    assert expected is not None
+    torch.testing.assert_close(found[0].weights, expected.weights)
+
+
+def _in_time(act: Callable[[], object]) -> None:
+    """What an act raises; it fails where the act has no end."""
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            act()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(30)
+    assert not thread.is_alive()
+    if raised:
+        raise raised[0]

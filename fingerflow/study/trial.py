@@ -27,6 +27,7 @@ from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
 from fingerflow.study.manifest import Manifest, TrialEntry
+from fingerflow.study.processor import Share
 from fingerflow.study.row import DESCRIBED, READ, measure
 
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE, errno.EROFS}
@@ -87,7 +88,12 @@ def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Ou
             f"the same version of fingerflow on both"
         )
     _settle(job.threads)
-    started, wall, cpu = datetime.now(UTC), time.perf_counter(), time.process_time()
+    with Share() as share:
+        return _run(job, engine, together, share)
+
+
+def _run(job: Job, engine: str | Engine, together: int, share: Share) -> Outcome:
+    started, wall = datetime.now(UTC), time.perf_counter()
     folder = job.manifest.results / job.entry.name
     keys: Keys | None = None
     try:
@@ -115,8 +121,7 @@ def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Ou
         trace = {"traceback": traceback.format_exc()} if unexpected else {}
     else:
         trace = {}
-    seconds = time.perf_counter() - wall
-    cpu_seconds = (time.process_time() - cpu) / together  # of the process: they all share it, evenly
+    seconds, cpu_seconds = time.perf_counter() - wall, share.seconds()
     made = {
         "started": started.isoformat(timespec="seconds"),
         "seconds": round(seconds, 3),

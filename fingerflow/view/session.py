@@ -175,14 +175,22 @@ class Session:
             return {**self.setup(), "calibrated": {"mm_per_px": found.mm_per_px, "warnings": list(found.warnings)}}
 
     def edit(self, asked: Mapping[str, Any]) -> Facts:
-        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is what stands in a field."""
+        """Sets keys of the draft: `{"set": [[key, value], ...]}`; a value {"toml": text} is what stands in a field.
+
+        Raises FingerflowError for those that cannot be set, after the others.
+        """
         with self._lock:
-            draft = self._drafted()
+            draft, refused = self._drafted(), []
             for key, value in asked["set"]:
-                if key == "kind":
-                    draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
-                else:
-                    draft.set(tuple(str(key).split(".")), _value_of(value))
+                try:
+                    if key == "kind":
+                        draft.set_kind(str(value), self._pictures_of_draft().recording.frame_shape)
+                    else:
+                        draft.set(tuple(str(key).split(".")), _value_of(value))
+                except FingerflowError as error:
+                    refused.append(str(error))
+            if refused:
+                raise FingerflowError("; ".join(refused))
             return self.setup()
 
     def write(self, asked: Mapping[str, Any]) -> Facts:

@@ -212,6 +212,56 @@ def test_what_is_set_while_an_answer_is_late_is_written(browser: Any, press: Pat
     assert (written.points, written.min_distance_px) == (50, 5)
 
 
+def test_what_has_had_no_answer_is_written_with_the_next_change(browser: Any, press: Path) -> None:
+    """As where the computer slept: it is said, the field shows what was set, and nothing is lost."""
+    with opened(browser, press / "scene.toml", refused="net::ERR_FAILED") as (page, _):
+        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        page.route("**/api/edit", lambda route: route.abort(), times=1)
+        fill(page, "tracking.points", "50")
+        page.wait_for_selector("#error:not([hidden])")
+        page.wait_for_selector(".good:has-text('Not written yet')")
+        assert page.input_value('[aria-label="tracking.points"]') == "50"
+        assert page.is_disabled("#process")
+        page.click("#write")
+        page.wait_for_selector(".good:has-text('has these settings')")
+        assert page.is_hidden("#error")
+    assert load_scene(press / "scene.toml").tracking.points == 50
+
+
+def test_what_is_refused_is_said_and_seen_no_more(browser: Any, press: Path) -> None:
+    """By a write that sends it too; what else was set is set, and written when that is asked again."""
+    late: list[Any] = []
+    with opened(browser, press / "scene.toml", refused="422 (") as (page, _):
+        page.wait_for_selector("#legend:has-text('points, chosen in frame')")
+        before = page.input_value('[aria-label="contact.median_px"]')
+        page.route("**/api/edit", lambda route: late.append(route), times=1)
+        with page.expect_request("**/api/edit"):
+            fill(page, "tracking.points", "50")
+        page.route("**/api/edit", lambda route: route.continue_(post_data=_spoiled(route.request)), times=1)
+        page.locator('[aria-label="contact.median_px"]').evaluate(
+            "element => { element.value = 9; element.dispatchEvent(new Event('input')); }"
+        )
+        fill(page, "tracking.min_distance_px", "5")
+        page.click("#write")
+        late[0].continue_()
+        page.wait_for_selector("#error:has-text('kind is')")
+        page.wait_for_selector("#legend:has-text('of 50 points')")
+        assert "kind is 'x'" in text_of(page, "#error")
+        assert load_scene(press / "scene.toml").tracking.points == 700  # nor is it written without
+        page.click("#write")
+        page.wait_for_selector(".good:has-text('has these settings')")
+        assert page.is_hidden("#error")
+        assert page.input_value('[aria-label="contact.median_px"]') == before
+    written = load_scene(press / "scene.toml").tracking
+    assert (written.points, written.min_distance_px) == (50, 5)
+
+
+def _spoiled(request: Any) -> str:
+    """A request in which one key is another one that is refused."""
+    given = request.post_data_json["set"]
+    return json.dumps({"set": [["kind", "x"] if key == "contact.median_px" else [key, value] for key, value in given]})
+
+
 @pytest.mark.parametrize("width", [1300, 400])
 def test_a_result_is_looked_at(browser: Any, processed: Path, tmp_path: Path, width: int) -> None:
     result = load_result(processed / "result.h5")

@@ -27,9 +27,9 @@ export class CalibrationCard {
   async run(ask, found) {
     const asked = Object.fromEntries(Object.entries(this.inputs).map(([name, box]) => [name, name === "hole_radius_mm" ? +box.value : box.value]));
     this.button.disabled = true;
+    say("");
     try {
       const facts = await ask(asked), { mm_per_px: scale, warnings } = facts.calibrated;
-      say("");
       this.said.replaceChildren(make("p", { className: "good" }, `${digits(scale, 5)} mm per px. Look whether the outlines lie on what they are of:`),
         ...warnings.map(one => make("p", { className: "warned" }, one)));
       this.image.removeAttribute("src");  // the same address, another picture

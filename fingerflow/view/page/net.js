@@ -7,11 +7,16 @@ export function say(text) {
   box.hidden = !text;
 }
 
+// What was said is so no more; something else stays.
+export function unsay(text) {
+  if (box.textContent === text) say("");
+}
+
 async function answered(answer) {
   if (answer.ok) return answer;
   let said = {};
   try { said = await answer.json(); } catch { said = { error: `${answer.status} ${answer.statusText}` }; }
-  throw Object.assign(new Error(said.error || "refused"), { asks: said.asks });
+  throw Object.assign(new Error(said.error || "refused"), { asks: said.asks, refused: true });
 }
 
 export const get = async path => (await answered(await fetch(path))).json();

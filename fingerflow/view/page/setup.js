@@ -1,5 +1,5 @@
 // Before processing: views, contact, points and forces of a scene that is being set up.
-import { arrays, get, newest, post, say } from "./net.js";
+import { arrays, get, newest, post, say, unsay } from "./net.js";
 import { $, digits, make, toggle } from "./elements.js";
 import { VIEW, MARKS, drawEllipse, drawPoints, drawViews, inverse, placesIn } from "./marks.js";
 import { CalibrationCard } from "./calibration.js";
@@ -62,7 +62,10 @@ export class Setup {
     this.numbers = make("dl", { className: "numbers" });
     this.name = make("input", { type: "text", id: "scene-name", value: this.facts.draft.split(/[\\/]/).pop() });
     this.name.setAttribute("aria-label", "Scene file");
-    this.calibration = new CalibrationCard(asked => this.change("api/calibrate", asked), facts => this.changed(facts));
+    this.calibration = new CalibrationCard(asked => this.change("api/calibrate", asked).catch(error => {
+      this.changed();  // what was set before it
+      throw error;
+    }), facts => this.changed(facts));
     $("panel").replaceChildren(
       make("div", { className: "card" }, make("h2", {}, "Scene"),
         make("div", { className: "bar" }, this.name,
@@ -78,21 +81,26 @@ export class Setup {
     this.update();
     this.ask(this.question);
   }
+  // Of the scene, and of what has been set since and is not in it yet.
+  get values() {
+    const values = structuredClone(this.facts.values || {});
+    for (const [key, value] of this.pending) {
+      const tables = key.split("."), last = tables.pop();
+      const table = tables.reduce((place, name) => Object(place) === place ? place[name] ??= {} : place, values);
+      if (Object(table) === table) table[last] = value?.toml ?? value;
+    }
+    return values;
+  }
   take(facts) {
     const moving = this.held && this.views[this.held.name];
     this.facts = facts;
-    this.views = Object.fromEntries(Object.entries(facts.values?.views || {}).filter(([name, view]) =>
+    this.views = Object.fromEntries(Object.entries(this.values.views || {}).filter(([name, view]) =>
       name in VIEW && Array.isArray(view?.rows) && Array.isArray(view?.columns)));
-    // What has been moved since this was asked for stays where it is.
-    for (const [key, value] of this.pending) {
-      const [table, name, side] = key.split(".");
-      if (table === "views" && (side === "rows" || side === "columns") && this.views[name]) this.views[name] = { ...this.views[name], [side]: value };
-    }
     if (this.held && this.views[this.held.name]) this.views[this.held.name] = moving;
   }
   update() {
     const { facts } = this;
-    this.form.update(facts);
+    this.form.update({ ...facts, values: this.values, kind: this.pending.get("kind") ?? facts.kind });
     this.calibration.show(facts.calibration_picture);
     $("text").textContent = facts.text;
     const other = facts.problems.map(({ key, said }) => make("li", {}, make("b", {}, key), ` ${said}`));
@@ -100,33 +108,44 @@ export class Setup {
     this.status.replaceChildren(...[
       facts.recording_error ? make("p", { className: "wrong" }, facts.recording_error) : null,
       other.length ? make("ul", { className: "wrong", id: "problems" }, other)
-        : make("p", { className: "good" }, facts.stored ? `${facts.draft} has these settings.` : "Complete. Not written yet."),
+        : make("p", { className: "good" }, facts.stored && !this.pending.size ? `${facts.draft} has these settings.` : "Complete. Not written yet."),
       ...[...new Set(warned)].map(one => make("p", { className: "warned" }, one)),
     ].filter(Boolean));
-    $("process").disabled = !facts.stored || other.length > 0;
+    $("process").disabled = !facts.stored || this.pending.size > 0 || other.length > 0;
     if ($("no-region")) $("no-region").hidden = !this.regions().length;
   }
   edit(key, value) {
     this.pending.set(key, value);
+    say("");  // here, and not where it has succeeded: that is when another may have failed
     this.edited();
   }
   // One change waits for the answer of another, and for what has been set by then: answers come in the order in which
   // the scene changed, and what is written is what is seen.
   change(path, content) {
     const next = this.turn.then(async () => {
-      const set = [...this.pending];
-      this.pending.clear();
-      if (set.length) this.take(await post("api/edit", { set }));
+      if (this.pending.size) await this.sendPending();
       return path && post(path, content);
     });
     this.turn = next.catch(() => {});
     return next;
   }
+  // What has no answer is asked again with the next change; what is refused is seen no more.
+  async sendPending() {
+    const set = [...this.pending];
+    this.pending.clear();
+    try {
+      this.take(await post("api/edit", { set }));
+    } catch (error) {
+      if (error.refused) await get("api/setup").then(facts => this.take(facts), () => {});
+      else this.pending = new Map([...set, ...this.pending]);
+      throw error;
+    }
+  }
   async send() {
     if (!this.pending.size) return;
-    await this.change();
-    say("");
-    await this.changed();
+    try {
+      await this.change();
+    } finally { await this.changed(); }
   }
   async changed(facts) {
     if (facts) this.take(facts);
@@ -142,14 +161,18 @@ export class Setup {
   }
   refreshed = newest(async () => {
     if (!this.facts.draft) return;
+    const said = this.why;
+    this.why = undefined;
     if (this.facts.problems.length) {
       this.points = this.forces = null;
     } else {
       const found = await arrays("api/forces").catch(error => ({ why: error.message }));
       this.forces = found.arrays ? found : null;
       this.points = this.sensor ? null : await arrays("api/points").catch(error => ({ why: error.message }));
-      if (found.why) say(found.why);
+      this.why = found.why;
     }
+    if (this.why) say(this.why);
+    else if (said) unsay(said);
     if (this.app.tab !== this) return;
     this.update();
     this.courses();
@@ -345,9 +368,9 @@ export class Setup {
   }
   async write(replace, to = this.name.value) {
     this.ask(null);
+    say("");
     try {
       const facts = await this.change("api/write", { to, replace });
-      say("");
       await this.changed(facts);
     } catch (error) {
       this.changed();

@@ -1,0 +1,34 @@
+"""What each of several trials in one process takes of the processor."""
+
+import time
+from threading import Lock
+
+
+class Share:
+    """The processor's seconds of the process while it is entered, shared evenly with all that are entered then."""
+
+    _lock = Lock()
+    _running = 0
+    _each = 0.0  # s that one has had that was entered all the time
+    _looked = 0.0
+
+    def __enter__(self) -> "Share":
+        self._begun = self._look(1)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._look(-1)
+
+    def seconds(self) -> float:
+        """So far."""
+        return self._look(0) - self._begun
+
+    @classmethod
+    def _look(cls, more: int) -> float:
+        with cls._lock:
+            now = time.process_time()
+            if Share._running:
+                Share._each += (now - Share._looked) / Share._running
+            Share._looked = now
+            Share._running += more
+            return Share._each
