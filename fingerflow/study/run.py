@@ -106,7 +106,7 @@ def run_study(
         workers = workers or 1
     codes, left = all_codes(), planned
     try:
-        # Of a group that kills its worker each is tried by itself: one of them may be the cause.
+        # What a group could not bring to an end is tried by itself: one may be the cause, or all were too much.
         for size in (together, 1) if together > 1 else (1,):
             given, left = left, []
             for outcomes in _run_groups(manifest, given, codes, size, left, scheduler, workers, progress):
@@ -126,7 +126,9 @@ def _run_groups(
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Outcomes by groups of so many at most; `left` gets those of groups that no worker could bring to an end."""
+    """Outcomes by groups of so many at most. `left` gets those of groups that no worker could bring to an end, and
+    those that failed for what passes: memory that was too small for all may hold one.
+    """
     size = min(size, -(-len(planned) // (workers or 1))) or 1
     groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
     threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
@@ -141,8 +143,13 @@ def _run_groups(
             return []
         return [_of_error(error, name, manifest)]
 
-    if groups:
-        yield from over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len)
+    if not groups:
+        return
+    entries = {one.entry.name: one for one in planned}
+    for outcomes in over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
+        again = [one for one in outcomes if one.passing] if len(outcomes) > 1 else []
+        left.extend(entries[one.name] for one in again)
+        yield [one for one in outcomes if one not in again]
 
 
 def _by_default(scheduler: str | None) -> int:

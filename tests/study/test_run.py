@@ -5,6 +5,7 @@ import random
 import re
 import signal
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -94,20 +95,28 @@ def test_trials_together_are_what_each_is_by_itself(
     assert sorted(one["together"] for one in made) == [2, 2, 3, 3, 3, 3, 3, 3]
 
 
-def _only_one_by_one(jobs: list[worker.Job]) -> list[worker.Outcome]:
+def _killed_by_a_group(jobs: list[worker.Job]) -> list[worker.Outcome]:
     if len(jobs) > 1:
         raise MemoryError("as where all of them are too much for a worker")
     return worker.run_trials(jobs)
 
 
-def test_a_group_that_no_worker_brings_to_an_end_is_run_one_by_one(
-    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch
+def _no_room_for_the_last(jobs: list[worker.Job]) -> list[worker.Outcome]:
+    if len(jobs) == 1:
+        return worker.run_trials(jobs)
+    return [*worker.run_trials(jobs[:-1]), worker.Outcome(jobs[-1].entry.name, FAILED, "no memory", passing=True)]
+
+
+@pytest.mark.parametrize("act", [_killed_by_a_group, _no_room_for_the_last])
+def test_what_a_group_does_not_bring_to_an_end_is_run_one_by_one(
+    study: Manifest, scheduler: str, monkeypatch: pytest.MonkeyPatch, act: Callable[..., Any]
 ) -> None:
-    monkeypatch.setattr(run, "run_trials", _only_one_by_one)
+    monkeypatch.setattr(run, "run_trials", act)
     assert _run(study, scheduler, only="01_*", together=3) == dict.fromkeys(
         [entry.name for entry in study.trials if entry.name.startswith("01_")], MEASURED
     )
-    made = read_row(study.results / "01_0_1")
+    last_of_group = [entry.name for entry in study.trials if entry.name.startswith("01_")][2]
+    made = read_row(study.results / last_of_group)
     assert made is not None
     assert made.made["together"] == 1
 
