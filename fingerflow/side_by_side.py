@@ -11,7 +11,6 @@ A processor gains nothing: its compiled kernels follow the points without a grap
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
-from inspect import ismethod
 from threading import Condition
 from typing import Any, TypeVar, cast
 
@@ -19,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as tree
 
-from fingerflow.graphs.calls import Call, filled_up, settings_of
+from fingerflow.graphs.calls import Call, StandIn, axes_that_differ, filled_up, settings_of
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.graphs.key import KeyGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph, TrackGraph
@@ -164,7 +163,7 @@ class _Together:
                 tensors = filled_up([one.to("meta") for one in call.tensors], call.tensor_axes, room)
                 found.append(tree.tree_flatten_with_path(asked.made(tensors))[0])
             self._point_axes[asked.key] = {
-                tree.keystr(path): [axis for axis in range(one.ndim) if one.shape[axis] != other.shape[axis]]
+                tree.keystr(path): axes_that_differ(one, other)
                 for (path, one), (_, other) in zip(*found, strict=True)
                 if isinstance(one, Tensor)
             }
@@ -204,21 +203,15 @@ class _Asked:
         return self._method(**self.call.with_tensors(self.call.tensors if tensors is None else list(tensors)))
 
 
-class _Joining:
+class _Joining(StandIn):
     """The attributes of a module, and its methods joined with what other members ask of theirs."""
 
     def __init__(self, module: nn.Module, together: _Together, place: int) -> None:
-        self._module, self._together, self._place = module, together, place
+        super().__init__(module)
+        self._together, self._place = together, place
         self._settings = repr(settings_of(module))
 
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return self._ask("forward", *arguments, **named)
-
-    def __getattr__(self, name: str) -> Any:
-        value = getattr(self._module, name)
-        return partial(self._ask, name) if ismethod(value) else value
-
-    def _ask(self, method: str, *arguments: Any, **named: Any) -> Any:
+    def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
         call = Call.of(self._module, method, arguments, named)
         return self._together.ask(_Asked(self._module, self._settings, method, call, self._place))
 

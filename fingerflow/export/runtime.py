@@ -2,7 +2,6 @@
 
 import functools
 import hashlib
-import inspect
 import json
 import logging
 import os
@@ -20,7 +19,7 @@ from torch.utils import _pytree as tree
 
 from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.graphs.calls import Call, filled_up, settings_of
+from fingerflow.graphs.calls import Call, StandIn, axes_that_differ, filled_up, settings_of
 
 M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
@@ -99,21 +98,15 @@ class OnnxRuntime:
         return f"{leaves.title}-{digest[:24]}"
 
 
-class _Executed:
+class _Executed(StandIn):
     """What `OnnxRuntime` gives: the attributes of a module, and its methods by ONNX Runtime."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
-        self._module, self._runtime = module, runtime
+        super().__init__(module)
+        self._runtime = runtime
         self._sessions: dict[Any, tuple[Any, list[Any], Any]] = {}
 
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return self._run("forward", *arguments, **named)
-
-    def __getattr__(self, name: str) -> Any:
-        value = getattr(self._module, name)
-        return functools.partial(self._run, name) if inspect.ismethod(value) else value
-
-    def _run(self, method: str, *arguments: Any, **named: Any) -> Any:
+    def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
         call = Call.of(self._module, method, arguments, named)
         own = [isinstance(value, Tensor) for value in call.values]
         shared = [any(name in path for name in _OF_ALL) for path in call.names]
@@ -161,7 +154,7 @@ class _Executed:
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
             # Of what is computed only is kept that it is a tensor, and along which axes its points lie, not its memory.
             of_results = [
-                _grown(leaf, other) if isinstance(leaf, Tensor) else leaf
+                axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else leaf
                 for leaf, other in zip(result, more, strict=True)
             ]
             computed = [isinstance(leaf, Tensor) for leaf in result]
@@ -187,11 +180,6 @@ class _Executed:
 def _room(points: int) -> int:
     """How many points a graph is made for that takes so many."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
-
-
-def _grown(tensor: Tensor, other: Tensor) -> list[int]:
-    """Axes that the other one has more of."""
-    return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 
 class _Leaves(nn.Module):

@@ -1,7 +1,9 @@
-"""A call of a graph taken apart: its tensors by name, along which axes frames and points lie, and what is no tensor."""
+"""A call of a graph taken apart, and answered elsewhere: its tensors by name, along which axes points lie, the rest."""
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -76,6 +78,29 @@ def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> lis
         nothing = torch.nan if tensor.is_floating_point() else 0
         filled.append(torch.cat((tensor, tensor.new_full(shape, nothing)), dim=axis))
     return filled
+
+
+def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
+    """Axes along which one has more than the other: those of points, where it was made of more of them."""
+    return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
+
+
+class StandIn(ABC):
+    """The attributes of a module, and its methods answered by something else."""
+
+    def __init__(self, module: nn.Module) -> None:
+        self._module = module
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._answer("forward", *arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        return partial(self._answer, name) if inspect.ismethod(value) else value
+
+    @abstractmethod
+    def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
+        """What the method gives."""
 
 
 def settings_of(module: nn.Module) -> list[Any]:
