@@ -109,16 +109,11 @@ def process_to(
 
 @dataclass(frozen=True)
 class _Ready:
-    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated.
-
-    Attributes:
-        alone: no other recording is computed beside it, which would wait for it.
-    """
+    """An opened scene, what is to be computed of it, by what, how many bytes that gives, and what can be stated."""
 
     plan: Plan
     inputs: Inputs
     runtime: "OnnxRuntime | None"
-    alone: bool
     size: float
     variables: dict[str, Variable]
 
@@ -134,12 +129,11 @@ def _prepared(
     if runtime is not None:
         inputs.engine = runtime
     elif not isinstance(engine, str):
-        inputs.engine = engine
+        inputs.engine, inputs.alone = engine, False
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
-        alone = isinstance(engine, str)
-        yield _Ready(wanted, inputs, runtime, alone, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
+        yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
 def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:
@@ -166,7 +160,7 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
                         with _timed(seconds, stage.name):
                             known.restore(stage)
                 running = [stage for stage in running if type(stage).place() not in known.stages]
-            _pass(running, trial, seconds, progress, ready.alone)
+            _pass(running, trial, seconds, progress)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     if runtime is not None:
@@ -193,23 +187,21 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
     )
 
 
-def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool, alone: bool) -> None:
+def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
     """Takes the frames through these stages, batch by batch."""
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
     stepping = [stage for stage in stages if type(stage).step is not Stage.step]
     if stepping:
-        _go_over_frames(stepping, trial, seconds, progress, alone)
+        _go_over_frames(stepping, trial, seconds, progress)
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.finish()
             stage.derive()
 
 
-def _go_over_frames(
-    stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool, alone: bool
-) -> None:
+def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
     pictures = any(stage.reads_frames for stage in stages)
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):
@@ -229,7 +221,7 @@ def _go_over_frames(
                 _step(stage, batch, seconds)
         return batch
 
-    ahead = alone and pictures and bool(early) and torch.get_num_threads() > 1
+    ahead = trial.inputs.alone and pictures and bool(early) and torch.get_num_threads() > 1
     begun = _ahead(begin, batches) if ahead else (begin(indices) for indices in batches)
     bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
     # Closed also after an error: the recording must not be while another thread reads from it.

@@ -36,6 +36,9 @@ def as_it_is(module: M) -> M:
 class Inputs:
     """An opened scene on a device; the stages run their modules by the engine. Gradients are fitted over the gauge
     length.
+
+    Attributes:
+        alone: no other recording is computed beside it, which would wait for it.
     """
 
     scene: Scene
@@ -44,6 +47,7 @@ class Inputs:
     device: torch.device
     warnings: list[str]
     engine: Engine = as_it_is
+    alone: bool = True
     _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
     gauge_length_mm: float = field(init=False)
 

@@ -46,7 +46,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
 def run(trial: Trial, *stages: Stage) -> None:
     """All parts of these stages, which share a pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
-    _pass(stages, trial, {}, progress=False, alone=True)
+    _pass(stages, trial, {}, progress=False)
 
 
 def values_of(trial: Trial, name: str) -> NDArray[Any]:
