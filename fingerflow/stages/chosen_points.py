@@ -16,6 +16,7 @@ from fingerflow.graphs.track import (
     TrackGraph,
 )
 from fingerflow.ops.following import Followed, expected, follow_templates
+from fingerflow.ops.looking import looks
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import find_neighbours
 from fingerflow.ops.templates import Found, Templates, first_of, inverse_2x2
@@ -120,7 +121,7 @@ class ChosenPoints:
         if self._settings.template == "previous":
             each = torch.eye(2, dtype=found.covariance.dtype, device=found.covariance.device)
             found = found._replace(covariance=self._since_start(found.variance)[..., None, None] * each)
-        if not differs.any():
+        if looks(differs) and not differs.any():
             return found
         return found._replace(
             points=torch.where(differs[..., None], torch.nan, found.points),

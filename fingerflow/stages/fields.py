@@ -73,10 +73,7 @@ class FieldsStage(Stage):
         residual = rigid_residual(self._reference, shift).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
-        across, down = (
-            residual[..., 0],
-            residual[..., 1],
-        )  # by components: norms over an axis of two take ten times as long
+        across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
         self._residual[batch.indices] = nanmedian(np.sqrt(across * across + down * down))
         assert found.median is not None
         assert found.median_std is not None
