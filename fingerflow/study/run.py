@@ -1,7 +1,7 @@
 """Which trials are to be run and why, and running them on Dask."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
@@ -104,12 +104,12 @@ def run_study(
     together = _by_default(scheduler) if together is None else together
     if together > 1 and scheduler is None:
         workers = workers or 1
-    codes, left = all_codes(), planned
     try:
         # What a group could not bring to an end is tried by itself: one may be the cause, or all were too much.
-        for size in (together, 1) if together > 1 else (1,):
-            given, left = left, []
-            for outcomes in _run_groups(manifest, given, codes, size, left, scheduler, workers, progress):
+        for size in dict.fromkeys((together, 1)):
+            ended = {one.name for one in summary.outcomes}
+            left = [one for one in planned if one.entry.name not in ended]
+            for outcomes in _run_groups(manifest, left, size, scheduler, workers, progress):
                 summary.outcomes.extend(outcomes)
     except Interrupted as stop:
         summary.interrupted = str(stop)
@@ -119,17 +119,17 @@ def run_study(
 def _run_groups(
     manifest: Manifest,
     planned: Sequence[Planned],
-    codes: Mapping[str, str],
     size: int,
-    left: list[Planned],
     scheduler: str | None,
     workers: int | None,
     progress: bool,
 ) -> Iterator[list[Outcome]]:
-    """Outcomes by groups of so many at most. `left` gets those of groups that no worker could bring to an end, and
-    those that failed for what passes: memory that was too small for all may hold one.
+    """Outcomes by groups of so many at most, without those of groups that no worker could bring to an end, and those
+    that failed in a group for what passes: memory that was too small for all may hold one.
     """
-    size = min(size, -(-len(planned) // (workers or 1))) or 1
+    if not planned:
+        return
+    size, codes = min(size, -(-len(planned) // (workers or 1))), all_codes()
     groups = {some[0].entry.name: some for some in (planned[k : k + size] for k in range(0, len(planned), size))}
     threads = max(1, threads_each(scheduler, workers_for(len(groups), workers)) // size)
     jobs = (
@@ -139,17 +139,11 @@ def _run_groups(
 
     def of_error(name: str, error: BaseException) -> list[Outcome]:
         if len(groups[name]) > 1 and not isinstance(error, FingerflowError):
-            left.extend(groups[name])
             return []
         return [_of_error(error, name, manifest)]
 
-    if not groups:
-        return
-    entries = {one.entry.name: one for one in planned}
     for outcomes in over_workers(run_trials, jobs, len(planned), of_error, scheduler, workers, progress, len):
-        again = [one for one in outcomes if one.passing] if len(outcomes) > 1 else []
-        left.extend(entries[one.name] for one in again)
-        yield [one for one in outcomes if one not in again]
+        yield [one for one in outcomes if len(outcomes) == 1 or not one.passing]
 
 
 def _by_default(scheduler: str | None) -> int:

@@ -72,11 +72,7 @@ def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
     """
     if len(jobs) == 1:
         return [run_trial(jobs[0])]
-    return side_by_side([partial(_run_beside, job, len(jobs)) for job in jobs])
-
-
-def _run_beside(job: Job, together: int, engine: Engine) -> Outcome:
-    return run_trial(job, engine, together)
+    return side_by_side([partial(run_trial, job, together=len(jobs)) for job in jobs])
 
 
 def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Outcome:
