@@ -34,6 +34,11 @@ _NO_CALLS = frozenset(
 )
 
 
+def is_call(operation: Any) -> bool:
+    """Whether an operation makes an accelerator do something: neither a view nor memory alone."""
+    return not operation.is_view and operation.name().partition(".")[0] not in _NO_CALLS
+
+
 class HostWait(Exception):
     """A step asks the accelerator for a value, or brings it one from the host."""
 
@@ -90,6 +95,6 @@ class _Counter(TorchDispatchMode):
             raise HostWait("a tensor made of numbers of the host in every call")
         if given and any(after) and not there:
             raise HostWait(f"{operation} brings a constant from the host in every call")
-        if any(after) and not operation.is_view and name.partition(".")[0] not in _NO_CALLS:
+        if any(after) and is_call(operation):
             self.calls += 1
         return result

@@ -1,11 +1,11 @@
 """The recordings of a study on a graphics processor: one by one, and side by side through one graph.
 
 Presses of other skin motion each, from files to results in memory, all outputs; 64 frames, two views of 512 x 640 px
-and 700 points (9 frames of 96 x 120 px with --quick). `calls` are the operations of torch a frame, views left out, of
-the portable form: what an accelerator is called for by the host, which for a few hundred points is what takes the time.
-They are counted on the processor, where `calls_to_peer` is the ratio to one by one. `deviation` is the largest
-difference of a position from one by one, px; infinite where a point is found in one and not in the other. frames/s are
-those of a graphics processor, None without CUDA: on a processor compiled kernels do without the graphs.
+and 700 points (9 frames of 96 x 120 px with --quick). `calls` are the operations of torch a frame, views and mere
+memory left out, of the portable form: what an accelerator is called for by the host, which for a few hundred points is
+what takes the time. They are counted on the processor, where `calls_to_peer` is the ratio to one by one. `deviation` is
+the largest difference of a position from one by one, px; infinite where a point is found in one and not in the other.
+frames/s are those of a graphics processor, None without CUDA: on a processor compiled kernels do without the graphs.
 """
 
 import tempfile
@@ -21,6 +21,7 @@ import torch
 import xarray as xr
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from bench.launches import is_call
 from bench.rows import Row
 from fingerflow import process
 from fingerflow.side_by_side import side_by_side
@@ -59,7 +60,7 @@ def _rows(scenes: Sequence[Path], frames: int) -> list[Row]:
     cuda = torch.cuda.is_available()
     rows: list[Row] = []
     peer: tuple[int, list[xr.Dataset]] | None = None
-    for way, go in (("one by one", _one_by_one), ("side by side", _side_by_side)):
+    for way, go in _WAYS.items():
         counters = [_Calls() for _ in scenes]
         found = go([partial(_counted, scene, counter) for scene, counter in zip(scenes, counters, strict=True)])
         calls = sum(counter.calls for counter in counters)
@@ -81,8 +82,7 @@ def _one_by_one(acts: Sequence[Callable[[str | Engine], xr.Dataset]]) -> list[xr
     return [act("torch") for act in acts]
 
 
-def _side_by_side(acts: Sequence[Callable[[str | Engine], xr.Dataset]]) -> list[xr.Dataset]:
-    return side_by_side(acts)
+_WAYS: dict[str, Callable[..., list[xr.Dataset]]] = {"one by one": _one_by_one, "side by side": side_by_side}
 
 
 def _counted(scene: Path, counter: "_Calls | None", engine: str | Engine) -> xr.Dataset:
@@ -110,9 +110,9 @@ class _Calls(TorchDispatchMode):
     """Of one thread."""
 
     def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
+        super().__init__()  # type: ignore[no-untyped-call]  # torch's states no types
         self.calls = 0
 
     def __torch_dispatch__(self, operation: Any, types: Any, arguments: Any = (), options: Any = None) -> Any:
-        self.calls += not operation.is_view
+        self.calls += is_call(operation)
         return operation(*arguments, **(options or {}))
