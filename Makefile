@@ -33,8 +33,8 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # The compiled kernels are part of the install: their sources count like the list of dependencies.
-KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) $(wildcard fingerflow/ops/median_*.py)
-KERNELS += $(wildcard fingerflow/kernels/interface.h fingerflow/kernels/declarations.py fingerflow/ops/tracking_limits.py)
+KERNELS := setup.py $(wildcard kernels/*.cpp kernels/*.h kernels/*.py) $(wildcard fingerflow/kernels/median_*.py)
+KERNELS += $(wildcard fingerflow/kernels/interface.h fingerflow/kernels/declarations.py fingerflow/kernels/tracking_limits.py)
 
 $(VENV)/installed: pyproject.toml constraints.txt $(KERNELS) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .

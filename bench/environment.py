@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import torch
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 _PACKAGES = (
     "fingerflow-engine",

@@ -26,7 +26,7 @@ def exported(recipe: str) -> Iterator[Path]:
 def play(
     bundle: Path,
     *arguments: str,
-    provider: str = "cpu",
+    engine: str = "native",
     watch: Callable[[int], None] = lambda pid: None,
     scene: Path | None = None,
     results: Path | None = None,
@@ -39,9 +39,9 @@ def play(
     """
     with tempfile.TemporaryDirectory() as folder:
         source = ["--source", "synthetic"] if scene is None else ["--scene", str(scene)]
-        command = [sys.executable, "-m", "player", *source, "--page", "off"]
+        command = [sys.executable, "-m", "fingerflow.player", *source, "--page", "off"]
         options = ["--output", str(results or f"{folder}/results"), "--json", f"{folder}/summary.json"]
-        options += ["--provider", provider]
+        options += ["--engine", engine]
         log = Path(folder) / "log"
         with (
             log.open("w") as file,

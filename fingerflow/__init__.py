@@ -1,6 +1,7 @@
 """fingerflow: contact area, skin motion and strain from high-speed recordings of a fingertip on glass."""
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -26,5 +27,13 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     """Loads a public function, and with it torch and the rest, when it is first used."""
     if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+        try:
+            return getattr(import_module(_HOMES[name]), name)
+        except ModuleNotFoundError as error:
+            if find_spec(f"{__name__}.pipeline") or not (error.name or "").startswith(f"{__name__}."):
+                raise
+            raise ImportError(
+                f"{name} is not in this copy of fingerflow, the one of a deployment bundle in {__path__[0]}; install "
+                "fingerflow-engine and work in another folder"
+            ) from None
     raise AttributeError(f"module 'fingerflow' has no attribute {name!r}")

@@ -1,6 +1,7 @@
 """Files that appear only when they are complete, and never in the place of what is not theirs to replace."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +60,20 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
     Raises FingerflowError where the system does not let it be written.
     """
+    with written_atomically(path) as part:
+        write(part)
+
+
+@contextmanager
+def written_atomically(path: Path) -> Iterator[Path]:
+    """The temporary path of `write_atomically`, which becomes the file at the end."""
     part: Path | None = None
     try:
         if not path.name or path.is_dir():
             raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
         path.parent.mkdir(parents=True, exist_ok=True)
         part = unfinished(path)
-        write(part)
+        yield part
         part.replace(path)
     except BaseException as error:
         if part is not None:

@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from inspect import isgenerator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -16,8 +17,10 @@ import xarray as xr
 from tqdm import tqdm
 
 from fingerflow import __version__
-from fingerflow.atomic_write import keep_others, spare, write_atomically
+from fingerflow.atomic_write import keep_others, spare, written_atomically
 from fingerflow.deviations import stated, withhold
+from fingerflow.engines.choice import ENGINES
+from fingerflow.engines.together import Steps, run_alone, run_together
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, Plan, plan
 from fingerflow.player.contract.variables import Variable
@@ -26,7 +29,7 @@ from fingerflow.result import is_result, open_own, open_result
 from fingerflow.reuse import STAGES, TAKEN_OVER, Reused, keys_of, record, reused
 from fingerflow.room import check_disk, check_memory, size_of_results
 from fingerflow.scene import Scene, load_scene
-from fingerflow.stages.inputs import Engine, Inputs, open_inputs, read_frames
+from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.store import FileStore, MemoryStore, Store
 
@@ -44,7 +47,7 @@ def process(
     outputs: Iterable[str] | None = None,
     device: str = "auto",
     progress: bool = False,
-    engine: str | Engine = "torch",
+    engine: str = "auto",
     to: str | Path | None = None,
     overwrite: bool = False,
     earlier: str | Path | None = None,
@@ -56,9 +59,10 @@ def process(
         outputs: names of variables, or one name, see ``fingerflow.plan.OUTPUTS``; None for all that the scene allows.
         device: "auto" (CUDA where it is there), "cpu", "cuda" ...
         progress: show a bar.
-        engine: what runs the modules of `fingerflow.graphs`: "torch" with its compiled kernels, or "onnx", ONNX Runtime
-            on the processor, from graphs as an exported bundle has them. The results agree to rounding. Or what
-            `fingerflow.side_by_side` gives each of several recordings, which then share the calls of their graphs.
+        engine: what computes contact, points and fields (`fingerflow.engines`): "native", the compiled library on the
+            processor; "torch", the modules of `fingerflow.graphs` on any device; "onnx", the same modules by ONNX
+            Runtime on the processor; "auto", native where it serves and torch elsewhere. The results agree to rounding,
+            and state which it was.
         to: a file of HDF5/NetCDF4 to which results go as they come, so that memory does not grow with the frames; it
             appears when it is complete. None keeps them in memory.
         overwrite: let that file replace one that is no result of `process`; never an input.
@@ -76,11 +80,8 @@ def process(
     if to is not None:
         process_to(Path(to), scene, outputs, device, progress, engine, overwrite, earlier)
         return open_own(Path(to))
-    with _prepared(scene, outputs, device, engine) as ready:
-        check_memory(ready.size)
-        store = MemoryStore(ready.variables, len(ready.inputs.times))
-        _run(ready, store, progress, earlier)
-        return store.dataset
+    with torch.inference_mode():
+        return run_alone(_in_memory(scene, outputs, device, engine, _Way(progress, ahead=True, earlier=earlier)))
 
 
 def process_to(
@@ -89,22 +90,101 @@ def process_to(
     outputs: Iterable[str] | None = None,
     device: str = "auto",
     progress: bool = False,
-    engine: str | Engine = "torch",
+    engine: str = "auto",
     overwrite: bool = False,
     earlier: str | Path | None = None,
 ) -> None:
     """As `process`, into a file that is not opened again."""
+    with torch.inference_mode():
+        run_alone(steps_to(to, scene, outputs, device, engine, overwrite, earlier, progress, ahead=True))
+
+
+def process_together(
+    scenes: Sequence[Scene | str | Path],
+    outputs: Iterable[str] | None = None,
+    device: str = "auto",
+    engine: str = "auto",
+    to: Sequence[str | Path] | None = None,
+    overwrite: bool = False,
+) -> list[xr.Dataset]:
+    """Results of several recordings that are computed in lock-step.
+
+    Calls of the engine torch that several recordings make at the same time become one: those in pictures of one size
+    with the same settings. An accelerator, whose time for a few hundred points is that of starting its kernels, starts
+    them once for all recordings. Results agree with those of `process` to rounding. A processor with the compiled
+    library gains nothing; there the results are those of `process`, bit for bit.
+
+    The seconds of a stage that a result states include those in which the stage waits for other recordings.
+
+    Args:
+        scenes: as for `process`; they may differ in numbers of points and frames, and in what they ask for.
+        outputs, device, engine, overwrite: as for `process`.
+        to: a file for each scene.
+
+    Returns:
+        A data set for each scene.
+
+    Raises:
+        FingerflowError: as for `process`. An error of one recording does not touch the others; it is raised when all
+            have ended, and the files of the others are there.
+    """
+    outputs = outputs if outputs is None or isinstance(outputs, str) else list(outputs)
+    if to is None:
+        return run_steps([_in_memory(scene, outputs, device, engine, _Way()) for scene in scenes])
+    files = [Path(path) for path in to]
+    given = zip(files, scenes, strict=True)
+    run_steps([steps_to(path, scene, outputs, device, engine, overwrite) for path, scene in given])
+    return [open_own(path) for path in files]
+
+
+def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
+    """What `steps_to` of several recordings return, as `engines.together.run_together` gives it."""
+    with torch.inference_mode():  # around all of them: each would end it for the others
+        return run_together(many)
+
+
+def steps_to(
+    to: Path,
+    scene: Scene | str | Path,
+    outputs: Iterable[str] | None = None,
+    device: str = "auto",
+    engine: str = "auto",
+    overwrite: bool = False,
+    earlier: str | Path | None = None,
+    progress: bool = False,
+    ahead: bool = False,
+) -> Steps[None]:
+    """`process_to` as one of several recordings, for `run_steps`.
+
+    With `ahead` batches begin in a thread of their own, which other recordings would wait for.
+    """
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     spare(to, *scene.files())
     keep_others(to, is_result, overwrite)
     with _prepared(scene, outputs, device, engine) as ready:
         check_disk(to, ready.size)
+        frames = len(ready.inputs.times)
+        with written_atomically(to) as part, FileStore(ready.variables, frames, part) as file:
+            yield from _run(ready, file, _Way(progress, ahead, earlier))
 
-        def write(part: Path) -> None:
-            with FileStore(ready.variables, len(ready.inputs.times), part) as file:
-                _run(ready, file, progress, earlier)
 
-        write_atomically(to, write)
+@dataclass(frozen=True)
+class _Way:
+    """How a recording is gone through: with a bar, with batches read in a thread of its own, from an earlier result."""
+
+    progress: bool = False
+    ahead: bool = False
+    earlier: str | Path | None = None
+
+
+def _in_memory(
+    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str, way: _Way
+) -> Steps[xr.Dataset]:
+    with _prepared(scene, outputs, device, engine) as ready:
+        check_memory(ready.size)
+        store = MemoryStore(ready.variables, len(ready.inputs.times))
+        yield from _run(ready, store, way)
+        return store.dataset
 
 
 @dataclass(frozen=True)
@@ -117,39 +197,39 @@ class _Ready:
     size: float
     variables: dict[str, Variable]
 
+    @property
+    def engine(self) -> str:
+        """Name of what computes, as results state it."""
+        return self.inputs.engine.name if self.runtime is None else "onnx"
+
 
 @contextmanager
-def _prepared(
-    scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str | Engine
-) -> Iterator[_Ready]:
+def _prepared(scene: Scene | str | Path, outputs: Iterable[str] | None, device: str, engine: str) -> Iterator[_Ready]:
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     wanted = plan(None if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs), scene)
-    runtime = _onnx_runtime(engine, device) if isinstance(engine, str) else None
-    inputs = open_inputs(scene, device if runtime is None else "cpu")
-    if runtime is not None:
-        inputs.engine = runtime
-    elif not isinstance(engine, str):
-        inputs.engine, inputs.alone = engine, False
+    runtime = _onnx_runtime(engine, device)
+    inputs = open_inputs(scene, device, engine) if runtime is None else open_inputs(scene, "cpu", modules=runtime)
     with inputs.recording:
         given = (one for stage in wanted.stages for one in stage.gives if one.unasked or one.name in wanted.asked)
         size = size_of_results(given, len(inputs.times), scene.tracking.points)
         yield _Ready(wanted, inputs, runtime, size, stated(VARIABLES, inputs.recording.takes_from_other_frames))
 
 
-def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None) -> None:
+def _run(ready: _Ready, store: Store, way: _Way) -> Steps[None]:
     """Every pass of the plan, into the store, but for what an earlier result has."""
     wanted, inputs, runtime = ready.plan, ready.inputs, ready.runtime
     seconds: dict[str, float] = {}
     stages: dict[type[Stage], Stage] = {}
     trial = Trial(inputs, store, wanted.stages, wanted.asked, stages)
     said: dict[str, str] = {}
-    with torch.inference_mode(), ExitStack() as held:
+    with ExitStack() as held:
         # Of forces alone no picture is looked at.
         recording = identity_of(inputs.recording) if any(one.reads_frames for one in wanted.stages) else ""
-        keys = keys_of(wanted, inputs, "torch" if runtime is None else "onnx", recording)
+        keys = keys_of(wanted, inputs, ready.engine, recording)
         known: Reused | None = None
-        if earlier is not None:
-            known = reused(held.enter_context(open_result(Path(earlier))), Path(earlier), wanted, keys, inputs)
+        if way.earlier is not None:
+            earlier = Path(way.earlier)
+            known = reused(held.enter_context(open_result(earlier)), earlier, wanted, keys, inputs)
             said[TAKEN_OVER] = known.said()
         for kinds in wanted.passes():
             stages.update({kind.place(): kind(trial) for kind in kinds})
@@ -160,7 +240,7 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
                         with _timed(seconds, stage.name):
                             known.restore(stage)
                 running = [stage for stage in running if type(stage).place() not in known.stages]
-            _pass(running, trial, seconds, progress)
+            yield from _pass(running, trial, seconds, way)
     if inputs.recording.takes_from_other_frames is not None:
         withhold(store, VARIABLES)
     if runtime is not None:
@@ -175,6 +255,7 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "settings": scene.as_json(),
             "strain_measure": scene.fields.strain,
+            "engine": ready.engine,
             "warnings": json.dumps([*inputs.warnings, *(one for stage in stages.values() for one in stage.warnings)]),
             STAGES: record(wanted, keys, stages, store),
             "stage_seconds": json.dumps({name: round(value, 4) for name, value in seconds.items()}),
@@ -187,21 +268,21 @@ def _run(ready: _Ready, store: Store, progress: bool, earlier: str | Path | None
     )
 
 
-def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+def _pass(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way: _Way) -> Steps[None]:
     """Takes the frames through these stages, batch by batch."""
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.begin()
     stepping = [stage for stage in stages if type(stage).step is not Stage.step]
     if stepping:
-        _go_over_frames(stepping, trial, seconds, progress)
+        yield from _go_over_frames(stepping, trial, seconds, way)
     for stage in stages:
         with _timed(seconds, stage.name):
             stage.finish()
             stage.derive()
 
 
-def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], progress: bool) -> None:
+def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, float], way: _Way) -> Steps[None]:
     pictures = any(stage.reads_frames for stage in stages)
     order = np.arange(len(trial))
     if any(stage.backward for stage in stages):
@@ -210,38 +291,48 @@ def _go_over_frames(stages: Sequence[Stage], trial: Trial, seconds: dict[str, fl
     batches = [order[first : first + size] for first in range(0, len(order), size)]
     *early, last = stages
 
-    def begin(indices: np.ndarray) -> Batch:
+    def begin(indices: np.ndarray) -> Steps[Batch]:
         """Pictures, and all stages but the last one, which may still be busy with the batch before."""
-        with torch.inference_mode():  # of this thread
-            batch = Batch(indices)
-            if pictures:
-                with _timed(seconds, "decoding"):
-                    batch.frames = read_frames(trial.inputs.recording[indices])
-            for stage in early:
-                _step(stage, batch, seconds)
+        batch = Batch(indices)
+        if pictures:
+            with _timed(seconds, "decoding"):
+                batch.frames = read_frames(trial.inputs.recording[indices])
+        for stage in early:
+            yield from _step(stage, batch, seconds)
         return batch
 
-    ahead = trial.inputs.alone and pictures and bool(early) and torch.get_num_threads() > 1
-    begun = _ahead(begin, batches) if ahead else (begin(indices) for indices in batches)
-    bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not progress)
-    # Closed also after an error: the recording must not be while another thread reads from it.
-    with closing(begun), bar:
-        for batch in begun:
-            _step(last, batch, seconds)
-            bar.update(len(batch.indices))
-            del batch  # before the batch after the next one is read
+    def begin_alone(indices: np.ndarray) -> Batch:
+        with torch.inference_mode():  # of this thread
+            return run_alone(begin(indices))
+
+    bar = tqdm(total=len(order), desc="frames" if pictures else "fields", unit="frame", disable=not way.progress)
+    with bar:
+        if way.ahead and pictures and early and torch.get_num_threads() > 1:
+            # Closed also after an error: the recording must not be while another thread reads from it.
+            with closing(_ahead(begin_alone, batches)) as begun:
+                for batch in begun:
+                    yield from _step(last, batch, seconds)
+                    bar.update(len(batch.indices))
+                    del batch  # before the batch after the next one is read
+        else:
+            for indices in batches:
+                batch = yield from begin(indices)
+                yield from _step(last, batch, seconds)
+                bar.update(len(indices))
+                del batch
 
 
-def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> None:
+def _step(stage: Stage, batch: Batch, seconds: dict[str, float]) -> Steps[None]:
     with _timed(seconds, stage.name):
-        batch.keep(stage, stage.step(batch))
+        result = stage.step(batch)
+        batch.keep(stage, (yield from result) if isgenerator(result) else result)
 
 
 def _onnx_runtime(engine: str, device: str) -> "OnnxRuntime | None":
-    if engine == "torch":
-        return None
+    if engine not in ENGINES:
+        raise FingerflowError(f"the engine {engine!r} is not known; choose {', '.join(ENGINES[:-1])} or {ENGINES[-1]}")
     if engine != "onnx":
-        raise FingerflowError(f"the engine {engine!r} is not known; choose torch or onnx")
+        return None
     if device not in ("auto", "cpu"):
         raise FingerflowError(f"the engine onnx computes on the processor, not on {device!r}; choose auto or cpu")
     from fingerflow.export.runtime import OnnxRuntime  # what it needs to load is not needed otherwise

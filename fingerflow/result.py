@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from fingerflow.atomic_write import keep_others, write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.room import check_write
-from fingerflow.untrusted import check_by_walking, check_file, first_line, open_hdf5, reading
+from fingerflow.untrusted.files import check_file, first_line, reading
+from fingerflow.untrusted.hdf5 import open_hdf5
+from fingerflow.untrusted.walker import check_by_walking
 
 _OF_NETCDF = {
     *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),

@@ -1,7 +1,8 @@
 """What of an earlier result still holds for a scene as it is now, stage by stage.
 
 A stage's key is a digest of its settings, of the keys of the stages before it, of the frames where any of them reads
-pictures, of the code and of what computes. Where it is the same, so are the results, bit for bit.
+pictures, of the code and of what computes: results of two engines agree to rounding alone. Where it is the same, so are
+the results, bit for bit.
 """
 
 import json
@@ -13,9 +14,10 @@ from typing import Any, NamedTuple
 import torch
 import xarray as xr
 
-from fingerflow import __version__, kernels
+from fingerflow import __version__
 from fingerflow.digest import digest_of, digest_of_bytes
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels import tensors as kernels
 from fingerflow.plan import Plan
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.identity import identity_of
@@ -27,7 +29,10 @@ from fingerflow.store import Store
 STAGES, TAKEN_OVER = "stages", "taken_over"
 _TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
 _PICTURES = ("background.frames", "background.dark")
-_CODE = ("graphs", "kernels", "models", "ops", "player/contract", "recordings", "stages", "store.py", "views.py")
+_CODE = (
+    *("engines", "graphs", "kernels", "models", "ops", "player/contract", "recordings", "stages", "tracker"),
+    *("store.py", "views.py"),
+)
 _SHOWN = 60  # characters of a setting in a sentence
 
 
@@ -71,7 +76,10 @@ class Reused(NamedTuple):
 
 
 def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], Key]:
-    """The key of each stage of a plan, by `Stage.place`; ``recording`` is what `identity_of` says of it."""
+    """The key of each stage of a plan, by `Stage.place`.
+
+    ``engine`` is the name that the result states, ``recording`` what `identity_of` says of it.
+    """
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
     keys: dict[type[Stage], Key] = {}
@@ -160,7 +168,7 @@ def _why_not(
     before = [one.name for one in (*stage.after, *stage.beside) if one in computed]
     if before:
         return f"it depends on {', '.join(before)}"
-    return "it was computed by another version of the code, or with other outputs, or elsewhere"
+    return "it was computed by another version of the code, by another engine, with other outputs, or elsewhere"
 
 
 def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:

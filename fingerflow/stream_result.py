@@ -20,7 +20,6 @@ from fingerflow.player.contract.variables import (
     Variable,
     by_name,
 )
-from fingerflow.player.errors import PlayerError
 from fingerflow.player.results import StreamResults, read_results
 
 Array = NDArray[Any]
@@ -42,10 +41,7 @@ def open_stream(folder: str | Path) -> xr.Dataset:
     Raises FingerflowError where it is no folder of results.
     """
     folder = Path(folder)
-    try:
-        results = read_results(folder)
-    except PlayerError as error:
-        raise FingerflowError(str(error)) from None
+    results = read_results(folder)
     try:
         return _labelled(results)
     except KeyError as error:
@@ -121,5 +117,5 @@ def _about(header: dict[str, Any]) -> dict[str, Any]:
         "mm_per_px": header["mm_per_px"],
         "topography_to_contact": json.dumps(header["topography_to_contact"]),
         "frames": header["source"],
-        "provider": header["provider"],
+        "engine": header.get("engine") or header["provider"],
     }

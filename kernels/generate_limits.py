@@ -1,4 +1,4 @@
-"""Writes the C++ of the statuses and limits of tracking from their one list, `fingerflow/ops/tracking_limits.py`.
+"""Writes the C++ of the statuses and limits of tracking from their one list, `fingerflow/kernels/tracking_limits.py`.
 
 python kernels/generate_limits.py tracking_limits.h
 """
@@ -8,7 +8,7 @@ import sys
 from enum import IntEnum
 from pathlib import Path
 
-SOURCE = Path(__file__).resolve().parent.parent / "fingerflow" / "ops" / "tracking_limits.py"
+SOURCE = Path(__file__).resolve().parent.parent / "fingerflow" / "kernels" / "tracking_limits.py"
 
 
 def header() -> str:

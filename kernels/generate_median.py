@@ -1,4 +1,4 @@
-"""Writes the C++ of the median networks from the one generator `fingerflow/ops/median_network.py`.
+"""Writes the C++ of the median networks from the one generator `fingerflow/kernels/median_network.py`.
 
     python kernels/generate_median.py median_networks.h
 
@@ -16,8 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fingerflow.ops.median_network import MedianProgram, Step, median_program
-from fingerflow.ops.median_rows import COMPILED_SIZES, Read, RowOrder
+from fingerflow.kernels.median_network import MedianProgram, Step, median_program
+from fingerflow.kernels.median_rows import COMPILED_SIZES, Read, RowOrder
 
 DIFFERENCES = 0.4  # share of operations that go by a difference
 

@@ -149,6 +149,44 @@ void sum_noise(const Candidates<Real>& candidates, std::int64_t field, Real* to)
     }
 }
 
+#if defined(__GNUC__) || defined(__clang__)
+#define FINGERFLOW_AT_ONCE
+// Of a single frame: sums as `sum_usable` and `sum_values` have them, of weights that no memory has to hold.
+template <int kValues, class Real>
+void weigh_and_sum(const FitBlock<Real>& block, const FitFrames<Real>& frames, Real* usable_to, Real* values_to) {
+    using Many = Wide<Real>;
+    constexpr Many kNone = {};
+    const Real squared_radius = frames.radius * frames.radius, scale = 1 / squared_radius;
+    for (int first = 0; first < kFitBlock; first += kWide<Real>) {
+        const Many query_x = load_wide(block.query_x + first), query_y = load_wide(block.query_y + first);
+        Many usable[kFitWeights] = {}, sums[3 * kValues] = {};
+        for (std::int64_t k = 0; k < block.candidates; ++k) {
+            const Real* const record = frames.records + block.point[k] * (1 + kValues);
+            const Many dx = block.x[k] - query_x, dy = block.y[k] - query_y, squared = dx * dx + dy * dy;
+            const auto within = squared < kNone + squared_radius;
+            const Many closeness = within ? 1 - squared * scale : kNone, weight = closeness * closeness;
+            const Many weight_x = weight * dx, weight_y = weight * dy;
+            const Real one = record[0];
+            usable[0] += within ? kNone + one : kNone;
+            usable[1] += weight * one;
+            usable[2] += weight_x * one;
+            usable[3] += weight_y * one;
+            usable[4] += weight_x * dx * one;
+            usable[5] += weight_x * dy * one;
+            usable[6] += weight_y * dy * one;
+            FINGERFLOW_UNROLL
+            for (int f = 0; f < kValues; ++f) {
+                sums[3 * f] += weight * record[1 + f];
+                sums[3 * f + 1] += weight_x * record[1 + f];
+                sums[3 * f + 2] += weight_y * record[1 + f];
+            }
+        }
+        write_sums<Real>(usable, first, usable_to);
+        write_sums<Real>(sums, first, values_to);
+    }
+}
+#endif
+
 // What the usable points around each query of a block tell, whatever their values are.
 template <class Real>
 struct Geometry {
@@ -258,20 +296,27 @@ void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real*
     const std::int64_t sums_a_frame = 3 * kFitBlock * frames.components;
     Real* const noise = values_of_two + 2 * sums_a_frame;
     Real* const weights = noise + 6 * kFitBlock * frames.noises;
-    weigh(block, frames.radius, weights);
     const std::int64_t components = frames.components, fields = 1 + components + frames.noises;
     Candidates<Real> candidates{block.point, block.candidates, fields, weights, frames.records};
-    sum_usable(candidates, usable);
+    bool at_once = false;
+#ifdef FINGERFLOW_AT_ONCE
+    at_once = frames.count == 1 && frames.noises == 0 && (components == 2 || components == 4);
+    if (at_once) (components == 2 ? weigh_and_sum<2, Real> : weigh_and_sum<4, Real>)(block, frames, usable, values_of_two);
+#endif
+    if (!at_once) {
+        weigh(block, frames.radius, weights);
+        sum_usable(candidates, usable);
+    }
     Geometry<Real> at(usable, frames);
     const std::int64_t frame_step = frames.points * fields;
-    bool known = false;  // whether values were summed with those of the frame before
+    bool known = at_once;  // whether values were summed already, with those of the frame before
     for (std::int64_t frame = 0; frame < frames.count; ++frame) {
         candidates.records = frames.records + frame * frame_step;
         if (frame > 0 && !frames.same_usable[frame]) {
             sum_usable(candidates, usable);
             at = Geometry<Real>(usable, frames);
         }
-        Real* const values = values_of_two + (known ? sums_a_frame : 0);
+        Real* const values = values_of_two + (known && frame > 0 ? sums_a_frame : 0);
         const bool two = !known && components == 2 && frame + 1 < frames.count && frames.same_usable[frame + 1];
         std::int64_t c = 0;
         if (two) {
@@ -294,12 +339,13 @@ void fit_block(const FitFrames<Real>& frames, const FitBlock<Real>& block, Real*
             Real* const gradient_to = frames.gradient + 2 * (first * components + c);
             for (int q = 0; q < block.queries; ++q) {
                 const std::int64_t place = block.query[q] * components;
-                values_to[place] = value[q];
+                if (frames.value != nullptr) values_to[place] = value[q];
                 gradient_to[2 * place] = along_x[q];
                 gradient_to[2 * place + 1] = along_y[q];
             }
         }
         if (frames.covariance != nullptr) write_covariance(frames, block, at, noise, first);
+        if (frames.point_count == nullptr) continue;
         std::int64_t* const counts = frames.point_count + first;
         Real* const offsets = frames.offset + first;
         for (int q = 0; q < block.queries; ++q) {

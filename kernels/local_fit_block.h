@@ -22,10 +22,10 @@ struct FitFrames {
     const Real* levels;                // (frames, components)
     const unsigned char* same_usable;  // (frames), whether the usable points are those of the frame before
     bool symmetric;                    // covariances are, so that half of what is beside their diagonal tells the rest
-    Real* value;                       // (frames, queries, components), and so on as in fingerflow/ops/local_fit.py
+    Real* value;                       // (frames, queries, components) and so on, or null: not needed
     Real* gradient;
     Real* covariance;  // null without variances
-    std::int64_t* point_count;
+    std::int64_t* point_count;  // null: neither it nor the offset is needed
     Real* offset;
 };
 

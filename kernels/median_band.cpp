@@ -18,7 +18,7 @@ constexpr long kMostLines = 96, kMostPlanes = 6000;
 
 #include "median_networks.h"
 
-// What leads a network down a frame; see fingerflow/ops/median_rows.py.
+// What leads a network down a frame; see fingerflow/kernels/median_rows.py.
 struct Shape {
     long half, rows, columns;      // of the window; of a tile, in pixels
     long reach, warm_up, lines;    // tiles read to the right; rows of tiles done ahead; lines of the frame read

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <cmath>
+#include <vector>
 
 #include "halve_rows.h"
 #include "interface.h"
@@ -29,4 +31,27 @@ void fingerflow_search_windows(const float* templates, const float* images, std:
     parallel_for((count + at_a_time - 1) / at_a_time, threads, [&](std::int64_t piece) {
         find(search, piece * at_a_time, std::min(count, (piece + 1) * at_a_time), workspace(bytes));
     });
+}
+
+void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads) {
+    const std::int64_t count = given->count, height = given->height / 2, width = given->width / 2;
+    if (count == 0) return;
+    const auto pixels = static_cast<std::size_t>(given->batch * height * width);
+    std::vector<float> key(pixels), current(pixels), back(static_cast<std::size_t>(2 * count));
+    fingerflow_halve(given->key, key.data(), given->batch, given->height, given->width, given->key_stride, given->key_row_stride,
+                     static_cast<int>(given->key_kind), threads);
+    fingerflow_halve(given->current, current.data(), given->batch, given->height, given->width, given->current_stride,
+                     given->current_row_stride, static_cast<int>(given->current_kind), threads);
+    const auto search = [&](const std::vector<float>& templates, const std::vector<float>& images, const float* points,
+                            const float* guess, float* found) {
+        fingerflow_search_windows(templates.data(), images.data(), height, width, given->image_index, points, guess, count,
+                                  given->size, given->reach, found, threads);
+    };
+    search(key, current, given->start, given->guess, given->found);
+    search(current, key, given->found, given->start, back.data());
+    for (std::int64_t k = 0; k < count; ++k) {
+        const float *const end = back.data() + 2 * k, *const start = given->start + 2 * k;
+        const float x = end[0] - start[0], y = end[1] - start[1];
+        given->returns[k] = std::sqrt(x * x + y * y) <= given->limit;
+    }
 }

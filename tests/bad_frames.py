@@ -2,7 +2,7 @@
 
 Each kind of bad frame is put at ten places, one in each tenth of the recording and, of the tenth with the largest
 force, in that frame; places are drawn by a seeded generator and are the same for all kinds. The recording is processed,
-or played by the exported bundle, and compared with the clean one: the bad frames by their status and by NaN, all other
+or played by the compiled library, and compared with the clean one: the bad frames by their status and by NaN, all other
 frames by how far each number is from the clean run's, over the stated deviation, the larger of both runs' (areas, which
 state none: in per cent of the largest). A number is wrong that is further off than three times that deviation, an area
 that is off by more than the tests allow, and one that is missing where the clean run has it, unless the status of the
@@ -27,10 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow import load_scene, player, process
+from fingerflow.export.recipe import load_recipe
 from fingerflow.player.contract.variables import FRAME_STATUS, TRACK_STATUS
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.scenes import Scene
-from tests.small_trials import SPOILED, export_unverified
+from tests.small_trials import SPOILED, write_library_bundle
 
 __all__ = ["KINDS", "TRIALS", "WAYS", "look", "main"]
 Array = NDArray[Any]
@@ -160,10 +161,10 @@ def _run(folder: Path, way: str, frames: Array) -> Run:
             )
         bundle, output = folder.parent / "bundle", folder / "played"
         if not bundle.exists():
-            export_unverified(RECIPE, bundle)
+            write_library_bundle(bundle, load_recipe(RECIPE))
         shutil.rmtree(output, ignore_errors=True)
         files = ["--scene", str(folder / "scene.toml"), "--source", str(folder / "frames.npy"), "--output", str(output)]
-        assert player.main([str(bundle), *files, "--page", "off", "--provider", "compiled", "--threads", "1"]) == 0
+        assert player.main([str(bundle), *files, "--page", "off", "--threads", "1"]) == 0
         records = player.read_results(output).records
         numbers = {
             name: np.array(records[name]) for name in (*NUMBERS, "restart") if name in (records.dtype.names or ())

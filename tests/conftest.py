@@ -1,6 +1,7 @@
 """Fixtures that more than one room of tests uses."""
 
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,10 @@ from typing import Any
 import pytest
 import torch
 from filelock import FileLock
+from hypothesis import HealthCheck, settings
 
 from bench.chromium import launch
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.synthetic import PartialSlip, write_recording
 from fingerflow.synthetic.marker_gel import write_gel_recording
 from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
@@ -31,11 +33,29 @@ LONGEST = (
 HERE = Path(__file__).resolve().parent
 SHARED_DATA = HERE.parents[1] / "shared" / "data"
 
+# The same examples in every run, whatever earlier runs have stored, and no limit of time that a busy machine exceeds.
+settings.register_profile(
+    "reproducible", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("reproducible")
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {HERE / name: place for place, name in enumerate(LONGEST)}
     assert all(path.is_file() for path in places), "a module of LONGEST has another name now"
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _processes_heed_interrupts() -> Iterator[None]:
+    """Restores SIGINT where a shell that runs the tests in the background ignores it: processes started here inherit
+    that, and those that are interrupted by a test would run on.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -15,13 +15,10 @@ from torch import Tensor, nn
 
 import fingerflow.graphs
 from fingerflow import ops
-from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
+from fingerflow.graphs import ContactGraph, Entered, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.frame import FollowGraph, FrameGraph, HeldGraph, RenewGraph, SinceOnsetGraph
 from fingerflow.graphs.search import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
-from fingerflow.ops.entry import MOVED_IN
-from fingerflow.ops.onset import LASTING
 from fingerflow.ops.outliers import find_neighbours
 
 HEIGHT, WIDTH, POINTS = 64, 80, 24
@@ -74,16 +71,8 @@ def cases() -> dict[str, Case]:
         torch.zeros(len(first), dtype=torch.float32),
     )
     of_key = templates.numbers[:1]
-    contact = ContactGraph(median_px=9)
-    follow = FollowGraph(11)
-    hold = HeldGraph(key, DeformationGraph(11))
-    held, view = hold(first, points)
     straight = torch.eye(2, dtype=torch.float32).expand_as(covariance)
-    warp = straight + gradient / 10
-    turn = torch.tensor([[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]], dtype=torch.float32)
-    of_ellipse = (ellipse.center, ellipse.semi_axes, ellipse.angle)
-    reached = torch.ones(points.shape[:2], dtype=torch.uint8)
-    scale = torch.tensor([0.05], dtype=torch.float32)
+    entered = Entered(points[..., 0] > 40, gradient / 10, None)
     return {
         "curl": Case(ops.curl, (gradient,)),
         "dense_flow": Case(ops.dense_flow, (first, second)),
@@ -120,23 +109,13 @@ def cases() -> dict[str, Case]:
         "ContactGraph": Case(ContactGraph(), (first, glass, black, one * 0.55)),
         "KeyGraph": Case(key, (first, points)),
         "TrackGraph": Case(track, (templates, second, points)),
-        "AgreementGraph": Case(AgreementGraph(), (neighbours, points[:1], found)),
+        "AgreementGraph": Case(AgreementGraph(), (neighbours, points[:1], found.points, found.variance.sqrt())),
         "DeformationGraph": Case(DeformationGraph(11), (points[:1], found, of_key, straight[:1])),
         "FieldsGraph": Case(FieldsGraph(60.0), (points, moved, covariance)),
         "FieldsGraph - medians": Case(FieldsGraph(60.0), (points, moved, covariance, ellipse)),
+        "FieldsGraph - entered": Case(FieldsGraph(60.0), (points, moved, None, ellipse, entered)),
         "DetectGraph": Case(DetectGraph(POINTS, window_px=11), (first, torch.ones_like(first, dtype=torch.bool))),
-        "HeldGraph": Case(hold, (first, points)),
-        "RenewGraph": Case(RenewGraph(11), (*view, points, warp)),
         "SearchGraph": Case(SearchGraph(11), (first, second.roll(6, 3), points, points)),
-        "FollowGraph": Case(follow, (second, points, held)),
-        "FrameGraph": Case(FrameGraph(contact, follow), (first, second, turn, points, glass, black, one * 0.55, held)),
-        "SinceOnsetGraph": Case(
-            SinceOnsetGraph(3.0),
-            (
-                *(points + moved, reached, points, LASTING * reached, MOVED_IN * (points[..., 0] > 40).to(torch.uint8)),
-                *(warp - straight, points - moved, turn, scale, *of_ellipse),
-            ),
-        ),
     }
 
 

@@ -42,7 +42,6 @@ from fingerflow.atomic_write import is_marked
 from fingerflow.errors import FingerflowError
 from fingerflow.player import patient_file
 from fingerflow.player.bundle import load_bundle
-from fingerflow.player.errors import PlayerError
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources
 from fingerflow.untrusted.idle import IdleLimit
@@ -63,7 +62,7 @@ width = 120
 [tracking]
 points = 20
 [export]
-graphs = ["background"]
+graphs = ["light"]
 """
 _OPERATIONS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree")
 
@@ -138,7 +137,7 @@ COMMANDS = {
                       False),
     "stream": Command(
         ("stream", "tiny", "--source", "synthetic", "--frames", "200", "--page", "off", "--output", "played",
-         "--provider", "cpu", "--threads", "1", "--no-spin"),
+         "--threads", "1"),
         ("played",), ("tiny",), _readable_stream, False,
     ),
 }  # fmt: skip
@@ -315,7 +314,7 @@ def _state(command: Command, path: Path, reference: Path) -> str:
         return "absent"
     try:
         return "whole" if command.whole(path, reference) else "is there and not whole"
-    except (FingerflowError, PlayerError, OSError, ValueError, KeyError) as error:
+    except (FingerflowError, OSError, ValueError, KeyError) as error:
         return f"is there and cannot be read: {error}"
 
 

@@ -1,6 +1,8 @@
 """Trials that are small enough for a test, and what may be wrong with a frame of them: one place for all tests."""
 
+import hashlib
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,8 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fingerflow.engines.bundle_settings import bundle_settings
+from fingerflow.engines.check import built_in, numbers_of
+from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.recipe import GRAPHS
+from fingerflow.export.bundle import FORMAT, version
+from fingerflow.export.expected import rounded
+from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import Scene
@@ -64,6 +71,32 @@ def write_bundle_of_trials(folder: Path) -> Path:
     found = export_bundle(recipe, folder)
     verification.write_text(json.dumps([one._asdict() for one in found]), encoding="utf-8")
     return folder
+
+
+def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
+    """Writes what the compiled library plays at once: a bundle whose graphs, which take a minute to export, are none.
+
+    Numbers of its built-in frame are those of the library here.
+    """
+    folder.mkdir(parents=True)
+    graphs = {}
+    for name in GRAPHS:
+        data = f"no graph, {name}".encode()
+        (folder / f"{name}.onnx").write_bytes(data)
+        graphs[name] = {"file": f"{name}.onnx", "sha256": hashlib.sha256(data).hexdigest()}
+    settings = recipe.model_dump()
+    size: dict[str, int] = {one: settings["views"][one] for one in ("height", "width", "bit_depth")}
+    size["points"] = recipe.tracking.points
+    numbers = numbers_of(NativeEngine(bundle_settings(settings)), built_in(**size, window_px=recipe.tracking.window_px))
+    expected = {**size, "numbers": {name: rounded(values) for name, values in numbers.items()}}
+    facts = {"format": FORMAT, "fingerflow": version(), "recipe": settings, "graphs": graphs, "expected": expected}
+    (folder / "bundle.json").write_text(json.dumps(facts), encoding="utf-8")
+    return folder
+
+
+def recipe_of_trials() -> Recipe:
+    """What plays these trials."""
+    return Recipe(views=ViewRecipe(height=HEIGHT, width=WIDTH), **tomllib.loads(_SHARED))
 
 
 def beside(bundle: Path) -> tuple[Path, Path]:

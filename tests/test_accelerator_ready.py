@@ -23,9 +23,9 @@ from fingerflow.export.build import build
 from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.templates import Found
-from fingerflow.ops.tracking_limits import NUMBERS
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
@@ -91,7 +91,7 @@ def steps() -> dict[str, Step]:
         "key": step(KeyGraph(11), images(), points(2)),
         "key with warps": step(KeyGraph(11, gain_offset=False), images(), points(2), alone(), points(2, 2)),
         "track": step(TrackGraph(), templates(KeyGraph(11)), images(), points(2)),
-        "agreement": step(AgreementGraph(), neighbours, alone_points(2), found_points),
+        "agreement": step(AgreementGraph(), neighbours, alone_points(2), points(2), points()),
         "deformation": step(
             DeformationGraph(11), alone_points(2), found_points, alone_points(NUMBERS), alone_points(2, 2)
         ),
@@ -112,18 +112,23 @@ def small(recipe: Recipe) -> Recipe:
 
 def of_recipe(recipe: Recipe) -> Iterator[tuple[str, Step]]:
     """The graphs of a recipe; what one gives the next ones take, in shape and type."""
+    beside = neighbours(1)
     known = {
         **dict.fromkeys(("contact_view", "topography_view", "key_view"), images()),
-        **dict.fromkeys(("background", "dark"), images(torch.float32)),
+        **dict.fromkeys(("empty", "dark"), images(torch.float32)),
         "mask": images(torch.bool),
         "threshold": alone(),
-        "topography_to_contact": lambda _: torch.zeros(2, 3),
-        "mm_per_px": lambda _: torch.ones(1),
-        **dict.fromkeys(("warp", "at_entry"), points(2, 2)),
-        **dict.fromkeys(("points", "prediction", "reference", "chosen"), points(2)),
-        **dict.fromkeys(("center", "semi_axes"), lambda batch: torch.zeros(batch, 2)),
-        "angle": alone(),
-        **dict.fromkeys(("covered", "reached", "entry"), lambda batch: torch.zeros(batch, POINTS, dtype=torch.uint8)),
+        **dict.fromkeys(("warp", "inverse_warp", "gradient", "found_covariance"), points(2, 2)),
+        **dict.fromkeys(("points", "prediction", "start", "found", "reference", "displacement", "queries"), points(2)),
+        "position_std": points(),
+        "among": lambda batch: torch.zeros(batch, POINTS, dtype=torch.bool),
+        **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), lambda batch: torch.ones(batch, 2)),
+        "ellipse_angle": alone(),
+        "gauge_length": lambda _: torch.ones(1),
+        **{
+            f"neighbour_{name}": lambda batch, one=one: one.expand(batch, *one.shape[1:]).contiguous()
+            for name, one in beside._asdict().items()
+        },
     }
 
     def outcome(step: Step, place: int) -> Callable[[int], Tensor]:
@@ -144,12 +149,15 @@ STEPS = steps()
 
 _BROUGHT = "a constant is made in every call"
 _ONE_BY_ONE = "views are warped one after the other"
+_PICKED = "the neighbours of one recording are picked in one call, those of several one after the other"
 _CUT_ONE_BY_ONE = "windows are cut out of one view after the other"
 #: What the modules do not meet yet, by step: the tests say when they do.
 WAITS = {
     "key with warps": _ONE_BY_ONE,
     "fields and medians": _BROUGHT,
     **{f"{recipe} fields": _BROUGHT for recipe in RECIPES},
+    **{f"{recipe} {name}": _BROUGHT for recipe in RECIPES for name in ("fields_entered", "windows")},
+    **{f"{recipe} outliers": _PICKED for recipe in RECIPES},
     **{f"{recipe} renew": _ONE_BY_ONE for recipe in RECIPES},
     **{f"{recipe} search": _CUT_ONE_BY_ONE for recipe in RECIPES},
 }

@@ -19,27 +19,50 @@ ARROWS: dict[str, set[str]] = {
     "untrusted": {"errors"},
     "views": {"contract", "errors"},
     "atomic_write": {"contract", "errors"},
-    "kernels": {"_kernels", "ops"},  # one room with ops, of which it holds the compiled twins
-    "ops": {"kernels"},
-    "graphs": {"ops"},
-    "models": {"errors", "kernels"},
+    "kernels": set(),  # of NumPy arrays and tensors, without torch
+    "tensors": {"kernels"},  # the same as ops of torch's, in fingerflow/kernels/tensors
+    "ops": {"kernels", "tensors"},
+    "graphs": {"kernels", "ops"},
+    "engines": {"errors", "kernels"},  # of NumPy arrays
+    "torch_engine": {"engines", "errors", "graphs", "kernels", "ops", "tensors"},  # fingerflow/engines/torch.py
+    "choice": {"engines", "errors", "kernels", "tensors", "torch_engine"},  # torch only for recordings
+    "tracker": {"contract", "engines", "kernels"},
+    "models": {"errors", "tensors"},
     "recordings": {"contract", "digest", "errors", "untrusted"},
     "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
     "scene": {"contract", "errors", "toml_string", "views"},
     "room": {"contract", "errors"},
     "store": {"contract", "room"},
-    "stages": {"contract", "errors", "graphs", "models", "ops", "recordings", "room", "scene", "store", "views"},
+    "stages": {
+        "choice",
+        "contract",
+        "engines",
+        "errors",
+        "graphs",
+        "kernels",
+        "models",
+        "ops",
+        "recordings",
+        "room",
+        "scene",
+        "store",
+        "torch_engine",
+        "tracker",
+        "views",
+    },
     "plan": {"contract", "errors", "scene", "stages"},
     "result": {"atomic_write", "errors", "room", "untrusted"},
     "dictionary": {"contract", "stages"},
     "tables": {"atomic_write", "errors"},
     "deviations": {"contract", "store"},
-    "reuse": {"__init__", "digest", "errors", "kernels", "plan", "recordings", "stages", "store"},
+    "reuse": {"__init__", "digest", "errors", "tensors", "plan", "recordings", "stages", "store"},
     "pipeline": {
         "__init__",
         "atomic_write",
+        "choice",
         "contract",
         "deviations",
+        "engines",
         "errors",
         "export",
         "plan",
@@ -50,8 +73,8 @@ ARROWS: dict[str, set[str]] = {
         "scene",
         "stages",
         "store",
+        "torch_engine",
     },
-    "side_by_side": {"graphs", "stages"},
     "synthetic": {"contract", "errors", "models", "scene", "views"},
     "comparison": {"ops", "synthetic"},
     "plot": {"errors", "graphs", "recordings", "scene", "stages"},
@@ -67,18 +90,33 @@ ARROWS: dict[str, set[str]] = {
         "synthetic",
         "views",
     },
-    "export": {"contract", "errors", "graphs", "kernels", "ops", "strict", "synthetic"},
-    "player": {
+    "export": {
         "contract",
+        "engines",
         "errors",
-        "export",  # only where `--provider compiled` asks for the package; a bundle does without
-        "recordings",  # a bundle carries copies of its readers
+        "graphs",
+        "kernels",
+        "ops",
+        "strict",
+        "synthetic",
+        "tensors",
+        "tracker",
+    },
+    "player": {
+        "choice",
+        "contract",
+        "engines",
+        "kernels",
+        "tracker",
+        "errors",
+        "recordings",
     },
     "study": {
         "__init__",
         "atomic_write",
         "contract",
         "digest",
+        "engines",
         "errors",
         "models",
         "pipeline",
@@ -88,7 +126,6 @@ ARROWS: dict[str, set[str]] = {
         "result",
         "reuse",
         "scene",
-        "side_by_side",
         "stages",
         "synthetic",
         "toml_string",
@@ -99,6 +136,7 @@ ARROWS: dict[str, set[str]] = {
         "atomic_write",
         "calibration",
         "contract",
+        "engines",
         "errors",
         "plan",
         "recordings",
@@ -119,28 +157,28 @@ PACKAGES = {
     "errors": set(),
     "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
     "views": set(),
+    "kernels": {"numpy"},
+    "tensors": {"torch"},
     "ops": {"torch", "kornia"},
     "graphs": {"torch"},
-    "player": {"numpy", "onnxruntime", "cv2"},  # cv2 only where it is installed, for videos
+    "engines": {"numpy", "onnxruntime"},
+    "torch_engine": {"numpy", "torch"},
+    "tracker": {"numpy"},
+    "player": {"numpy", "cv2"},  # cv2 only where it is installed, for videos
 }
 
 
-def imported(source: str, package: str = "") -> Iterator[tuple[int, str]]:
-    """(line, module) of every import, also inside functions and of `import_module` with a text.
-
-    The player's imports of itself are relative, since a bundle holds it under another name: ``package`` is where from.
-    """
+def imported(source: str) -> Iterator[tuple[int, str]]:
+    """(line, module) of every import, also inside functions and of `import_module` with a text."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, name.name) for name in node.names)
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: -node.level + 1 or None]
-            assert node.level == 0 or above[:2] == ["fingerflow", "player"], f"line {node.lineno}: imports are absolute"
-            if node.level:
-                yield node.lineno, ".".join([*above, node.module or ""])
-                continue
+            assert node.level == 0, f"line {node.lineno}: imports are absolute"
             assert node.module is not None
-            if node.module == "fingerflow":
+            if node.module == "fingerflow.kernels":  # of which one module is a room of its own
+                yield from ((node.lineno, f"fingerflow.kernels.{name.name}") for name in node.names)
+            elif node.module == "fingerflow":
                 yield from ((node.lineno, _member(name.name)) for name in node.names)
             else:
                 yield node.lineno, node.module
@@ -152,17 +190,17 @@ def imported(source: str, package: str = "") -> Iterator[tuple[int, str]]:
 
 def _member(name: str) -> str:
     """`from fingerflow import kernels` is a module; `from fingerflow import __version__` is a name of the package."""
-    is_module = (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists() or name in ARROWS or name == "_kernels"
+    is_module = (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists() or name in ARROWS
     return f"fingerflow.{name}" if is_module else "fingerflow.__init__"
 
 
-def wrong_arrows(room: str, source: str, where: str = "", package: str = "") -> list[str]:
+def wrong_arrows(room: str, source: str, where: str = "") -> list[str]:
     """One sentence an import that the tables do not have."""
     wrong = []
-    for line, module in imported(source, package):
+    for line, module in imported(source):
         top, _, rest = module.partition(".")
         if top == "fingerflow":
-            target = "contract" if rest.startswith("player.contract") else rest.partition(".")[0] or "__init__"
+            target = _room(rest.split(".")) or "__init__"
             if target != room and target not in ARROWS[room]:
                 wrong.append(f"{where}:{line}: {room} may not import {module}; it may import {sorted(ARROWS[room])}")
         elif room in PACKAGES and top not in PACKAGES[room] and top not in sys.stdlib_module_names:
@@ -171,12 +209,13 @@ def wrong_arrows(room: str, source: str, where: str = "", package: str = "") -> 
 
 
 def room_of(path: Path) -> str:
-    parts = path.relative_to(PACKAGE).parts
-    return "contract" if parts[:2] == ("player", "contract") else parts[0].removesuffix(".py")
+    return _room([part.removesuffix(".py") for part in path.relative_to(PACKAGE).parts])
 
 
-def package_of(path: Path) -> str:
-    return ".".join(path.parent.relative_to(PACKAGE.parent).parts)
+def _room(parts: list[str]) -> str:
+    own = {("player", "contract"): "contract", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
+    own |= {("engines", "torch"): "torch_engine"}
+    return own.get(tuple(parts[:2]), parts[0])
 
 
 def test_every_room_has_its_place() -> None:
@@ -190,9 +229,7 @@ def test_imports_follow_the_arrows() -> None:
     wrong = [
         sentence
         for path in files
-        for sentence in wrong_arrows(
-            room_of(path), path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE)), package_of(path)
-        )
+        for sentence in wrong_arrows(room_of(path), path.read_text(encoding="utf-8"), str(path.relative_to(PACKAGE)))
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -202,12 +239,11 @@ def test_nothing_imports_the_command_line() -> None:
 
 
 def test_no_room_leads_back_to_itself() -> None:
-    """The arrows themselves go one way; ops and their compiled twins are one room."""
-    arrows = {room: targets - {"ops", "_kernels"} if room == "kernels" else targets for room, targets in ARROWS.items()}
-    arrows["__init__"] = set()  # what it offers is loaded when it is asked for
+    """The arrows themselves go one way."""
+    arrows = ARROWS | {"__init__": set()}  # what that offers is loaded when it is asked for
     finished: set[str] = set()
     for _ in arrows:
-        finished |= {room for room, targets in arrows.items() if targets - {"_kernels", room} <= finished}
+        finished |= {room for room, targets in arrows.items() if targets - {room} <= finished}
     assert finished == set(arrows), f"a circle among {sorted(set(arrows) - finished)}"
 
 
@@ -215,7 +251,11 @@ def test_the_package_itself_loads_nothing() -> None:
     """`import fingerflow` is free; torch comes with the first public function."""
     tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     loaded = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
-    assert {node.module for node in loaded if isinstance(node, ast.ImportFrom)} <= {"importlib", "typing"}
+    assert {node.module for node in loaded if isinstance(node, ast.ImportFrom)} <= {
+        "importlib",
+        "importlib.util",
+        "typing",
+    }
     assert not [node for node in loaded if isinstance(node, ast.Import)]
 
 
@@ -226,6 +266,9 @@ def test_the_package_itself_loads_nothing() -> None:
         ("ops", "import numpy as np"),
         ("ops", "def f():\n    from fingerflow import scene"),
         ("graphs", "import fingerflow.stages.contact"),
+        ("kernels", "import torch"),
+        ("kernels", "from fingerflow.kernels import tensors"),
+        ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),
         ("models", "from fingerflow.ops.strain import curl"),
         ("recordings", "from fingerflow.stages.inputs import Inputs"),
         ("stages", "from fingerflow.pipeline import process"),

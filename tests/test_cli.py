@@ -1,6 +1,5 @@
 """The command line: exit codes, messages, files."""
 
-import functools
 import json
 import os
 import pkgutil
@@ -157,9 +156,7 @@ def test_a_real_interrupt_ends_a_simulation_at_once(tmp_path: Path) -> None:
     """While the threads render: none of the other 300 frames is waited for, and the folder goes."""
     code = "from fingerflow.cli import main; main()"
     command = [sys.executable, "-c", code, "simulate", "press", "one"]
-    # A shell that runs the tests in the background has its children ignore the signal.
-    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, preexec_fn=heed) as running:
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as running:
         deadline = time.monotonic() + 300
         while not list(tmp_path.glob(".one-*/frames.npy")):
             assert running.poll() is None

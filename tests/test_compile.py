@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels, ops
+from fingerflow import ops
+from fingerflow.kernels import tensors as kernels
 from tests.embedded import CASES, POINTS, expected, scene, tensors_of, without_a_case
 
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -42,10 +43,8 @@ def test_every_op_and_module_has_a_case() -> None:
 @pytest.mark.usefixtures("each_form")
 @pytest.mark.parametrize("name", CASES)
 def test_whole_and_the_same(name: str) -> None:
-    """Bit for bit: the same operators run, one after the other. But where nothing is traced, `ops.entry.since_entry`
-    fits around the points that are asked about alone, and a kernel that has fewer of them sums in another order.
-    """
-    compiled_as_it_is(name, "aot_eager", tolerance=1e-7 if name == "SinceOnsetGraph" else 0.0)
+    """Bit for bit: the same operators run, one after the other."""
+    compiled_as_it_is(name, "aot_eager")
 
 
 @pytest.mark.parametrize("name", ["median_filter", "ContactGraph", "FieldsGraph"])

@@ -1,5 +1,5 @@
 """One press four times: `process`, `process --engine onnx`, and an exported bundle in the player say the same, whether
-ONNX Runtime runs it or the compiled kernels do.
+ONNX Runtime runs it or the compiled library does.
 
 Each chooses its points itself, in the region that the scene states; the threshold is given, which the player would
 otherwise measure while frames come. Tolerances are those of `export/README.md`.
@@ -17,8 +17,7 @@ import xarray as xr
 import fingerflow
 from fingerflow import player
 from fingerflow.export.runtime import OnnxRuntime
-from fingerflow.ops.tracking_limits import TrackStatus
-from fingerflow.player.providers import PROVIDERS
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.report import write_report
 from tests.small_trials import POINTS, write_trial
 
@@ -29,12 +28,12 @@ class Said(NamedTuple):
     torch: xr.Dataset
     onnx: xr.Dataset
     live: np.ndarray[Any, Any]
-    compiled: np.ndarray[Any, Any]
+    native: np.ndarray[Any, Any]
     streams: tuple[xr.Dataset, ...]
 
     @property
     def played(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-        return self.live, self.compiled
+        return self.live, self.native
 
 
 @pytest.fixture(scope="module")
@@ -59,13 +58,13 @@ def said(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path, asked
     scene = fingerflow.load_scene(scene_file)
     recorded = [fingerflow.process(scene, engine=engine) for engine in ("torch", "onnx")]
     played = []
-    for provider in ("cpu", "compiled"):
-        options = ["--output", str(folder / provider), "--page", "off", "--provider", provider, "--no-spin"]
+    for engine in ("onnx", "native"):
+        options = ["--output", str(folder / engine), "--page", "off", "--engine", engine, "--no-spin"]
         assert player.main([str(bundle_of_trials), "--scene", str(scene_file), "--threads", "1", *options]) == 0
-        played.append(player.read_results(folder / provider))
+        played.append(player.read_results(folder / engine))
         assert not played[-1].header["warnings"]
-        assert played[-1].header["provider"] == PROVIDERS[provider]
-    streams = tuple(fingerflow.open_stream(folder / provider) for provider in ("cpu", "compiled"))
+        assert played[-1].header["engine"].startswith(engine)
+    streams = tuple(fingerflow.open_stream(folder / engine) for engine in ("onnx", "native"))
     return Said(*recorded, *(each.records for each in played), streams)
 
 
@@ -130,11 +129,14 @@ def test_fields_are_equal(said: Said) -> None:
             np.testing.assert_allclose(other, said.torch[name], rtol=0, atol=2e-3)
 
 
-def test_compiled_kernels_play_what_the_runtime_plays(said: Said) -> None:
-    """The same frames in the same order from the same expectations: only the rounding of sums differs."""
-    assert np.mean(np.abs(said.compiled["position_px"] - said.live["position_px"]) > 1e-3) < 0.005
-    np.testing.assert_array_equal(said.compiled["in_contact"], said.live["in_contact"])
-    np.testing.assert_allclose(said.compiled["median_divergence"], said.live["median_divergence"], rtol=0, atol=1e-4)
+def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:
+    """To what a lag of two frames changes: a prediction may begin beside another whole pixel, and templates that are
+    updated as soon as may be are updated a frame later."""
+    off = np.abs(said.native["position_px"] - said.live["position_px"])
+    assert np.mean(off > 1e-3) < 0.02
+    assert np.nanmax(off) < 0.01
+    np.testing.assert_array_equal(said.native["in_contact"], said.live["in_contact"])
+    np.testing.assert_allclose(said.native["median_divergence"], said.live["median_divergence"], rtol=0, atol=4e-4)
 
 
 def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: list[str], tmp_path: Path) -> None:

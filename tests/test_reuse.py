@@ -30,6 +30,7 @@ from fingerflow.stages.inputs import Inputs, open_inputs
 from fingerflow.stages.stage import Stage, Trial
 from fingerflow.synthetic import PartialSlip, Press, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
+from tests.test_architecture import ARROWS
 
 SMALL = {
     "n_frames": 12, "frame_rate": 12.0, "frames_before_trigger": 1, "frame_shape": (120, 280), "finger": (1.8, 1.5),
@@ -205,6 +206,40 @@ def test_results_of_other_code_are_computed_again(folder: Path, ran: set[str], m
     assert "another version" in json.loads(again.attrs["taken_over"])["computed"]["frame_check"]
 
 
+def test_results_of_another_engine_are_computed_again(
+    folder: Path, tmp_path: Path, ran: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They agree to rounding, and what is taken over is the same bit for bit."""
+    scene, wanted = load_scene(folder / "scene.toml"), ["real_contact_area"]
+    path = tmp_path / "torch.h5"
+    by_torch = process(scene, wanted, engine="torch", to=path)
+    assert by_torch.attrs["engine"] == "torch"
+    ran.clear()
+    default = process(scene, wanted, earlier=path)
+    assert ran == ({"loading", "frame_check", "contact"} if default.attrs["engine"] == "native" else set())
+    if ran:
+        assert "by another engine" in json.loads(default.attrs["taken_over"])["computed"]["loading"]
+    ran.clear()
+    assert process(scene, wanted, earlier=path, engine="torch").attrs["engine"] == "torch"
+    assert not ran
+
+
+def test_keys_know_all_code_that_stages_run() -> None:
+    """Rooms that `stages` may import, and what those may; but for messages, guards, and settings, which keys know by
+    their values.
+    """
+    reached, known = set[str](), {*fingerflow.reuse._CODE, "stages"}
+    left = ["stages"]
+    while left:
+        for room in ARROWS[left.pop()] - reached:
+            reached.add(room)
+            left.append(room)
+    of_room = {"contract": "player/contract", "views": "views.py", "store": "store.py"}
+    parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines"}
+    wanted = {of_room.get(room, parts_of.get(room, room)) for room in reached}
+    assert wanted - known == {"digest", "errors", "room", "scene", "toml_string", "untrusted"}
+
+
 def test_results_that_do_not_say_on_what_they_depend(folder: Path, tmp_path: Path, ran: set[str]) -> None:
     with xr.open_dataset(folder / "result.h5", engine="h5netcdf") as stored:
         old = stored.load()
@@ -294,8 +329,8 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
                 seen.setdefault(_at.stage, set()).add(key)
             return super().__getattribute__(name)
 
-    def opened(scene: Scene, device: str) -> Inputs:
-        inputs = open_inputs(scene, device)
+    def opened(scene: Scene, *given: Any, **named: Any) -> Inputs:
+        inputs = open_inputs(scene, *given, **named)
         inputs.scene = Watched(scene, "", seen)  # type: ignore[assignment]
         inputs.__class__ = WatchedInputs
         return inputs

@@ -252,7 +252,7 @@ def test_paths_survive_the_template(name: str) -> None:
     assert values["forces"]["file"] == name
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1))
 def test_any_path_survives_the_template(name: str) -> None:
     assert tomllib.loads(scene_text(frames=name))["recording"]["frames"] == name

@@ -70,26 +70,21 @@ def run(quick: bool) -> list[Row]:
     for settings in CONTACT[4:5] if quick else CONTACT:
         recipe = _recipe(contact=settings)
         nodes, ours = _session(recipe, "contact", known)
-        contact = opencv_contact(known["contact_view"], known["background"], recipe.contact.median_px)
+        contact = opencv_contact(known["contact_view"], known["empty"], recipe.contact.median_px)
         times = time_in_turns({"opencv": contact, "onnx": ours}, "opencv", rounds)["onnx"]
         found = float(ours()["real_area_px"][0]) * scene.mm_per_px**2
         rows.append(_row("contact", settings, nodes, times.cells(), 100 * (found / area - 1)))
-    graphs: tuple[GraphName, ...] = ("track", "frame")
-    for graph in graphs:
-        for settings in TRACKING[-1:] if quick else TRACKING:
-            fast = {"median_px": 1, "real_contact_mask": False} if settings["points"] == 300 else {}
-            recipe = _recipe(tracking=settings, contact=fast)
-            points = _corners(known["topography_before"], recipe)
-            nodes, ours = _session(recipe, graph, {**known, "points": points})
-            peer = partial(
-                track_opencv, known["topography_before"], known["topography_view"], points, recipe.tracking.window_px
-            )
-            cells = time_in_turns({"opencv": peer, "onnx": ours}, "opencv", rounds)["onnx"].cells()
-            if graph == "frame":  # which does more than the peer
-                del cells["time_to_peer"]
-            true = scene.truth.follow(points[0].double().numpy(), _FROM, _TO)
-            error = float(np.sqrt(np.nanmean(np.sum((ours()["points"][0] - true) ** 2, axis=-1))))
-            rows.append(_row(graph, settings, nodes, cells, error))
+    for settings in TRACKING[-1:] if quick else TRACKING:
+        recipe = _recipe(tracking=settings)
+        points = _corners(known["topography_before"], recipe)
+        nodes, ours = _session(recipe, "track", {**known, "points": points})
+        peer = partial(
+            track_opencv, known["topography_before"], known["topography_view"], points, recipe.tracking.window_px
+        )
+        cells = time_in_turns({"opencv": peer, "onnx": ours}, "opencv", rounds)["onnx"].cells()
+        true = scene.truth.follow(points[0].double().numpy(), _FROM, _TO)
+        error = float(np.sqrt(np.nanmean(np.sum((ours()["points"][0] - true) ** 2, axis=-1))))
+        rows.append(_row("track", settings, nodes, cells, error))
     return rows
 
 
@@ -112,10 +107,9 @@ def _inputs(scene: Press) -> dict[str, Tensor]:
         "contact_view": view("contact", last),
         "topography_view": view("topography", last),
         "topography_before": view("topography", scene.render(_FROM)),
-        "background": empty.float(),
+        "empty": empty.float(),
         "dark": torch.zeros(empty.shape),
         "threshold": torch.tensor([0.267]),
-        "topography_to_contact": torch.eye(2, 3),
     }
 
 
@@ -128,13 +122,12 @@ def _session(recipe: Recipe, name: GraphName, known: dict[str, Tensor]) -> tuple
     """Number of nodes of the exported graph, and a call that runs it."""
     graphs = build(recipe)
     tensors = dict(known)
-    tensors.update(zip(graphs["background"].outputs, _apply(graphs["background"], tensors), strict=True))
+    tensors.update(zip(graphs["light"].outputs, _apply(graphs["light"], tensors), strict=True))
     if "points" in tensors:
-        count = tensors["points"].shape[1]
-        tensors |= {"warp": torch.eye(2).expand(1, count, 2, 2), "mm_per_px": torch.tensor([0.0325])}
         key = {**tensors, "topography_view": tensors["topography_before"]}
-        tensors.update(zip(graphs["key"].outputs, _apply(graphs["key"], key), strict=True))
-        tensors["prediction"] = tensors["points"]
+        for graph in (graphs["noise"], graphs["prepare"]):
+            key.update(zip(graph.outputs, _apply(graph, key), strict=True))
+        tensors = {**key, "topography_view": tensors["topography_view"], "prediction": tensors["points"]}
     with tempfile.TemporaryDirectory() as folder:
         write_graph(recipe, name, graphs[name], Path(folder))
         file = Path(folder) / f"{name}.onnx"

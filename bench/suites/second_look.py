@@ -1,4 +1,4 @@
-"""The second look at tracked points: how many of those that are beside their skin it finds, and how many it drops.
+"""The verification of tracked points: how many of those that are beside their skin it finds, and how many it drops.
 
 Recordings of 320 x 800 px (160 x 400 with --quick), default settings: the shipped press and a slide with even rings of
 ridges, which repeat every 15 px; the press of a fingerprint; a press in eight frames, several px from one to the next;
@@ -7,8 +7,8 @@ out of focus, the light flickers, frames went through a lossy codec.
 
 In the last frames one point in twenty at a time is put beside its place, in any direction, by 1 to 2, 2 to 4, 4 to 8
 and 8 to 16 px; `found_1_2` ... is the share of them that fails. Beside it what `process` gives: `wrong` positions more
-than 1 px from the truth, in all frames, `wrong_found` how many of them fail, of `right` others `right_dropped`. look_ms
-is the median processor time of a look, one thread, for eight frames.
+than 1 px from the truth, in all frames, `wrong_found` how many of them fail, of `right` others `right_dropped`.
+check_ms is the median processor time of a check, one thread, for eight frames.
 """
 
 import math
@@ -21,15 +21,15 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.rows import Row
 from bench.suites.disturbances import DISTURBANCES, JUMP_PX, write_disturbed
 from bench.suites.pipeline import write_quietly
 from fingerflow import load_scene, process
-from fingerflow.ops.tracking_limits import TrackStatus
-from fingerflow.stages.second_look import SecondLook
+from fingerflow.engines.together import Steps, run_alone
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.synthetic import FingerprintTexture, Press, Scene, Slide
+from fingerflow.tracker.verification import Verification
 
 SMALL: dict[str, Any] = {"frame_shape": (320, 800), "finger": (5.0, 4.2), "semi_axes": (3.6, 3.1)}
 QUICK: dict[str, Any] = {"frame_shape": (160, 400), "finger": (2.7, 2.3), "semi_axes": (2.0, 1.7)}
@@ -38,7 +38,8 @@ WRONG_PX = 1.0
 _ONE_IN = 20
 _DISTURBED = ("jump", "defocus", "flicker of both", "lossy codec")
 
-Look = tuple[SecondLook, Tensor, Tensor, Tensor]
+Array = np.ndarray[Any, Any]
+Check = tuple[Verification, Array, Array, Array, Array]
 
 
 def run(quick: bool) -> list[Row]:
@@ -66,26 +67,29 @@ def run(quick: bool) -> list[Row]:
 
 
 def _measured(folder: Path, scene: Scene, jump: bool) -> dict[str, float | None]:
-    """The cells of a row; positions that the look takes away are those of a run without it."""
-    loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Look]()
-    judge = SecondLook.failed
+    """The cells of a row; positions that the check takes away are those of a run without it."""
+    loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
+    check = Verification.check
 
-    def timed(look: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> Tensor:
+    def timed(verification: Verification, *given: Array) -> Steps[Array]:
         start = time.process_time()
-        failed = judge(look, images, points, status)
+        failed = run_alone(check(verification, *given))
         seconds.append(time.process_time() - start)
-        last[:] = [(look, images.clone(), points.clone(), status.clone())]
+        images, points, status, warp = (np.array(one) for one in given)
+        last[:] = [(verification, images, points, status, warp)]
         return failed
+        yield  # a generator, as what it stands for
 
-    def trusting(_: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> Tensor:
-        return torch.zeros(points.shape[1], dtype=torch.bool)
+    def trusting(_: Verification, images: Array, points: Array, *others: Array) -> Steps[Array]:
+        return np.zeros(points.shape[1], dtype=bool)
+        yield
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with patch.object(SecondLook, "failed", timed):
+        with patch.object(Verification, "check", timed):
             status = process(loaded, ["status"])["status"].values
-        with patch.object(SecondLook, "failed", trusting):
+        with patch.object(Verification, "check", trusting):
             position = process(loaded, ["position_px"])["position_px"].values
         found = _put_beside(*last[0])
     finally:
@@ -104,26 +108,28 @@ def _measured(folder: Path, scene: Scene, jump: bool) -> dict[str, float | None]
         "wrong": float(wrong.sum()),
         "wrong_found": float((wrong & fails).sum()),
         **found,
-        "look_ms": 1e3 * statistics.median(seconds),
+        "check_ms": 1e3 * statistics.median(seconds),
     }
 
 
-def _put_beside(look: SecondLook, images: Tensor, points: Tensor, status: Tensor) -> dict[str, float | None]:
+def _put_beside(
+    verification: Verification, images: Array, points: Array, status: Array, warp: Array
+) -> dict[str, float | None]:
     """Share of points beside their place that fail."""
-    generator, cells = torch.Generator().manual_seed(5), dict[str, float | None]()
+    generator, cells = np.random.default_rng(5), dict[str, float | None]()
     tracked = status[-1] == TrackStatus.TRACKED
-    with torch.inference_mode():
-        for name, (least, most) in BESIDE.items():
-            failed = count = 0
-            for first in range(_ONE_IN):
-                chosen = torch.zeros_like(tracked)
-                chosen[first::_ONE_IN] = True
-                chosen &= tracked
-                angle = 2 * math.pi * torch.rand(len(chosen), generator=generator)
-                away = least + (most - least) * torch.rand(len(chosen), generator=generator)
-                shift = away[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
-                look.forget()
-                fails = look.failed(images, points + shift * chosen[:, None], status)
-                failed, count = failed + int((fails & chosen).sum()), count + int(chosen.sum())
-            cells[name] = failed / count if count else None
+    for name, (least, most) in BESIDE.items():
+        failed = count = 0
+        for first in range(_ONE_IN):
+            chosen = np.zeros_like(tracked)
+            chosen[first::_ONE_IN] = True
+            chosen &= tracked
+            angle = 2 * math.pi * generator.random(len(chosen))
+            away = least + (most - least) * generator.random(len(chosen))
+            shift = away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)
+            verification.failed[:] = False
+            moved = np.where(chosen[:, None], points + shift, points).astype(np.float32)
+            fails = run_alone(verification.check(images, moved, status, warp))
+            failed, count = failed + int((fails & chosen).sum()), count + int(chosen.sum())
+        cells[name] = failed / count if count else None
     return cells

@@ -25,7 +25,7 @@ from torch import Tensor
 from bench.chain_peers import cvode, numba_runge_kutta
 from bench.rows import Row, Skipped
 from bench.timing import time_in_turns
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_chain import follow, press
 from fingerflow.models.skin_explicit import largest_step, march
 from fingerflow.models.skin_forces import Array, Chain

@@ -1,8 +1,9 @@
 """The player on a synthetic camera: two 512 x 640 views, on the processor, every frame computed and written.
 
-Each recipe of `export/` is played by ONNX Runtime without torch (`cpu`) and by the kernels of the package (`compiled`),
-as fast as it goes, one frame after the other and two side by side (the option `--parallel-frames 2`), and then for 60 s
-at two thirds of the better of these rates, or 300 a second, as a camera would give the frames.
+Each recipe of `export/` is played from its bundle, without torch, by the compiled library (`native`) and by ONNX
+Runtime (`onnx`), as fast as it goes, with ONNX Runtime one frame after the other and two beside each other (the option
+`--parallel-frames 2`), and then for 60 s at 300 frames a second, as a camera would give them, or at two thirds of the
+better of these rates where that is less.
 Latency runs from when the camera gives a frame to its result; `overruns` is how often a frame came while 32 were
 waiting. `stalled` is what the machine takes from programs that only read the clock, in gaps of more than 1 ms, mean of
 3 s before and after: on cores that do other work latencies mean little.
@@ -20,24 +21,25 @@ CAMERA = 300  # frames a second
 
 
 def run(quick: bool) -> list[Row]:
-    """Three rows a recipe and provider."""
+    """Two rows or three a recipe and engine."""
     rows: list[Row] = []
     for path in sorted(RECIPES.glob("*.toml")):
         with exported(path.read_text(encoding="utf-8")) as bundle:
-            for provider in ("cpu", "compiled"):
-                of = {"recipe": path.stem, "provider": provider}
-                free = {parallel: _played(bundle, provider, parallel, None, quick) for parallel in (1, 2)}
+            for engine, beside in (("native", (1,)), ("onnx", (1, 2))):
+                of = {"recipe": path.stem, "engine": engine}
+                free = {parallel: _played(bundle, engine, parallel, None, quick) for parallel in beside}
                 best = max(free, key=lambda parallel: free[parallel]["rate_hz"])
                 pace = min(CAMERA, round(free[best]["rate_hz"] * 2 / 3))
-                rows += [of | row for row in (*free.values(), _played(bundle, provider, best, pace, quick))]
+                rows += [of | row for row in (*free.values(), _played(bundle, engine, best, pace, quick))]
     return rows
 
 
-def _played(bundle: Path, provider: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
+def _played(bundle: Path, engine: str, parallel: int, pace: int | None, quick: bool) -> dict[str, Any]:
     count = (2 if quick else 60 if pace else 10) * (pace or 60)
     given = () if pace is None else ("--rate", str(pace))
+    side = ("--parallel-frames", str(parallel)) if parallel > 1 else ()
     before = stalled_ms_per_s()
-    summary = play(bundle, "--frames", str(count), "--parallel-frames", str(parallel), *given, provider=provider)
+    summary = play(bundle, "--frames", str(count), *side, *given, engine=engine)
     return {
         "side_by_side": parallel,
         "asked_hz": pace,

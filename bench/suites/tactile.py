@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.rows import Row, Skipped
 from fingerflow import process
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.recordings import open_recording
 from fingerflow.scene import gel_scene_text
 

@@ -35,7 +35,12 @@ def process(
         ),
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda ...")] = "auto",
-    engine: Annotated[str, typer.Option(help="torch, or onnx: the graphs of a bundle, by ONNX Runtime.")] = "torch",
+    engine: Annotated[
+        str,
+        typer.Option(
+            help="native: the compiled library; torch; onnx: graphs by ONNX Runtime; auto: native, else torch."
+        ),
+    ] = "auto",
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from fingerflow.cli.app import Overwrite, app
-from fingerflow.errors import FingerflowError
 
 Result = Annotated[Path, typer.Argument(help="A result file, or the results folder of a stream.")]
 
@@ -60,12 +59,9 @@ def export_map(
 def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
     """The player's own table has the same columns, and needs no torch."""
     from fingerflow.atomic_write import keep_others
-    from fingerflow.player import PlayerError, write_table
+    from fingerflow.player import write_table
     from fingerflow.tables import is_table
 
     keep_others(table, is_table, overwrite)
-    try:
-        write_table(folder, table, overwrite=True)
-    except PlayerError as error:
-        raise FingerflowError(str(error)) from None
+    write_table(folder, table, overwrite=True)
     typer.echo(f"{table} was written")

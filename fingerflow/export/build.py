@@ -1,176 +1,226 @@
 """The graphs of a recipe: module, and name, type and unit of everything that goes in and out."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from fingerflow.export.recipe import GraphName, Recipe
-from fingerflow.graphs import Contact, ContactGraph, KeyGraph, Light, LightGraph
-from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.frame import (
-    Followed,
-    FollowGraph,
-    FrameGraph,
-    FrameResult,
-    Held,
-    HeldGraph,
-    KeyView,
-    Prepared,
-    RenewGraph,
-    SinceOnset,
-    SinceOnsetGraph,
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.graphs import (
+    AgreementGraph,
+    Contact,
+    ContactGraph,
+    DeformationGraph,
+    Entered,
+    FieldsGraph,
+    GrossEllipse,
+    KeyGraph,
+    TrackGraph,
 )
+from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.search import SearchGraph
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops.illumination import glass_light
+from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.outliers import Neighbours
+from fingerflow.ops.plane_fit import Support, about_their_mean, support_of
+from fingerflow.ops.point_gradients import gradients_at
+from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.templates import Found, Templates, renew_templates
+from fingerflow.ops.window_correlation import sample_windows
+from fingerflow.tracker.verification import STEP
 
-_TYPES = {"float32": torch.float32, "float64": torch.float64}
+TYPES = {"float32": torch.float32, "float64": torch.float64}
 
-RENEWED = 64  # points whose templates `renew` prepares in a call
-SEARCHED = 64  # points that `search` looks for in a call: the motion of the others follows from theirs
+FEW = 64  # rows of graphs that take some of the points, in pieces
+#: Graphs of `FEW` rows, and which of their inputs are rows.
+OF_FEW: dict[str, tuple[str, ...]] = {
+    "renew": ("points", "warp"),
+    "track_few": (*(f"template_{name}" for name in Templates._fields), "prediction"),
+    "search": ("points", "prediction"),
+    "windows": ("points", "warp"),
+}
 
-#: Unit of every input and output; px are those of the views, counts those of the camera.
+_TEMPLATES = tuple(f"template_{name}" for name in Templates._fields)
+_LIGHT = ("light", "black")
+_ELLIPSE = GrossEllipse._fields
+_FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
+_CORRECTED = ("points", "covariance", "warp", "shift", "expected")
+
+#: Unit of every input and output; px are those of the views, counts those of the camera, mm those of the glass.
 UNITS = {
-    **dict.fromkeys(("contact_view", "topography_view", "key_view", "background", "dark"), "counts"),
-    **dict.fromkeys(("light", "black"), "counts"),
-    **dict.fromkeys(("points", "prediction", "reference", "next_reference", "by_neighbours"), "px"),
-    **dict.fromkeys(("estimate", "found", "chosen"), "px"),
-    **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start"), "px"),
-    **dict.fromkeys(("real_area_px", "gross_area_px"), "px^2"),
-    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence", "threshold", "limit", "light_gain"), "1"),
-    **dict.fromkeys(
-        ("mask", "real_contact_mask", "status", "topography_to_contact", "warp", "template_inverse_warp"), "1"
-    ),
-    **dict.fromkeys(("stale", "neighbours_weights", "neighbours_within"), "1"),
-    **dict.fromkeys(("key_image", "key_noise"), "counts"),
-    **dict.fromkeys(("covered", "reached", "next_reached", "entry", "next_entry", "moved_in"), "1"),
-    **dict.fromkeys(("at_entry", "next_at_entry"), "1"),
-    "mm_per_px": "mm/px",
-    "angle": "rad",
+    **dict.fromkeys(("contact_view", "topography_view", "key_view", "empty", "dark"), "counts"),
+    **dict.fromkeys((*_LIGHT, "noise", "spline", "samples"), "counts"),
+    **dict.fromkeys(("points", "prediction", "estimate", "start", "found", "expected", "places", "shift"), "px"),
+    **dict.fromkeys(("error", "position_std", "center", "semi_axes", "template_start", "neighbour_offset"), "px"),
+    **dict.fromkeys(("real_area_px", "gross_area_px", "covariance", "found_covariance"), "px^2"),
+    **dict.fromkeys((*_FIELDS, "gradient", "threshold", "light_gain", "density_margin"), "1"),
+    **dict.fromkeys(("mask", "real_contact_mask", "status", "warp", "inverse_warp", "returns", "among"), "1"),
+    **dict.fromkeys(("neighbour_number", "neighbour_within", "support_weights", "support_within"), "1"),
+    **dict.fromkeys(("off_neighbours", "uncertain"), "1"),
+    **dict.fromkeys(("reference", "displacement", "queries", "gauge_length"), "mm"),
+    **dict.fromkeys(("ellipse_center", "ellipse_semi_axes"), "mm"),
+    **dict.fromkeys(("angle", "ellipse_angle"), "rad"),
     "response": "counts^2/px^2",
     "template_samples": "counts, counts/px",
     "template_table": "counts^2/px, counts^2",
-    "template_numbers": "see ops.tracking_limits.Number",
-    "steepest_descent_images": "counts, counts/px",
+    "template_numbers": "see kernels.tracking_limits.Number",
+    "template_pixels": "counts, counts/px",
 }
 
 
 @dataclass(frozen=True)
 class Graph:
-    """A module with positional tensors, and their names; `outputs` are those of the module's tuple that are kept."""
+    """A module that takes tensors by position and gives a tuple of them, and their names."""
 
     module: nn.Module
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
 
-OF_FRAME = (*Prepared._fields, *(name for name in Held._fields if name != "prepared"))  # the tensors of `Held`
+class _Call(nn.Module):
+    """A function or module of tensors by position as a module of any number of them."""
 
-
-class _Flat(nn.Module):
-    """A module whose last argument may be `Held`, with one argument a tensor that is given, and some of its outputs."""
-
-    def __init__(
-        self, module: nn.Module, names: tuple[str, ...], kept: tuple[str, ...], given: tuple[str, ...]
-    ) -> None:
+    def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
         super().__init__()
-        self.module = module
-        self.kept = [names.index(name) for name in kept]
-        self.plain = [place for place, name in enumerate(given) if name not in OF_FRAME]
-        self.held = [given.index(name) if name in given else None for name in OF_FRAME]
+        self.function = function
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        arguments: tuple[Any, ...] = tuple(tensors[place] for place in self.plain)
-        if len(arguments) < len(tensors):
-            held: list[Any] = [None if place is None else tensors[place] for place in self.held]
-            own = len(Prepared._fields)
-            arguments = (*arguments, Held(Prepared(*held[:own]), *held[own:]))
-        results = list(_leaves(self.module(*arguments)))
-        return tuple(results[place] for place in self.kept)
+        return self.function(*tensors)
 
 
-def _leaves(results: Any) -> Iterator[Any]:
-    """Of nested tuples, in order."""
-    if isinstance(results, tuple):
-        for one in results:
-            yield from _leaves(one)
-    else:
-        yield results
-
-
-_MEASURED = tuple(name for name in Contact._fields if name != "density_margin")
-
-
-class _Measured(nn.Module):
-    """Contact with the threshold measured in the frame itself, and that threshold."""
-
-    def __init__(self, graph: ContactGraph) -> None:
-        super().__init__()
-        self.graph = graph
-
-    def forward(self, contact_view: Tensor, light: Tensor, black: Tensor) -> tuple[Tensor, ...]:
-        threshold = self.graph.threshold(contact_view, light, black)
-        contact = self.graph(contact_view, light, black, 1 - threshold)._asdict()
-        return (*(contact[name] for name in _MEASURED), threshold)
-
-
-def build(
-    recipe: Recipe, precision: torch.dtype | None = None, without: Collection[str] = ()
-) -> dict[GraphName, Graph]:
+def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
     """The graphs that a recipe asks for, in the order in which they can run.
 
     Args:
         precision: in place of the recipe's.
-        without: inputs and outputs that are left out.
     """
-    kind = precision or _TYPES[recipe.export.precision]
-    contact, tracking = recipe.contact, recipe.tracking
-    contact_graph = ContactGraph(contact.median_px, contact.gross_radius_px, contact.cell_px, contact.stride_px)
-    follow = FollowGraph(tracking.window_px, tracking.forward_backward_limit_px)
-    key = HeldGraph(KeyGraph(tracking.window_px, tracking.gain_offset), follow.deformation)
-    shown = tuple(name for name in FrameResult._fields if name != "real_contact_mask" or contact.real_contact_mask)
-    described = {
-        "background": (LightGraph(kind), ("background", "dark", "threshold"), Light._fields),
-        "contact": (_Measured(contact_graph), ("contact_view", "light", "black"), (*_MEASURED, "threshold")),
-        "detect": (
-            DetectGraph(tracking.points, tracking.min_distance_px, tracking.window_px, kind),
-            ("topography_view", "mask"),
-            ("points", "response"),
-        ),
-        "key": (key, ("topography_view", "points"), (*OF_FRAME, *KeyView._fields)),
-        "renew": (
-            RenewGraph(tracking.window_px, tracking.gain_offset),
-            (*KeyView._fields, "points", "warp"),
-            Prepared._fields,
-        ),
-        "search": (
-            SearchGraph(tracking.window_px, tracking.search_px, tracking.forward_backward_limit_px),
-            ("key_view", "topography_view", "points", "prediction"),
-            ("found",),
-        ),
-        "track": (follow, ("topography_view", "prediction", *OF_FRAME), Followed._fields),
-        "frame": (
-            FrameGraph(contact_graph, follow),
+    kind = precision or TYPES[recipe.export.precision]
+    own = recipe.tracking
+    described = {**_of_contact(recipe, kind), **_of_points(recipe, kind), **_of_fields(recipe)}
+    described["detect"] = (
+        DetectGraph(own.points, own.min_distance_px, own.window_px, kind),
+        ("topography_view", "mask"),
+        ("points", "response"),
+    )
+    graphs = {}
+    for name in (name for name in GRAPHS if name in recipe.export.graphs):
+        call, inputs, outputs = described[name]
+        graphs[name] = Graph(_Call(call).eval(), inputs, outputs)
+    return graphs
+
+
+_Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tuple[str, ...], tuple[str, ...]]]
+
+
+def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
+    """Graphs of the contact view."""
+    own = recipe.contact
+    graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
+    shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
+
+    def contact(view: Tensor, light: Tensor, black: Tensor, threshold: Tensor) -> tuple[Tensor, ...]:
+        found = graph(view, light, black, 1 - threshold)
+        return tuple(getattr(found, name) for name in shown)
+
+    return {
+        "light": (lambda empty, dark: glass_light(empty, dark, kind), ("empty", "dark"), _LIGHT),
+        "contact": (contact, ("contact_view", *_LIGHT, "threshold"), shown),
+        "threshold": (lambda *given: (graph.threshold(*given),), ("contact_view", *_LIGHT), ("threshold",)),
+    }
+
+
+def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
+    """Graphs of points in the topography view."""
+    own = recipe.tracking
+    key, track, deformation = (
+        KeyGraph(own.window_px, own.gain_offset),
+        TrackGraph(own.forward_backward_limit_px),
+        DeformationGraph(own.window_px),
+    )
+    agreement = AgreementGraph()
+    search = SearchGraph(own.window_px, own.search_px, own.forward_backward_limit_px)
+
+    def prepare(view: Tensor, points: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        return _all_of(key(view, points, noise))
+
+    def renew(spline: Tensor, noise: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
+        return _all_of(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
+
+    def find(*given: Tensor) -> tuple[Tensor, ...]:
+        return tuple(track(Templates(*given[:5]), *given[5:]))
+
+    def support(start: Tensor) -> tuple[Tensor, ...]:
+        places, _ = about_their_mean(start, WARP_GAUGE_PX / 2)
+        return tuple(support_of(places, places))
+
+    def correct(start: Tensor, points: Tensor, covariance: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
+        found = Found(points, points[..., 0], covariance, points[..., 0], points)  # error, status, estimate: unused
+        numbers, inverse_warp, *of_support = known
+        corrected, *others = deformation(start, found, numbers, inverse_warp, Support(*of_support))
+        return corrected.points, corrected.covariance, *others
+
+    def outliers(number: Tensor, offset: Tensor, within: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
+        return tuple(agreement(Neighbours(number, offset, within), *given))
+
+    def windows(view: Tensor, points: Tensor, warp: Tensor) -> tuple[Tensor, ...]:
+        batch, count = points.shape[:2]
+        number = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
+        flat = sample_windows(view, number, points.flatten(0, 1), warp.flatten(0, 1), own.window_px, STEP)
+        return (flat.unflatten(0, (batch, count)),)
+
+    followed = (find, (*_TEMPLATES, "topography_view", "prediction"), Found._fields)
+    return {
+        "noise": (lambda view: (estimate_noise(view.to(kind)),), ("topography_view",), ("noise",)),
+        "spline": (lambda view: (spline_coefficients(view).to(kind),), ("topography_view",), ("spline",)),
+        "prepare": (prepare, ("topography_view", "points", "noise"), _TEMPLATES),
+        "renew": (renew, ("spline", "noise", "points", "warp"), _TEMPLATES),
+        "track": followed,
+        "track_few": followed,
+        "support": (support, ("start",), ("support_weights", "support_within")),
+        "correct": (
+            correct,
             (
-                *("contact_view", "topography_view", "topography_to_contact", "prediction"),
-                *(*Light._fields, *OF_FRAME),
+                *("start", "found", "found_covariance", "template_numbers", "inverse_warp"),
+                *("support_weights", "support_within"),
             ),
-            FrameResult._fields,
+            _CORRECTED,
         ),
-        "fields": (
-            SinceOnsetGraph(recipe.fields.gauge_length_mm),
+        "outliers": (
+            outliers,
             (
-                *("points", "covered", "reference", "reached", "entry", "at_entry", "chosen"),
-                *("topography_to_contact", "mm_per_px", "center", "semi_axes", "angle"),
+                *("neighbour_number", "neighbour_offset", "neighbour_within"),
+                *("start", "found", "position_std"),
             ),
-            SinceOnset._fields,
+            ("off_neighbours", "uncertain"),
+        ),
+        "search": (search, ("key_view", "topography_view", "points", "prediction"), ("places", "returns")),
+        "windows": (windows, ("topography_view", "points", "warp"), ("samples",)),
+    }
+
+
+def _of_fields(recipe: Recipe) -> _Described:
+    """Graphs of displacements on the glass."""
+    graph = FieldsGraph(recipe.fields.gauge_length_mm)
+    inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
+
+    def fields(reference: Tensor, displacement: Tensor, *others: Tensor) -> tuple[Tensor, ...]:
+        ellipse, own = GrossEllipse(*others[:3]), others[3:]
+        found = graph(reference, displacement, None, ellipse, Entered(own[0], own[1], None) if own else None)
+        return tuple(getattr(found, name) for name in _FIELDS)
+
+    return {
+        "fields": (fields, inputs, _FIELDS),
+        "fields_entered": (fields, (*inputs, "among", "gradient"), _FIELDS),
+        "fit": (
+            lambda *given: (gradients_at(*given),),
+            ("reference", "displacement", "queries", "gauge_length"),
+            ("gradient",),
         ),
     }
-    graphs = {}
-    for name, (module, inputs, outputs) in described.items():
-        if name in recipe.export.graphs:
-            given = tuple(one for one in inputs if one not in without)
-            kept = tuple(one for one in (shown if name == "frame" else outputs) if one not in without)
-            graphs[name] = Graph(_Flat(module, outputs, kept, given).eval(), given, kept)
-    return graphs
+
+
+def _all_of(templates: Templates) -> tuple[Tensor, ...]:
+    """All tensors of templates; what is exported, the portable form, has five."""
+    return tuple(one for one in templates if one is not None)

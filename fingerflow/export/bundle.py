@@ -18,14 +18,15 @@ from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, Graph, build
-from fingerflow.export.player_copy import copy_player
+from fingerflow.export.expected import expected_numbers
 from fingerflow.export.recipe import GraphName, Recipe, load_recipe
+from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.export.trial import cases, feed
-from fingerflow.export.verification import Difference, missing, verify
+from fingerflow.export.trial import cases, completed, feed
+from fingerflow.export.verification import Difference, verify
 from fingerflow.player.contract.unfinished import unfinished
 
-FORMAT = 4  # of the bundle
+FORMAT = 5  # of the bundle
 COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"
@@ -79,15 +80,13 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
     dynamic = recipe.views.batch == "dynamic"
     # An example of one would be taken for a constant.
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
-    known = dict(cases(recipe, batch)[0].inputs)
-    if any(one not in known and one != "topography_view" for one in graph.inputs):
-        known.update(missing(recipe, known))
+    known = completed(recipe, cases(recipe, batch)[0])
     # A tensor that stands for two inputs would be taken for one.
     tensors = tuple(tensor.clone() for tensor in feed(name, graph, known))
     shapes = None
     if dynamic:
         batched = {0: torch.export.Dim.DYNAMIC}
-        shapes = (tuple({} if one == "topography_to_contact" else batched for one in graph.inputs),)
+        shapes = (tuple(batched for _ in graph.inputs),)
     model = standard_model(graph.module, tensors, graph.inputs, graph.outputs, shapes)
     model.producer_name, model.producer_version = "fingerflow", version()
     model.graph.name = f"fingerflow.{name}"
@@ -109,10 +108,16 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
     """Adds the player, what a technician reads, and bundle.json."""
-    about = {"format": FORMAT, "fingerflow": version(), "recipe": recipe.model_dump(), "graphs": models}
-    (folder / "bundle.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    about = {
+        "format": FORMAT,
+        "fingerflow": version(),
+        "recipe": recipe.model_dump(),
+        "graphs": models,
+        "expected": expected_numbers(recipe),
+    }
+    (folder / "bundle.json").write_text(json.dumps(about) + "\n", encoding="utf-8")
     package = resources.files("fingerflow")
-    copy_player(folder)
+    carry_rooms(folder)
     for name in _PLAYER_FILES:
         (folder / name).write_bytes((package / "bundle" / name).read_bytes())
     scene = (package / "bundle" / "scene.toml").read_text(encoding="utf-8")

@@ -9,10 +9,27 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from fingerflow.errors import FingerflowError
 from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
 
-GraphName = Literal["background", "contact", "detect", "key", "renew", "search", "track", "frame", "fields"]
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)
-# What a player opens. `track` is a part of `frame`: alone it is for those who embed it.
-PLAYED = tuple(name for name in GRAPHS if name != "track")
+GraphName = Literal[
+    "light",
+    "contact",
+    "threshold",
+    "noise",
+    "detect",
+    "spline",
+    "prepare",
+    "renew",
+    "track",
+    "track_few",
+    "support",
+    "correct",
+    "outliers",
+    "search",
+    "windows",
+    "fields",
+    "fields_entered",
+    "fit",
+]
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)  # in the order in which they can run
 _LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
 
 
@@ -36,7 +53,7 @@ class ContactRecipe(_Table):
     gross_radius_px: Annotated[StrictInt, Field(ge=1, le=255)] = 8
     stride_px: Annotated[StrictInt, Field(ge=1, le=16)] = 1
     cell_px: Literal[4, 8] | None = None  # of the gross region
-    real_contact_mask: StrictBool = True  # whether `frame` gives the mask
+    real_contact_mask: StrictBool = True  # whether `contact` gives the mask
 
 
 class TrackingRecipe(_Table):
@@ -59,7 +76,7 @@ class FieldsRecipe(_Table):
 class ExportRecipe(_Table):
     """[export]: which graphs, and the precision of everything but the median."""
 
-    graphs: tuple[GraphName, ...] = PLAYED
+    graphs: tuple[GraphName, ...] = GRAPHS
     precision: Literal["float32", "float64"] = "float32"
 
 

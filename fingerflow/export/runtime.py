@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import inspect
 import json
 import logging
 import os
@@ -17,9 +18,9 @@ import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as tree
 
+from fingerflow.export.calls import Call, axes_that_differ, filled_up, settings_of
 from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
-from fingerflow.graphs.calls import Call, StandIn, axes_that_differ, filled_up, settings_of
 
 M = TypeVar("M", bound=nn.Module)
 _SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
@@ -98,13 +99,19 @@ class OnnxRuntime:
         return f"{leaves.title}-{digest[:24]}"
 
 
-class _Executed(StandIn):
+class _Executed:
     """What `OnnxRuntime` gives: the attributes of a module, and its methods by ONNX Runtime."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
-        super().__init__(module)
-        self._runtime = runtime
+        self._module, self._runtime = module, runtime
         self._sessions: dict[Any, tuple[Any, list[Any], Any]] = {}
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._answer("forward", *arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        return functools.partial(self._answer, name) if inspect.ismethod(value) else value
 
     def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
         call = Call.of(self._module, method, arguments, named)

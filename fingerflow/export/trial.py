@@ -7,19 +7,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.export.build import RENEWED, SEARCHED, Graph
-from fingerflow.export.recipe import GraphName, Recipe
-from fingerflow.ops.entry import MOVED_IN
+from fingerflow.export.build import FEW, OF_FEW, Graph, build
+from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops.outliers import find_neighbours
+from fingerflow.ops.templates import inverse_2x2
 from fingerflow.synthetic import Camera, Press
 
 _SHIPPED = (512, 640)  # px of the views that the default press is made for
 _BORDER = 0.6  # of the contact for the fields, as a share of half the view
-_MOVED_IN = 0.1  # within it are points that moved in
+_ENTERED = 0.1  # within it are points that were advected into the contact
 _KEY, _FRAME = 180, 183  # of its frames: skin under contact that moves and spreads
 
 
 class Case(NamedTuple):
-    """Inputs of all graphs by their names; what later graphs need is filled in from the results of earlier ones."""
+    """Inputs of graphs by their names; `completed` adds what other graphs give."""
 
     name: str
     inputs: dict[str, Tensor]
@@ -33,7 +36,6 @@ class _Pictures(NamedTuple):
     key: Tensor
     glass: Tensor
     dark: Tensor
-    topography_to_contact: Tensor
     mm_per_px: float
 
 
@@ -58,26 +60,27 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     lost[:, 1::5] = -3.0
     lost[:, 2::5] += 40.0
     radius = _radius(points, size)
+    reference = pictures.mm_per_px * _reference(points, size)
+    among = radius < _ENTERED
     press = {
-        "background": pictures.glass.expand(batch, 1, *size).contiguous(),
+        "empty": pictures.glass.expand(batch, 1, *size).contiguous(),
         "dark": pictures.dark.expand(batch, 1, *size).contiguous(),
         "threshold": torch.full((batch,), 0.27),
         "mask": torch.ones(batch, 1, *size, dtype=torch.bool),
-        "topography_to_contact": pictures.topography_to_contact,
         "contact_view": view(pictures.contact),
         "topography_view": view(pictures.topography),
         "key_view": view(pictures.key),
         "points": points,
         "prediction": points,
-        "reference": _reference(points, size),
-        "reached": (radius < _BORDER - 0.05).to(torch.uint8),
-        "covered": (radius < _BORDER).to(torch.uint8),
-        "entry": MOVED_IN * (radius < _MOVED_IN).to(torch.uint8),
-        "chosen": _reference(points, size) - 5.0,
-        "at_entry": (_warp(points) - torch.eye(2)) / 2,
         "warp": _warp(points),
-        "mm_per_px": torch.tensor([pictures.mm_per_px]),
-        **dict(zip(("center", "semi_axes", "angle"), _ellipse(batch, size), strict=True)),
+        "inverse_warp": inverse_2x2(_warp(points)),
+        "reference": reference,
+        "displacement": pictures.mm_per_px * points - reference,
+        "queries": pictures.mm_per_px * points,
+        "gauge_length": torch.full((batch,), recipe.fields.gauge_length_mm),
+        "among": among,
+        "gradient": torch.where(among[..., None, None], (_warp(points) - torch.eye(2)) / 2, torch.nan),
+        **{f"ellipse_{name}": one for name, one in _ellipse(batch, size, pictures.mm_per_px).items()},
     }
     noise = view((torch.rand(size, generator=generator) * most).round())
     hard = {"blank": flat(0.5), "black": flat(0.0), "saturated": flat(2.0), "noise": noise}
@@ -93,14 +96,31 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
     ]
 
 
+def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
+    """The inputs of a case, and those that are results of other graphs, by torch."""
+    known = dict(case.inputs)
+    every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
+    graphs = build(every)
+    with torch.inference_mode(), Portable():
+        for name in ("light", "noise", "spline", "prepare", "track"):
+            found = graphs[name].module(*feed(name, graphs[name], known))
+            names = {"points": "found", "covariance": "found_covariance"} if name == "track" else {}
+            known |= {names.get(one, one): tensor for one, tensor in zip(graphs[name].outputs, found, strict=True)}
+        known["start"] = known["template_start"]
+        known |= zip(graphs["support"].outputs, graphs["support"].module(known["start"]), strict=True)
+        names_of_neighbours = ("neighbour_number", "neighbour_offset", "neighbour_within")
+        known |= zip(names_of_neighbours, find_neighbours(known["start"], WARP_GAUGE_PX), strict=True)
+        known["position_std"] = known["found_covariance"].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+    return known
+
+
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tensor, ...]:
     """The inputs of a graph, by position; the key frame is a view of its own."""
-    source = {**known, "topography_view": known["key_view"]} if name in ("key", "detect") else known
-    if name == "renew":
-        source = source | {one: source[one][:, :RENEWED] for one in ("points", "warp")}
-    if name == "search":
-        source = source | {one: source[one][:, :SEARCHED] for one in ("points", "prediction")}
-    return tuple(source[one] for one in graph.inputs)
+    source = known
+    if name in ("noise", "detect", "spline", "prepare"):
+        source = known | {"topography_view": known["key_view"]}
+    few = OF_FEW.get(name, ())
+    return tuple(source[one][:, :FEW] if one in few else source[one] for one in graph.inputs)
 
 
 @lru_cache(maxsize=4)
@@ -121,14 +141,12 @@ def _press(height: int, width: int, bit_depth: int) -> _Pictures:
     glass, dark = (
         torch.from_numpy(press.views["contact"].crop(one).astype("float32")) for one in (press.empty(), press.dark())
     )
-    matrix = torch.tensor(press.topography_to_contact, dtype=torch.float32)
     return _Pictures(
         picture(_FRAME, "contact"),
         picture(_FRAME, "topography"),
         picture(_KEY, "topography"),
         glass,
         dark,
-        matrix,
         press.mm_per_px,
     )
 
@@ -139,8 +157,8 @@ def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Where points were at the onset of contact, if it came to those outside last: spread and turned by some per cent
-    since then. NaN where it has not come yet.
+    """Where points (B, N, 2) px were at the onset of contact, if it came to those outside last: spread and turned by
+    some per cent since then. NaN where it has not come yet.
     """
     radius = _radius(points, size)[..., None]
     arm = points - torch.tensor([size[1] / 2, size[0] / 2])
@@ -156,10 +174,14 @@ def _warp(points: Tensor) -> Tensor:
     return result
 
 
-def _ellipse(batch: int, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
-    """Centre, semi axes (B, 2) and angle (B,) of the contact for the fields, px."""
-    half = torch.tensor([size[1] / 2, size[0] / 2]).expand(batch, -1)
-    return half.contiguous(), (_BORDER * half).contiguous(), torch.full((batch,), 0.1)
+def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, Tensor]:
+    """Centre, semi axes (B, 2) mm and angle (B,) of the contact for the fields."""
+    half = (mm_per_px / 2 * torch.tensor([size[1], size[0]], dtype=torch.float32)).expand(batch, -1)
+    return {
+        "center": half.contiguous(),
+        "semi_axes": (_BORDER * half).contiguous(),
+        "angle": torch.full((batch,), 0.1),
+    }
 
 
 def _points(size: tuple[int, int], count: int) -> Tensor:

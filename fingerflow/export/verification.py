@@ -13,8 +13,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.export.build import UNITS, build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import Recipe
-from fingerflow.export.trial import cases, feed
-from fingerflow.ops.tracking_limits import Number
+from fingerflow.export.trial import cases, completed, feed
+from fingerflow.kernels.tracking_limits import Number
 
 
 class Difference(NamedTuple):
@@ -51,14 +51,14 @@ _TOLERANCES = {
     "error": Tolerance(
         2e-2, 2e-2
     ),  # of matches that are none, whose backward check is nearly singular; the limit is 1 px
-    **dict.fromkeys(("divergence", "curl", "strain", "median_divergence"), Tolerance(2e-4, 1e-3)),
+    **dict.fromkeys(("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), Tolerance(2e-4, 1e-3)),
     # A cell at the border of the region may be told either way in float64.
     **dict.fromkeys(("center", "semi_axes"), Tolerance(1e-3, 0.1)),
     "angle": Tolerance(1e-4, 2e-2),  # what turns an axis that is 5 px longer than the other by that 0.1 px
-    **dict.fromkeys(("threshold", "position_std"), Tolerance(1e-4, 1e-3)),
+    **dict.fromkeys(("threshold", "covariance"), Tolerance(1e-4, 1e-3)),  # of the latter, as deviations in px
 }
 _RELATIVE = Tolerance(1e-4, 1e-3)
-_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returned) that rounding may turn against float64
+_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may turn against float64
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
@@ -80,12 +80,9 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     worst: dict[tuple[str, str], Difference] = {}
     for batch in batches:
         for case in cases(recipe, batch):
-            # Each graph gets the same inputs in all three, those that torch computed: errors do not pass on.
-            known = dict(case.inputs)
+            known = completed(recipe, case)  # each graph gets the same inputs in all three: errors do not pass on
             for name in sessions:
                 graph = graphs[name]
-                if any(one not in known and one not in ("topography_view",) for one in graph.inputs):
-                    known.update(missing(recipe, known))
                 tensors = feed(name, graph, known)
                 with torch.inference_mode(), Portable():
                     reference = graph.module(*tensors)
@@ -97,8 +94,6 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
                     row = _difference(name, output, ours, near.numpy(), far.numpy())
                     key = (name, output)
                     worst[key] = row if key not in worst else _worse(worst[key], row)
-                if name in ("background", "key"):
-                    known.update(zip(graph.outputs, reference, strict=True))
     rows = list(worst.values())
     wrong = [row for row in rows if not _tolerable(row)]
     if wrong:
@@ -110,25 +105,13 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
 
 def as_text(rows: list[Difference]) -> str:
     """A table of the largest differences."""
-    head = f"{'graph':<11}{'output':<20}{'unit':<9}{'to torch':>11}{'to float64':>12}{'NaN flips':>11}{'int share':>11}"
+    head = f"{'graph':<16}{'output':<20}{'unit':<9}{'to torch':>11}{'to float64':>12}{'NaN flips':>11}{'int share':>11}"
     lines = [
-        f"{row.graph:<11}{row.output:<20}{row.unit[:8]:<9}{row.to_torch:>11.2g}{row.to_float64:>12.2g}{row.flips:>11}"
+        f"{row.graph:<16}{row.output:<20}{row.unit[:8]:<9}{row.to_torch:>11.2g}{row.to_float64:>12.2g}{row.flips:>11}"
         f"{row.share:>11.2g}"
         for row in rows
     ]
     return "\n".join((head, *lines))
-
-
-def missing(recipe: Recipe, known: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Results of `background` and `key` where the recipe leaves these graphs out."""
-    everything = build(
-        recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": ("background", "key")})})
-    )
-    found: dict[str, Tensor] = {}
-    with torch.inference_mode(), Portable():
-        for name, graph in everything.items():
-            found.update(zip(graph.outputs, graph.module(*feed(name, graph, known)), strict=True))
-    return found
 
 
 def _double(tensor: Tensor) -> Tensor:
@@ -140,6 +123,9 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
     if output == "status":
         # Whether a point is tracked. Why it is not may turn on the last digit: far from any root, steps are chaotic.
         ours, near, far = (values != 0 for values in (ours, near, far))
+    if output == "covariance":
+        ours, near, far = (np.sqrt(values[..., (0, 1), (0, 1)]) for values in (ours, near, far))
+        unit = "px"
     if output == "template_numbers":
         # Without texture they are quotients of rounding errors, and nothing is found with them.
         textured = near[..., Number.TEXTURED] > 0

@@ -6,17 +6,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from fingerflow.kernels.detection_limits import BOX, NOISE, QUALITY
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
 from fingerflow.ops.mask_bounds import mask_bounds
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
-_BOX = 5  # px, of the structure tensor: a corner must be local: averaged over a tracking window few are left apart
-_QUALITY = 0.01  # least share of the strongest response
-_NOISE = 12 / 64 * (1 + 18 / _BOX)  # response of pure noise of variance 1 that no window reaches (`ops.corners`)
 _TINY = 1e-30
-_MARGIN = 2 + _BOX // 2  # px beyond a pixel on which it depends whether its response is the largest around
+_MARGIN = 2 + BOX // 2  # px beyond a pixel on which it depends whether its response is the largest around
 
 
 class DetectGraph(nn.Module):
@@ -63,7 +61,7 @@ class DetectGraph(nn.Module):
         # At the mask's edge a slope would be the largest.
         inside = torch.where(mask & (inside >= widest(inside)), inside, 0.0)
         strongest = inside.amax((2, 3), keepdim=True)
-        limit = torch.maximum(_QUALITY * strongest, _NOISE * noise)
+        limit = torch.maximum(QUALITY * strongest, NOISE * noise)
         corners = torch.where(inside > limit, inside, 0.0)
         largest = corners
         for _ in range(self.beside - 1):
@@ -97,8 +95,8 @@ def _response(view: Tensor) -> Tensor:
     smooth_y = (view[..., :-2, :] + 2 * view[..., 1:-1, :] + view[..., 2:, :]) / 4
     x = (smooth_y[..., 2:] - smooth_y[..., :-2]) / 2
     y = (smooth_x[..., 2:, :] - smooth_x[..., :-2, :]) / 2
-    xx, xy, yy = (box_sum(product, _BOX) / _BOX**2 for product in (x * x, x * y, y * y))
+    xx, xy, yy = (box_sum(product, BOX) / BOX**2 for product in (x * x, x * y, y * y))
     half = (xx - yy) / 2
     smaller = (xx + yy) / 2 - (half * half + xy * xy).sqrt()
-    edge = 1 + _BOX // 2
+    edge = 1 + BOX // 2
     return functional.pad(smaller.clamp_min(0), (edge,) * 4)

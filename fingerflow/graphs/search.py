@@ -15,15 +15,16 @@ class SearchGraph(nn.Module):
         self.radius = radius
         self.forward_backward_limit = forward_backward_limit
 
-    def forward(self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor) -> Tensor:
+    def forward(
+        self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Views (B, 1, H, W), points (B, N, 2) px of the key frame, and where they are expected.
 
         Returns:
-            (B, N, 2) px, to about a pixel; NaN where the way back leads elsewhere.
+            Places (B, N, 2) px, good to about a pixel, and whether (B, N) the way back returns.
         """
         batch, count = points.shape[:2]
         image = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()
         given = (points.flatten(0, 1), prediction.flatten(0, 1), self.window, self.radius)
-        found, returns = search_and_return(key_view, topography_view, image, *given, self.forward_backward_limit)
-        places: Tensor = torch.where(returns[:, None], found, torch.nan).unflatten(0, (batch, count))
-        return places
+        places, returns = search_and_return(key_view, topography_view, image, *given, self.forward_backward_limit)
+        return places.unflatten(0, (batch, count)), returns.unflatten(0, (batch, count))

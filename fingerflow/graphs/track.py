@@ -5,19 +5,14 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops import tracking_limits as limits
-from fingerflow.ops.outliers import Neighbours, find_outliers
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, Number
+from fingerflow.ops.outliers import Neighbours, Outliers, find_outliers
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.point_gradients import neighbour_planes, neighbours_support
 from fingerflow.ops.templates import Found, Templates, find_templates
 from fingerflow.ops.tensors import sum_rows
-from fingerflow.ops.tracking_limits import Number, TrackStatus
 
-# px that a deformation may shift the edge of a window before its template is prepared anew. What leans, and what the
-# residual owes to it, is taken off: on a press positions are as exact at 0.2 px, for half of the templates. But which
-# templates exceed the limit turns on a digit, and then two engines differ by up to 0.009 px, not 3e-5 as here.
-RENEWAL_PX = 0.1
-WARP_GAUGE_PX = 120.0  # over which the deformation of a template is taken to be uniform
 _TINY = 1e-20
 
 
@@ -97,30 +92,15 @@ class DeformationGraph(nn.Module):
 
 
 class AgreementGraph(nn.Module):
-    """Points that were found, but not where their neighbours say, or that are far more uncertain than they, marked."""
+    """Points that were found but not where their neighbours say, or that are far more uncertain than they."""
 
-    point_axes: ClassVar = {"neighbours": 2, "start": 1, "found": 1}
+    point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
-    def forward(self, neighbours: Neighbours, start: Tensor, found: Found) -> Found:
-        """`ops.outliers.find_neighbours` of the points (1, N, 2) of the key frame, and what was found of them in K
-        frames, (K, N, ...).
+    def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
+        """`ops.outliers.find_neighbours` of the places (1, N, 2) in the key frame, and points (K, N, 2) and the
+        standard deviation (K, N) of a component in K frames.
         """
-        position_std = found.variance.sqrt()
-        outliers = find_outliers(neighbours, found.points - start, position_std)
-        status = found.status
-        for reason, applies in (
-            (TrackStatus.OFF_NEIGHBOURS, outliers.off_neighbours),
-            (TrackStatus.UNCERTAIN, outliers.uncertain),
-        ):
-            status = torch.where(applies & (found.status == int(TrackStatus.TRACKED)), int(reason), status)
-        tracked = (status == int(TrackStatus.TRACKED))[..., None]
-        return Found(
-            torch.where(tracked, found.points, torch.nan),
-            found.error,
-            torch.where(tracked[..., None], found.covariance, torch.nan),
-            status,
-            found.estimate,
-        )
+        return find_outliers(neighbours, points - start, position_std)
 
 
 class TrackGraph(nn.Module):

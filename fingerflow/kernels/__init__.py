@@ -1,19 +1,5 @@
-"""The compiled twins of some ops: whether they serve, and one typed function for each.
+"""The binding of the compiled library: typed functions of NumPy arrays or torch tensors, results of the same kind.
 
-They serve plain tensors on the processor, outside tracing, export and autograd, and give what the portable op gives,
-bit for bit, or to rounding where a docstring says so. While torch compiles they are ops of its own.
-`FINGERFLOW_KERNELS=0` in the environment turns them off. Where they were not built, because no C++ compiler was there
-at install time, the portable ops serve and a log message of level INFO says so once.
+A function of `contact`, `fields`, `flow`, `skin` and `tracking` checks its arguments, makes its results and calls the
+library. Nothing here imports torch but `tensors`, by which ops call the same functions as ops of torch's own.
 """
-
-# What `__all__` of a file names is offered here: a new function is named there alone.
-from fingerflow.kernels.checks import FRAME_KINDS as FRAME_KINDS
-from fingerflow.kernels.contact import *  # noqa: F403
-from fingerflow.kernels.fields import *  # noqa: F403
-from fingerflow.kernels.flow import *  # noqa: F403
-from fingerflow.kernels.library import constant_to_compiler as constant_to_compiler
-from fingerflow.kernels.library import inject_fault as inject_fault
-from fingerflow.kernels.library import limit_instruction_set as limit_instruction_set
-from fingerflow.kernels.library import serve as serve
-from fingerflow.kernels.skin import *  # noqa: F403
-from fingerflow.kernels.tracking import *  # noqa: F403

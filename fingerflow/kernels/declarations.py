@@ -52,7 +52,7 @@ def read(header: str) -> dict[str, Function]:
 
 def digest(header: str) -> str:
     """Of what the library and this package must agree on: another digest is another interface."""
-    shared = [(Path(__file__).parent.parent / "ops" / name).read_text(encoding="utf-8") for name in _SHARED]
+    shared = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SHARED]
     declared = [f"{name} {function.format} {function.fields}" for name, function in read(header).items()]
     return hashlib.sha256("\n".join((*declared, *shared)).encode()).hexdigest()[:16]
 

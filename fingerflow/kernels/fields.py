@@ -1,14 +1,14 @@
 """Kernels of fields at points: local fits, medians over an area, strain of triangles."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from fingerflow.kernels.checks import check_indices, check_like, empty
-from fingerflow.kernels.library import entry
-from fingerflow.kernels.torch_op import torch_op
+from fingerflow.kernels import field_limits as limits
+from fingerflow.kernels.arrays import Array, empty, in_one_piece, kind, with_axes_reversed
+from fingerflow.kernels.checks import check_indices, check_like
+from fingerflow.kernels.library import entry, threads
 
 __all__ = [
     "FittedPlanes",
@@ -17,28 +17,29 @@ __all__ = [
     "triangle_strain",
 ]
 
+_LATTICE = limits.lattice().astype(np.float32)
 
-class FittedPlanes(NamedTuple):
+
+class FittedPlanes(NamedTuple, Generic[Array]):
     """As `ops.local_fit.LocalFit` has them."""
 
-    value: Tensor
-    gradient: Tensor
-    covariance: Tensor | None
-    point_count: Tensor
-    centroid_offset: Tensor
+    value: Array
+    gradient: Array
+    covariance: Array | None
+    point_count: Array
+    centroid_offset: Array
 
 
-@torch_op()
 def local_gradients(
-    points: Tensor,
-    values: Tensor,
-    queries: Tensor,
-    noise: Tensor | None,
+    points: Array,
+    values: Array,
+    queries: Array,
+    noise: Array | None,
     *,
     radius: float,
     least_spread: float,
     minimum_points: int,
-) -> FittedPlanes:
+) -> FittedPlanes[Array]:
     """Planes fitted as `ops.local_fit` has it, to rounding: sums run in another order.
 
     Points (B, N, 2), values (B, N, C), queries (B, Q, 2) and noise (B, N, 1 or C * C) share a dtype, float32 or
@@ -48,7 +49,7 @@ def local_gradients(
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
     given = {"points": points, "values": values, "queries": queries, "noise": noise}
-    (count, components), total, dtype = values.shape[1:], queries.shape[1], points.dtype
+    (count, components), total, dtype = values.shape[1:], queries.shape[1], kind(points)
     batches = [tensor.shape[0] for tensor in given.values() if tensor is not None]
     batch = next((one for one in batches if one != 1), 1)
     if any(one not in (1, batch) for one in batches):
@@ -58,18 +59,18 @@ def local_gradients(
         if tensor is None:
             continue
         rows = total if name == "queries" else count
-        if tensor.dtype != dtype or dtype not in (torch.float32, torch.float64):
-            raise TypeError(f"{name} is {tensor.dtype}: all are torch.float32 or torch.float64")
+        if kind(tensor) != dtype or dtype not in ("float32", "float64"):
+            raise TypeError(f"{name} is {kind(tensor)}: all are float32 or float64")
         if tensor.ndim != 3 or tensor.shape[1] != rows or tensor.shape[2] not in columns[name]:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}: (B, {rows}, {columns[name]}) is needed")
-    value, gradient = empty(dtype, batch, total, components), empty(dtype, batch, total, components, 2)
-    covariance = None if noise is None else empty(dtype, batch, total, components, 2, components, 2)
-    offset, counts = empty(dtype, batch, total), empty(torch.int64, batch, total)
+    value, gradient = empty(points, dtype, batch, total, components), empty(points, dtype, batch, total, components, 2)
+    covariance = None if noise is None else empty(points, dtype, batch, total, components, 2, components, 2)
+    offset, counts = empty(points, dtype, batch, total), empty(points, "int64", batch, total)
     entry("local_gradients")(
-        points=points.contiguous(),
-        values=values.contiguous(),
-        queries=queries.contiguous(),
-        noise=None if noise is None else noise.contiguous(),
+        points=in_one_piece(points),
+        values=in_one_piece(values),
+        queries=in_one_piece(queries),
+        noise=None if noise is None else in_one_piece(noise),
         points_batch=points.shape[0],
         values_batch=values.shape[0],
         queries_batch=queries.shape[0],
@@ -87,108 +88,96 @@ def local_gradients(
         counts=counts,
         radius=radius,
         least_spread=least_spread,
-        wide=dtype == torch.float64,
-        threads=torch.get_num_threads(),
+        wide=dtype == "float64",
+        threads=threads(),
     )
     return FittedPlanes(value, gradient, covariance, counts, offset)
 
 
-@torch_op()
 def area_medians(
-    reference: Tensor,
-    displacement: Tensor,
-    ellipses: Tensor,
-    covariance: Tensor | None,
-    apart: Tensor | None,
-    apart_fields: Tensor | None,
-    apart_std: Tensor | None,
-    lattice: Tensor,
+    reference: Array,
+    displacement: Array,
+    ellipses: Array,
+    covariance: Array | None,
+    apart: Array | None,
+    apart_fields: Array | None,
+    apart_std: Array | None,
     *,
     measure: int,
-    minimum_points: int,
     radius: float,
-    least_spread: float,
-    farthest: float,
-    least_ratio: float,
-    least_share: float,
-    reach: float,
-    even: float,
-    same_place: float,
-) -> tuple[Tensor, Tensor | None, Tensor]:
+) -> tuple[Array, Array | None, Array]:
     """Medians (B, 5) over ellipses, their deviations and the share of positions (B,) in which they are known, as
     `ops.area_medians` has them to rounding; all float32.
 
     Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
-    (B, N, 2, 2), lattice (P, 2); `apart` (B, N) bool with fields and deviations (B, N, 5), these where there is a
-    covariance; measure 0 to 2, limits as in kernels/interface.h.
+    (B, N, 2, 2); `apart` (B, N) bool with fields and deviations (B, N, 5), these where there is a covariance; measure 0
+    to 2, radius of the support of a fit, limits of `field_limits`.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
     batch, count = displacement.shape[:2]
-    references, positions = reference.shape[0], lattice.shape[0]
-    check_like("reference", reference, torch.float32, (1 if references == 1 else batch, count, 2))
-    check_like("displacement", displacement, torch.float32, (batch, count, 2))
-    check_like("ellipses", ellipses, torch.float32, (batch, 6))
-    check_like("lattice", lattice, torch.float32, (positions, 2))
+    references = reference.shape[0]
+    check_like("reference", reference, "float32", (1 if references == 1 else batch, count, 2))
+    check_like("displacement", displacement, "float32", (batch, count, 2))
+    check_like("ellipses", ellipses, "float32", (batch, 6))
     if covariance is not None:
-        check_like("covariance", covariance, torch.float32, (batch, count, 2, 2))
+        check_like("covariance", covariance, "float32", (batch, count, 2, 2))
     if apart is not None:
-        check_like("apart", apart, torch.bool, (batch, count))
+        check_like("apart", apart, "bool", (batch, count))
         if apart_fields is None or (apart_std is None) != (covariance is None):
             raise ValueError("points apart have fields, and deviations where there is a covariance")
         for name, values in (("apart_fields", apart_fields), ("apart_std", apart_std)):
             if values is not None:
-                check_like(name, values, torch.float32, (batch, count, 5))
-    if measure not in (0, 1, 2) or not positions:
-        raise ValueError(f"measure {measure} of 0 to 2, {positions} positions")
-    medians, shares = empty(torch.float32, batch, 5), empty(torch.float32, batch)
-    deviations = None if covariance is None else empty(torch.float32, batch, 5)
+                check_like(name, values, "float32", (batch, count, 5))
+    if measure not in (0, 1, 2):
+        raise ValueError(f"measure {measure}: there are 0 to 2")
+    medians, shares = empty(reference, "float32", batch, 5), empty(reference, "float32", batch)
+    deviations = None if covariance is None else empty(reference, "float32", batch, 5)
     entry("medians_over_area")(
-        reference=reference.contiguous(),
-        displacement=displacement.contiguous(),
-        ellipses=ellipses.contiguous(),
-        covariance=None if covariance is None else covariance.contiguous(),
-        lattice=lattice.contiguous(),
-        apart=None if apart is None else apart.contiguous(),
-        apart_fields=None if apart_fields is None else apart_fields.contiguous(),
-        apart_deviations=None if apart_std is None else apart_std.contiguous(),
+        reference=in_one_piece(reference),
+        displacement=in_one_piece(displacement),
+        ellipses=in_one_piece(ellipses),
+        covariance=None if covariance is None else in_one_piece(covariance),
+        lattice=_LATTICE,
+        apart=None if apart is None else in_one_piece(apart),
+        apart_fields=None if apart_fields is None else in_one_piece(apart_fields),
+        apart_deviations=None if apart_std is None else in_one_piece(apart_std),
         medians=medians,
         deviations=deviations,
         shares=shares,
         batch=batch,
         reference_batch=references,
         point_count=count,
-        positions=positions,
+        positions=len(_LATTICE),
         measure=measure,
-        minimum_points=minimum_points,
+        minimum_points=limits.MINIMUM_POINTS,
         radius=radius,
-        least_spread=least_spread,
-        farthest=farthest,
-        least_ratio=least_ratio,
-        least_share=least_share,
-        reach=reach,
-        even=even,
-        same_place=same_place,
-        threads=torch.get_num_threads(),
+        least_spread=limits.MINIMUM_SPREAD,
+        farthest=2 * limits.FARTHEST_CENTROID,
+        least_ratio=limits.LEAST_RATIO,
+        least_share=limits.LEAST_SHARE,
+        reach=limits.REACH,
+        even=limits.EVEN,
+        same_place=limits.SAME_PLACE,
+        threads=threads(),
     )
     return medians, deviations, shares
 
 
-@torch_op()
 def triangle_strain(
-    triangles: Tensor,
-    slopes: Tensor,
-    products: Tensor,
-    areas: Tensor,
-    flat: Tensor,
-    displacement: Tensor,
-    covariance: Tensor,
-    in_contact: Tensor,
+    triangles: Array,
+    slopes: Array,
+    products: Array,
+    areas: Array,
+    flat: Array,
+    displacement: Array,
+    covariance: Array,
+    in_contact: Array,
     *,
     measure: int,
     stiffness: Sequence[float],
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Strain (B, M, 3), its deviation, density (B, M) and energy (B,) float64, as `ops.triangle_strain` has them to
     rounding; the forces (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each adds
     to the energy.
@@ -201,30 +190,30 @@ def triangle_strain(
         TypeError, ValueError: another dtype, shapes that do not belong together, triangles of points out of range.
     """
     (batch, points), count = displacement.shape[:2], triangles.shape[0]
-    check_like("triangles", triangles, torch.int64, (count, 3))
+    check_like("triangles", triangles, "int64", (count, 3))
     check_indices("triangles", triangles, points, "points")
-    check_like("slopes", slopes, torch.float32, (count, 3, 2))
-    check_like("products", products, torch.float32, (3, 3, count))
-    check_like("areas", areas, torch.float32, (count,))
-    check_like("flat", flat, torch.float32, (count,))
-    check_like("displacement", displacement, torch.float32, (batch, points, 2))
-    check_like("covariance", covariance, torch.float32, (batch, points, 2, 2))
-    check_like("in_contact", in_contact, torch.bool, (batch, count))
+    check_like("slopes", slopes, "float32", (count, 3, 2))
+    check_like("products", products, "float32", (3, 3, count))
+    check_like("areas", areas, "float32", (count,))
+    check_like("flat", flat, "float32", (count,))
+    check_like("displacement", displacement, "float32", (batch, points, 2))
+    check_like("covariance", covariance, "float32", (batch, points, 2, 2))
+    check_like("in_contact", in_contact, "bool", (batch, count))
     if measure not in (0, 1, 2):
         raise ValueError(f"measure {measure}: there are 0 to 2")
     direct, between, shear = stiffness
-    strain, strain_std = empty(torch.float32, batch, count, 3), empty(torch.float32, batch, count, 3)
-    density, forces = empty(torch.float32, batch, count), empty(torch.float32, batch, points, 2)
-    energy, own = empty(torch.float64, batch), empty(torch.float64, batch)
+    strain, strain_std = empty(triangles, "float32", batch, count, 3), empty(triangles, "float32", batch, count, 3)
+    density, forces = empty(triangles, "float32", batch, count), empty(triangles, "float32", batch, points, 2)
+    energy, own = empty(triangles, "float64", batch), empty(triangles, "float64", batch)
     entry("strain_of_triangles")(
-        displacement=displacement.contiguous(),
-        covariance=covariance.contiguous(),
-        in_contact=in_contact.contiguous(),
-        corners=triangles.T.to(torch.int32).contiguous(),
-        slopes=slopes.permute(2, 1, 0).contiguous(),
-        products=products.contiguous(),
-        areas=areas.contiguous(),
-        flat=flat.contiguous(),
+        displacement=in_one_piece(displacement),
+        covariance=in_one_piece(covariance),
+        in_contact=in_one_piece(in_contact),
+        corners=with_axes_reversed(triangles, "int32"),
+        slopes=with_axes_reversed(slopes, "float32"),
+        products=in_one_piece(products),
+        areas=in_one_piece(areas),
+        flat=in_one_piece(flat),
         strain=strain,
         strain_std=strain_std,
         density=density,
@@ -238,6 +227,6 @@ def triangle_strain(
         direct=direct,
         between=between,
         shear=shear,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return strain, strain_std, density, energy, forces, own

@@ -1,17 +1,15 @@
 """Kernels of dense flow."""
 
-import ctypes
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from fingerflow.kernels.checks import check_frames, check_like, empty
-from fingerflow.kernels.library import CPU, entry, values_are_known
-from fingerflow.kernels.torch_op import torch_op
+from fingerflow.kernels.arrays import Array, address, empty, in_one_piece
+from fingerflow.kernels.checks import check_frames, check_like
+from fingerflow.kernels.library import entry, threads, values_are_known
 
 __all__ = [
     "flow_at_pixels",
@@ -31,47 +29,46 @@ __all__ = [
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
-class Fields(NamedTuple):
+class Fields(NamedTuple, Generic[Array]):
     """What dense flow takes from a first image."""
 
-    value: Tensor  # (B, 1, H, W) spline at the pixels
-    gradient: Tensor  # (B, 2, H, W), 0 outside the mask
-    inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
-    tensor: Tensor  # (B, 3, h, w) means over cells of the products of slopes
-    known: Tensor  # (B, 1, h, w), 1 for cells with a pixel in the mask, else 0
-    right: Tensor  # (B, 1, h, w - 1) edges to the next cell of the row
-    down: Tensor  # (B, 1, h - 1, w) and of the column
+    value: Array  # (B, 1, H, W) spline at the pixels
+    gradient: Array  # (B, 2, H, W), 0 outside the mask
+    inside: Array  # (B, 1, H, W), 1 in the mask, else 0
+    tensor: Array  # (B, 3, h, w) means over cells of the products of slopes
+    known: Array  # (B, 1, h, w), 1 for cells with a pixel in the mask, else 0
+    right: Array  # (B, 1, h, w - 1) edges to the next cell of the row
+    down: Array  # (B, 1, h - 1, w) and of the column
 
 
-class Left(NamedTuple):
+class Left(NamedTuple, Generic[Array]):
     """What a flow leaves unexplained, on cells (B, ., h, w)."""
 
-    data: Tensor  # (B, 2, h, w)
-    squares: Tensor  # (B, 1, h, w)
-    seen: Tensor  # (B, 1, h, w)
-    gain: Tensor  # (B, 1, 1, 1)
+    data: Array  # (B, 2, h, w)
+    squares: Array  # (B, 1, h, w)
+    seen: Array  # (B, 1, h, w)
+    gain: Array  # (B, 1, 1, 1)
 
 
-class AtPixels(NamedTuple):
+class AtPixels(NamedTuple, Generic[Array]):
     """Of every pixel."""
 
-    displacement: Tensor  # (B, 2, H, W)
-    covariance: Tensor  # (B, 2, 2, H, W)
-    residual: Tensor  # (B, 1, H, W)
+    displacement: Array  # (B, 2, H, W)
+    covariance: Array  # (B, 2, 2, H, W)
+    residual: Array  # (B, 1, H, W)
 
 
-@torch_op()
 def flow_descend(
-    planes: Sequence[Tensor],
-    pull: Tensor,
-    flow: Tensor,
-    known: Tensor,
+    planes: Sequence[Array],
+    pull: Array,
+    flow: Array,
+    known: Array,
     weights: Sequence[float],
     cycles: int,
     sweeps: int,
     coarsest: int,
     damping: float,
-) -> Tensor:
+) -> Array:
     """(B, 2, H, W), as `ops.flow_descent.descended` has it to rounding, of the planes of all levels, five of each from
     the finest on: tensor, right, down, inverse, inside, all float32; weights of the window of its course.
 
@@ -79,27 +76,27 @@ def flow_descend(
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
     batch, _, height, width = pull.shape
-    check_like("pull", pull, torch.float32, (batch, 2, height, width))
-    check_like("flow", flow, torch.float32, (batch, 2, height, width))
-    check_like("known", known, torch.float32, (batch, 1, height, width))
+    check_like("pull", pull, "float32", (batch, 2, height, width))
+    check_like("flow", flow, "float32", (batch, 2, height, width))
+    check_like("known", known, "float32", (batch, 1, height, width))
     if not planes or len(planes) % len(_PLANES):
         raise ValueError(f"{len(planes)} planes: there are {len(_PLANES)} of each level")
     numbers: list[int] = []
-    kept: list[Tensor] = []
+    kept: list[Array] = []
     for shapes in level_shapes(batch, height, width, len(planes) // len(_PLANES)):
         first = len(kept)
         for plane, shape in zip(planes[first:], shapes, strict=False):
-            check_like("a level", plane, torch.float32, shape)
-            kept.append(plane.contiguous())
+            check_like("a level", plane, "float32", shape)
+            kept.append(in_one_piece(plane))
         if values_are_known():
-            numbers += [*(plane.data_ptr() for plane in kept[first:]), *shapes[0][2:]]
-    moved = empty(torch.float32, *flow.shape)
-    levels = (ctypes.c_int64 * len(numbers))(*numbers)  # fingerflow_flow_level, one after the other
+            numbers += [*(address(plane) for plane in kept[first:]), *shapes[0][2:]]
+    moved = empty(pull, "float32", *flow.shape)
+    levels = np.array(numbers, np.int64)  # fingerflow_flow_level, one after the other
     entry("flow_descend")(
-        levels=ctypes.addressof(levels),
-        pull=pull.contiguous(),
-        flow=flow.contiguous(),
-        known=known.contiguous(),
+        levels=levels,
+        pull=in_one_piece(pull),
+        flow=in_one_piece(flow),
+        known=in_one_piece(known),
         moved=moved,
         count=len(planes) // len(_PLANES),
         batch=batch,
@@ -107,14 +104,13 @@ def flow_descend(
         sweeps=sweeps,
         coarsest=coarsest,
         damping=damping,
-        threads=torch.get_num_threads(),
+        threads=threads(),
         **_window(weights),
     )
     return moved
 
 
-@torch_op()
-def flow_levels(tensor: Tensor, right: Tensor, down: Tensor, inside: Tensor, count: int) -> Tensor:
+def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
     """What `ops.flow_multigrid.pyramid` makes of the finest of so many levels, to rounding: (N,) of the inverse of the
     finest (B, 3, H, W), then of tensor, right, down, inverse and inside of each coarser one, one behind the other.
 
@@ -125,26 +121,25 @@ def flow_levels(tensor: Tensor, right: Tensor, down: Tensor, inside: Tensor, cou
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(inside, (torch.float32,))
+    check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
-    given = [one.contiguous() for one in (tensor, right, down, inside)]
+    given = [in_one_piece(one) for one in (tensor, right, down, inside)]
     shapes = level_shapes(batch, height, width, count)
     for name, one, shape in zip(
         ("tensor", "right", "down", "inside"), given, (*shapes[0][:3], shapes[0][4]), strict=True
     ):
-        check_like(name, one, torch.float32, shape)
+        check_like(name, one, "float32", shape)
     made = [shapes[0][3], *(shape for level in shapes[1:] for shape in level)]
-    planes = empty(torch.float32, sum(math.prod(shape) for shape in made))
+    planes = empty(tensor, "float32", sum(math.prod(shape) for shape in made))
     numbers: list[int] = []
     if values_are_known():
-        at = iter(itertools.accumulate((4 * math.prod(shape) for shape in made), initial=planes.data_ptr()))
-        first = [one.data_ptr() for one in given]
+        at = iter(itertools.accumulate((4 * math.prod(shape) for shape in made), initial=address(planes)))
+        first = [address(one) for one in given]
         numbers += [*first[:3], next(at), first[3], height, width]
         for level in shapes[1:]:
             numbers += [*(next(at) for _ in level), *level[0][2:]]
-    levels = (ctypes.c_int64 * len(numbers))(*numbers)  # fingerflow_flow_level_to, one after the other
-    threads = torch.get_num_threads()
-    entry("flow_levels")(levels=ctypes.addressof(levels), count=count, batch=batch, threads=threads)
+    levels = np.array(numbers, np.int64)  # fingerflow_flow_level_to, one after the other
+    entry("flow_levels")(levels=levels, count=count, batch=batch, threads=threads())
     return planes
 
 
@@ -157,8 +152,7 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
     return levels
 
 
-@torch_op()
-def flow_covariance(tensor: Tensor, density: Tensor, alpha: Tensor, textured: Tensor, rho_square: float) -> Tensor:
+def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
     """(B, 3, H, W), as `ops.flow_covariance` has it, of tensors (B, 3, H, W) and of each image (B,) the density of
     noise, alpha, and the eigenvalue above which texture is known; float32. Its exponentials are to 2e-7.
 
@@ -166,70 +160,68 @@ def flow_covariance(tensor: Tensor, density: Tensor, alpha: Tensor, textured: Te
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
     batch, _, height, width = tensor.shape
-    check_like("tensor", tensor, torch.float32, (batch, 3, height, width))
+    check_like("tensor", tensor, "float32", (batch, 3, height, width))
     for name, one in (("density", density), ("alpha", alpha), ("textured", textured)):
-        check_like(name, one, torch.float32, (batch,))
-    covariance = empty(torch.float32, *tensor.shape)
+        check_like(name, one, "float32", (batch,))
+    covariance = empty(tensor, "float32", *tensor.shape)
     entry("flow_covariance")(
-        tensor=tensor.contiguous(),
-        density=density.contiguous(),
-        alpha=alpha.contiguous(),
-        textured=textured.contiguous(),
+        tensor=in_one_piece(tensor),
+        density=in_one_piece(density),
+        alpha=in_one_piece(alpha),
+        textured=in_one_piece(textured),
         rho_square=rho_square,
         covariance=covariance,
         batch=batch,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return covariance
 
 
-@torch_op()
-def flow_template(coefficients: Tensor, mask: Tensor, margin: int) -> Fields:
+def flow_template(coefficients: Array, mask: Array, margin: int) -> Fields[Array]:
     """As `ops.flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(coefficients, (torch.float32,))
+    check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape
-    check_like("mask", mask, torch.float32, coefficients.shape)
+    check_like("mask", mask, "float32", coefficients.shape)
     rows, columns = (height + 1) // 2, (width + 1) // 2
     sizes = ((1, height, width), (2, height, width), (1, height, width))
     of_cells = ((3, rows, columns), (1, rows, columns), (1, rows, columns - 1), (1, rows - 1, columns))
-    fields = Fields(*(empty(torch.float32, batch, *size) for size in (*sizes, *of_cells)))
+    fields = Fields(*(empty(coefficients, "float32", batch, *size) for size in (*sizes, *of_cells)))
     entry("flow_template")(
-        coefficients=coefficients.contiguous(),
-        mask=mask.contiguous(),
+        coefficients=in_one_piece(coefficients),
+        mask=in_one_piece(mask),
         **fields._asdict(),
         batch=batch,
         height=height,
         width=width,
         margin=margin,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return fields
 
 
-@torch_op()
 def flow_left(
-    coefficients: Tensor,
-    value: Tensor,
-    gradient: Tensor,
-    inside: Tensor,
-    flow: Tensor,
-    known: Tensor,
+    coefficients: Array,
+    value: Array,
+    gradient: Array,
+    inside: Array,
+    flow: Array,
+    known: Array,
     margin: float,
     most_gain: float,
-) -> Left:
+) -> Left[Array]:
     """As `ops.flow` has it: of images (B, 1, H, W) coefficients, value, gradient (B, 2, H, W) and inside, of cells
     (B, ., h, w) a flow and where it is known, all float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(coefficients, (torch.float32,))
+    check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     for name, one, shape in (
@@ -239,34 +231,33 @@ def flow_left(
         ("flow", flow, (2, rows, columns)),
         ("known", known, (1, rows, columns)),
     ):
-        check_like(name, one, torch.float32, (batch, *shape))
+        check_like(name, one, "float32", (batch, *shape))
     cells = (rows, columns)
     left = Left(
-        data=empty(torch.float32, batch, 2, *cells),
-        squares=empty(torch.float32, batch, 1, *cells),
-        seen=empty(torch.float32, batch, 1, *cells),
-        gain=empty(torch.float32, batch, 1, 1, 1),
+        data=empty(coefficients, "float32", batch, 2, *cells),
+        squares=empty(coefficients, "float32", batch, 1, *cells),
+        seen=empty(coefficients, "float32", batch, 1, *cells),
+        gain=empty(coefficients, "float32", batch, 1, 1, 1),
     )
     entry("flow_left")(
-        coefficients=coefficients.contiguous(),
-        value=value.contiguous(),
-        gradient=gradient.contiguous(),
-        inside=inside.contiguous(),
-        flow=flow.contiguous(),
-        known=known.contiguous(),
+        coefficients=in_one_piece(coefficients),
+        value=in_one_piece(value),
+        gradient=in_one_piece(gradient),
+        inside=in_one_piece(inside),
+        flow=in_one_piece(flow),
+        known=in_one_piece(known),
         **left._asdict(),
         batch=batch,
         height=height,
         width=width,
         margin=margin,
         most_gain=most_gain,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return left
 
 
-@torch_op()
-def flow_integrate(fields: Tensor, weights: Sequence[float]) -> Tensor:
+def flow_integrate(fields: Array, weights: Sequence[float]) -> Array:
     """Weighted means (B, C, H, W) along rows and columns of float32 fields, 0 beyond the border; an odd number of
     weights that are the same from the middle to either end.
 
@@ -274,90 +265,87 @@ def flow_integrate(fields: Tensor, weights: Sequence[float]) -> Tensor:
         TypeError, ValueError: another dtype or shape.
     """
     batch, channels, height, width = fields.shape
-    check_like("fields", fields, torch.float32, (batch, channels, height, width))
-    integrated = empty(torch.float32, *fields.shape)
+    check_like("fields", fields, "float32", (batch, channels, height, width))
+    integrated = empty(fields, "float32", *fields.shape)
     entry("flow_integrate")(
-        fields=fields.contiguous(),
+        fields=in_one_piece(fields),
         integrated=integrated,
         count=batch * channels,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
         **_window(weights),
     )
     return integrated
 
 
-@torch_op()
-def flow_to_cells(fields: Tensor, inside: Tensor) -> Tensor:
+def flow_to_cells(fields: Array, inside: Array) -> Array:
     """Means (B, 2, h, w) over cells of 2 x 2 of what is finite of float32 fields (B, 2, H, W) inside (B, 1, H, W).
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(inside, (torch.float32,))
+    check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
-    check_like("fields", fields, torch.float32, (batch, 2, height, width))
-    means = empty(torch.float32, batch, 2, (height + 1) // 2, (width + 1) // 2)
+    check_like("fields", fields, "float32", (batch, 2, height, width))
+    means = empty(fields, "float32", batch, 2, (height + 1) // 2, (width + 1) // 2)
     entry("flow_to_cells")(
-        fields=fields.contiguous(),
-        inside=inside.contiguous(),
+        fields=in_one_piece(fields),
+        inside=in_one_piece(inside),
         means=means,
         batch=batch,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return means
 
 
-@torch_op()
-def flow_to_pixels(flow: Tensor, known: Tensor, height: int, width: int) -> Tensor:
+def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
     """(B, 2, height, width), as `ops.flow_cells.to_pixels` has it to rounding, of cells (B, ., h, w), float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(known, (torch.float32,))
-    batch, cells = len(known), ((height + 1) // 2, (width + 1) // 2)
-    check_like("known", known, torch.float32, (batch, 1, *cells))
-    check_like("flow", flow, torch.float32, (batch, 2, *cells))
-    pixels = empty(torch.float32, batch, 2, height, width)
+    check_frames(known, ("float32",))
+    batch, cells = known.shape[0], ((height + 1) // 2, (width + 1) // 2)
+    check_like("known", known, "float32", (batch, 1, *cells))
+    check_like("flow", flow, "float32", (batch, 2, *cells))
+    pixels = empty(flow, "float32", batch, 2, height, width)
     entry("flow_to_pixels")(
-        flow=flow.contiguous(),
-        known=known.contiguous(),
+        flow=in_one_piece(flow),
+        known=in_one_piece(known),
         pixels=pixels,
         batch=batch,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return pixels
 
 
-@torch_op()
-def flow_at_pixels(flow: Tensor, others: Tensor, known: Tensor, inside: Tensor) -> AtPixels:
+def flow_at_pixels(flow: Array, others: Array, known: Array, inside: Array) -> AtPixels[Array]:
     """Results at the pixels inside (B, 1, H, W), of cells (B, ., h, w) of a flow, of covariance (xx, xy, yy) and
     residual, and of where they are known; float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(inside, (torch.float32,))
+    check_frames(inside, ("float32",))
     batch, _, height, width = inside.shape
     for name, one, channels in (("flow", flow, 2), ("others", others, 4), ("known", known, 1)):
-        check_like(name, one, torch.float32, (batch, channels, (height + 1) // 2, (width + 1) // 2))
-    result = AtPixels(*(empty(torch.float32, batch, *sizes, height, width) for sizes in ((2,), (2, 2), (1,))))
+        check_like(name, one, "float32", (batch, channels, (height + 1) // 2, (width + 1) // 2))
+    result = AtPixels(*(empty(flow, "float32", batch, *sizes, height, width) for sizes in ((2,), (2, 2), (1,))))
     entry("flow_at_pixels")(
-        flow=flow.contiguous(),
-        others=others.contiguous(),
-        known=known.contiguous(),
-        inside=inside.contiguous(),
+        flow=in_one_piece(flow),
+        others=in_one_piece(others),
+        known=in_one_piece(known),
+        inside=in_one_piece(inside),
         **result._asdict(),
         batch=batch,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return result
 
@@ -365,27 +353,26 @@ def flow_at_pixels(flow: Tensor, others: Tensor, known: Tensor, inside: Tensor) 
 def _window(weights: Sequence[float]) -> dict[str, Any]:
     """The middle weight and those behind it."""
     half = len(weights) // 2
-    return {"weights": torch.tensor(weights[half:], dtype=torch.float32, device=CPU), "half": half}
+    return {"weights": np.array(weights[half:], np.float32), "half": half}
 
 
-@torch_op()
-def flow_warp(coefficients: Tensor, flow: Tensor) -> Tensor:
+def flow_warp(coefficients: Array, flow: Array) -> Array:
     """(B, 1, H, W), the spline of coefficients (B, 1, H, W) at pixels displaced by a finite flow (B, 2, H, W), float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(coefficients, (torch.float32,))
+    check_frames(coefficients, ("float32",))
     batch, _, height, width = coefficients.shape
-    check_like("flow", flow, torch.float32, (batch, 2, height, width))
-    values = empty(torch.float32, *coefficients.shape)
+    check_like("flow", flow, "float32", (batch, 2, height, width))
+    values = empty(coefficients, "float32", *coefficients.shape)
     entry("flow_warp")(
-        coefficients=coefficients.contiguous(),
-        flow=flow.contiguous(),
+        coefficients=in_one_piece(coefficients),
+        flow=in_one_piece(flow),
         values=values,
         batch=batch,
         height=height,
         width=width,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return values

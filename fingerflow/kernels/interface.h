@@ -20,7 +20,7 @@ void fingerflow_limit_instruction_set(int most, std::int32_t* taken);
 void fingerflow_inject_fault(int fault, std::int64_t piece, int thread);
 
 // Medians of size x size windows of `batch` frames, uint8 or uint16 as `pixel_bytes` says; `medians` is contiguous.
-// `table` is null for a compiled size, else what fingerflow/ops/median_rows.py writes for it.
+// `table` is null for a compiled size, else what fingerflow/kernels/median_rows.py writes for it.
 void fingerflow_median(const void* frames, void* medians, std::int64_t batch, std::int64_t height, std::int64_t width,
                        std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size,
                        const std::uint16_t* table, int threads);
@@ -56,6 +56,21 @@ void fingerflow_search_windows(const float* templates, const float* images, std:
                                const std::int64_t* image_index, const float* points, const float* guess,
                                std::int64_t count, int size, int reach, float* found, int threads);
 
+// The same in images of two kinds of pixels.h, halved first, and the search back from where a window was found: found (count,
+// 2), and returns (count) bytes, whether it ends within `limit` px of `start`; guess (count, 2).
+struct fingerflow_search_both_ways {
+    const void *key, *current;
+    const std::int64_t* image_index;
+    const float *start, *guess;
+    float* found;
+    unsigned char* returns;
+    std::int64_t key_stride, key_row_stride, key_kind, current_stride, current_row_stride, current_kind;
+    std::int64_t batch, height, width, count;
+    std::int32_t size, reach;
+    float limit;
+};
+void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads);
+
 // Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/window_correlation.py): image index
 // (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
 void fingerflow_sample_windows(const fingerflow_image* images, std::int64_t height, std::int64_t width,
@@ -83,6 +98,20 @@ void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const floa
 
 // Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
+
+// Contact of frames in one call, as fingerflow/graphs/contact.py has it: the gains (batch) of the light from blocks of `block`
+// px; the mask below limits (batch) times these, or times 1 where a gain is not finite; and the region that it spans with
+// `radius` on cells of `side` px. Each as its own function here has it.
+void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const float* limits, int size, std::int64_t block,
+                                  std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
+                                  float* density_margin, float* numbers, int threads);
+
+// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact_threshold.py), with gains
+// (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of `side` px, and
+// one pixel of `stride` across and down counted.
+void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size,
+                                  const std::uint16_t* table, std::int64_t radius, std::int64_t side, std::int64_t stride,
+                                  float* thresholds, int threads);
 
 // Light over that of the empty glass, (frame - black) / light, and where it is known (fingerflow/ops/illumination.py):
 // where the light exceeds `least`, one number an image of it, and all is finite; elsewhere 1. Contiguous.
@@ -124,6 +153,19 @@ struct fingerflow_apparent_contacts {
 };
 void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
+// Whether (batch, count) regions of density margins (batch, cells down, cells across) on cells of `side` px cover points
+// (batch, count, 2), each by the rows of `transform` (2, 3) times x, y and 1 (fingerflow/ops/cells.py).
+void fingerflow_covered(const float* density_margin, std::int64_t batch, std::int64_t down, std::int64_t across,
+                        std::int64_t side, const float* points, std::int64_t count, const float* transform,
+                        unsigned char* covered);
+
+// Means of frames of a kind of pixels.h over blocks (batch, rows, columns), and over lines (batch, lines that are read), as
+// fingerflow/tracker/block_means.py has them: of one pixel of `along` of each line, and one line of `down`.
+void fingerflow_block_means(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                            std::int64_t frame_stride, std::int64_t row_stride, int kind, std::int64_t down,
+                            std::int64_t along, std::int64_t rows, std::int64_t columns, float* blocks, float* lines,
+                            int threads);
+
 // Sums (batch, 6) over the pixels of masks of bytes: 1, x, y, x x, x y, y y; frames of fewer than 2^16 columns.
 void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, std::int64_t batch, std::int64_t height,
                              std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
@@ -144,6 +186,31 @@ struct fingerflow_local_fit {
 void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
                                 int threads);
 
+// Positions of points corrected for the deformation of the skin, as fingerflow/graphs/track.py has it: start (points, 2),
+// found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 34), inverse_warp (points, 2, 2). Results are
+// corrected, remaining (covariance) and warp of those shapes, shift (frames, points) and expected (frames, points, 2).
+struct fingerflow_deformation {
+    const float *start, *found, *covariance, *numbers, *inverse_warp;
+    float *corrected, *remaining, *warp, *shift, *expected;
+    std::int64_t frames, points, window, minimum_points;
+    double radius, least_spread;
+};
+void fingerflow_correct_points(const fingerflow_deformation* given, int threads);
+
+// Points off their neighbours, or far more uncertain than they, as fingerflow/ops/outliers.py has it: numbers of the
+// neighbours (neighbours, stride), their offsets x and y, and whether they count, 1 or 0; stride is a multiple of 16 and at
+// least `points`, with zeros behind them. Displacement (frames, points, 2), deviation (frames, points); results (frames,
+// points) bytes.
+struct fingerflow_outliers {
+    const std::int32_t* number;
+    const float *x, *y, *within, *displacement, *deviation;
+    unsigned char *off_neighbours, *uncertain;
+    std::int64_t frames, points, stride, neighbours;
+    float spread, ridge, least_deviation, most_disagreement, most_uncertainty;
+    std::int32_t least_neighbours;
+};
+void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
+
 // Corners of uint8 frames, as fingerflow/ops/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
 // a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame, or null)
 // tells where they may lie, `floors` (batch) what their response must exceed.
@@ -152,6 +219,19 @@ void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::in
                         std::int64_t masks, std::int64_t mask_stride, std::int64_t mask_row_stride, const float* floors,
                         float quality, std::int64_t window, std::int64_t border, std::int64_t count,
                         double min_distance, float* points, float* responses, int threads);
+
+// Points worth tracking in a frame of a kind of pixels.h, at least 7 x 7, and a mask of bytes, as fingerflow/graphs/detect.py has
+// them: up to `count` points (count, 2), strongest first, and their responses, NaN behind the last. None lies nearer than
+// `border` to the edge, and each is the strongest in a square that reaches `beside` px; squares that reach `farthest` px are the
+// largest that are compared. Responses exceed `quality` times the strongest, and `noise` times the variance of the frame's noise.
+struct fingerflow_detection {
+    const void* frame;
+    const unsigned char* mask;
+    float *points, *responses;
+    std::int64_t height, width, row_stride, kind, mask_row_stride, border, beside, farthest, count;
+    float quality, noise;
+};
+void fingerflow_detect_points(const fingerflow_detection* given, int threads);
 
 // Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
 // their standard deviations where there are covariances, and the shares (batch) of positions where they are known: reference (1 or batch, point_count, 2), displacement (batch,

@@ -2,36 +2,26 @@
 
 import ctypes
 import functools
-import importlib.util
 import logging
 import operator
 import os
 import struct
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from fingerflow.kernels.arrays import Shaped, address_of_numpy
 from fingerflow.kernels.declarations import HEADER, Function, digest, read
 
-CPU = torch.device("cpu")  # of all results, whatever torch's default device is
 _NO_MEMORY = 1  # of kernels/entry.h
 
-F = TypeVar("F", bound=Callable[..., Any])
-
 _log = logging.getLogger(__name__)
-
-
-def constant_to_compiler(function: F) -> F:
-    """Marks a function whose result torch's compiler takes as it is, without tracing it.
-
-    As `torch.compiler.assume_constant_result` does, which loads the compiler for it: a quarter of what starting takes.
-    """
-    function._dynamo_marked_constant = True  # type: ignore[attr-defined]
-    return function
 
 
 class _Here(threading.local):
@@ -43,29 +33,11 @@ class _Here(threading.local):
 _here = _Here()
 
 
-def serve(*tensors: Tensor | None) -> bool:
-    """Whether the compiled kernels may take these tensors here and now.
-
-    They do while torch compiles, as ops of torch's own (`torch_op`), not while it traces or exports the portable form.
-    """
-    if torch.compiler.is_compiling():
-        if torch.compiler.is_exporting() or not _is_present():
-            return False
-    elif (
-        _library() is None
-        or torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-        or torch._C._len_torch_dispatch_stack() > 0  # somebody records or changes what the ops do
-        or torch._C._are_functorch_transforms_active()
-    ):
-        return False
-    for tensor in tensors:  # noqa: SIM110  a generator takes half a microsecond more
-        if tensor is not None and not _is_plain(tensor):
-            return False
-    return True
-
-
 class Entry:
-    """A function of interface.h: arguments go by their names there, a tensor for an address, None for no address."""
+    """A function of interface.h: arguments go by their names there, None for no address.
+
+    NumPy arrays and tensors of torch are given for addresses: nothing is asked of how their numbers lie in memory.
+    """
 
     def __init__(self, name: str, function: Function, library: ctypes.CDLL) -> None:
         """Finds `name` in the library."""
@@ -77,7 +49,7 @@ class Entry:
         self._enter.argtypes = (ctypes.c_char_p,)
         self._message = library.fingerflow_last_message
 
-    def __call__(self, **given: Tensor | int | float | None) -> None:
+    def __call__(self, **given: Shaped | float | None) -> None:
         """Calls it, without the lock of Python.
 
         Raises:
@@ -92,7 +64,10 @@ class Entry:
         values: list[Any] = list(self._in_order(given))
         for place in self._addresses:
             value = values[place]
-            values[place] = 0 if value is None else value if type(value) is int else value.data_ptr()
+            if value is None:
+                values[place] = 0
+            else:  # what `address` does, for whose calls there is no time
+                values[place] = address_of_numpy(value) if isinstance(value, np.ndarray) else value.data_ptr()
         outcome = self._enter(self._pack(*values))
         if outcome:
             said = self._message().decode(errors="replace")
@@ -124,15 +99,15 @@ def shapes_only() -> Iterator[None]:
 
 
 def values_are_known() -> bool:
-    """Whether checks may look into tensors: not within `shapes_only`."""
+    """Whether checks may look into arrays: not within `shapes_only`."""
     return not _here.shapes_only
 
 
 def limit_instruction_set(most: int) -> int:
     """For tests: use no wider set than 0 baseline, 1 AVX2, 2 AVX-512, -1 what there is; returns the one taken."""
-    taken = torch.empty(1, dtype=torch.int32, device=CPU)
+    taken = np.empty(1, np.int32)
     entry("limit_instruction_set")(most=most, taken=taken)
-    return int(taken)
+    return int(taken[0])
 
 
 def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
@@ -140,34 +115,65 @@ def inject_fault(fault: int, piece: int = -1, thread: int = 0) -> None:
     entry("inject_fault")(fault=fault, piece=piece, thread=thread)
 
 
-@constant_to_compiler
-def _is_present() -> bool:
+def is_present() -> bool:
+    """Whether the library is here, is that of these sources, and is not turned off."""
     return _library() is not None
+
+
+def threads() -> int:
+    """Return how many threads the kernels use: as many as torch where this process has loaded it.
+
+    Else what `set_threads` was given, `OMP_NUM_THREADS` says, or the system lends.
+    """
+    of_torch = getattr(sys.modules.get("torch"), "get_num_threads", None)
+    return _own_threads() if of_torch is None else of_torch()
+
+
+def set_threads(count: int) -> None:
+    """Set how many threads the kernels use, and torch with them where this process has loaded it."""
+    global _threads
+    _threads = count
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(count)
+
+
+_threads = 0  # as many as there are
+
+
+def _own_threads() -> int:
+    return _threads or _lent_threads()
+
+
+@functools.cache
+def _lent_threads() -> int:
+    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    if asked.isdecimal() and int(asked):
+        return int(asked)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _path() -> Path | None:
+    """The library beside this folder: it is no module, so that one built for another version of Python does as well."""
+    folder = HEADER.parent.parent
+    own = (folder / f"_kernels{suffix}" for suffix in EXTENSION_SUFFIXES)
+    others = (path for path in sorted(folder.glob("_kernels.*")) if path.suffix in (".so", ".pyd"))
+    return next((path for path in (*own, *others) if path.is_file()), None)
 
 
 @functools.cache
 def _library() -> dict[str, Entry] | None:
     if os.environ.get("FINGERFLOW_KERNELS", "1") == "0":
         return None
-    found = importlib.util.find_spec("fingerflow._kernels")
-    if found is None or found.origin is None:
+    path = _path()
+    if path is None:
         _log.info("compiled kernels were not built (no C++ compiler at install time?): portable ops serve, more slowly")
         return None
-    library = ctypes.CDLL(found.origin)
+    library = ctypes.CDLL(str(path))
     header = HEADER.read_text(encoding="utf-8")
     for text in ("fingerflow_digest", "fingerflow_last_message"):
         if hasattr(library, text):
             getattr(library, text).restype = ctypes.c_char_p
     if not hasattr(library, "fingerflow_digest") or library.fingerflow_digest() != digest(header).encode():
-        _log.info("%s was built from other sources: install again; portable ops serve, more slowly", found.origin)
+        _log.info("%s was built from other sources: install again; portable ops serve, more slowly", path)
         return None
     return {name: Entry(name, function, library) for name, function in read(header).items()}
-
-
-def _is_plain(tensor: Tensor) -> bool:
-    return (
-        type(tensor) is Tensor
-        and tensor.is_cpu
-        and tensor.layout == torch.strided
-        and not (tensor.requires_grad and torch.is_grad_enabled())
-    )

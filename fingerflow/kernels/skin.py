@@ -2,12 +2,9 @@
 
 from collections.abc import Sequence
 
-import torch
-from torch import Tensor
-
-from fingerflow.kernels.checks import check_like, empty
-from fingerflow.kernels.library import entry, values_are_known
-from fingerflow.kernels.torch_op import torch_op
+from fingerflow.kernels.arrays import Array, empty, in_one_piece, may_be_written, range_of, zeros
+from fingerflow.kernels.checks import check_like
+from fingerflow.kernels.library import entry, threads, values_are_known
 
 __all__ = [
     "press_skin",
@@ -15,24 +12,23 @@ __all__ = [
 ]
 
 
-@torch_op(changes=("place", "bone", "rubbed", "step"))
 def press_skin(
-    reference: Tensor,
-    numbers: Tensor,
-    friction: Tensor,
-    load: Tensor,
-    rest: Tensor,
-    place: Tensor,
-    bone: Tensor,
-    rubbed: Tensor,
-    step: Tensor,
+    reference: Array,
+    numbers: Array,
+    friction: Array,
+    load: Array,
+    rest: Array,
+    place: Array,
+    bone: Array,
+    rubbed: Array,
+    step: Array,
     *,
     held: Sequence[bool],
     most_steps: int,
     tolerance: float,
     duration: float,
     record_steps: int = 0,
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Array, Array, Array]:
     """Goes on with B chains of N elements, as `models.skin_implicit.advance` does, to rounding; all float64, SI units.
 
     Reference (B, N, 2), numbers (B, 10) in the order of `models.skin_forces.Chain`, friction (B, N),
@@ -50,14 +46,13 @@ def press_skin(
     given = {"reference": reference, "numbers": numbers, "friction": friction, "load": load, "rest": rest}
     changed = {"place": place, "bone": bone, "rubbed": rubbed, "step": step}
     for name, shape in (shapes | state).items():
-        check_like(name, (given | changed)[name], torch.float64, shape)
-    if count < 3 or not all(tensor.is_contiguous() for tensor in changed.values()):
+        check_like(name, (given | changed)[name], "float64", shape)
+    if count < 3 or not all(may_be_written(array) for array in changed.values()):
         raise ValueError(f"a chain of {count} elements: give 3 or more, and a state in one piece")
-    time = torch.zeros_like(step, memory_format=torch.contiguous_format)
-    counts = torch.zeros_like(step, dtype=torch.int64)[:, None].repeat(1, 3)
-    record = step.new_zeros(batch, record_steps, 2 + 2 * (3 * count + 2))
+    time, counts = zeros(step, "float64", batch), zeros(step, "int64", batch, 3)
+    record = zeros(step, "float64", batch, record_steps, 2 + 2 * (3 * count + 2))
     entry("press_skin")(
-        **{name: tensor.contiguous() for name, tensor in given.items()},
+        **{name: in_one_piece(tensor) for name, tensor in given.items()},
         **changed,
         time=time,
         counts=counts,
@@ -70,25 +65,24 @@ def press_skin(
         record_steps=record_steps,
         tolerance=tolerance,
         duration=duration,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return time, counts, record
 
 
-@torch_op()
 def press_skin_back(
-    reference: Tensor,
-    numbers: Tensor,
-    friction: Tensor,
-    place: Tensor,
-    bone: Tensor,
-    rubbed: Tensor,
-    record: Tensor,
-    wanted: Tensor,
-    steps: Tensor,
+    reference: Array,
+    numbers: Array,
+    friction: Array,
+    place: Array,
+    bone: Array,
+    rubbed: Array,
+    record: Array,
+    wanted: Array,
+    steps: Array,
     *,
     held: Sequence[bool],
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Array, Array, Array]:
     """Derivatives back along the record of `press_skin`, to rounding what `models.skin_adjoint` gives.
 
     Arguments as there, ``place``, ``bone`` and ``rubbed`` those at the beginning; ``wanted`` (B, 3 N + 2) of places,
@@ -106,17 +100,17 @@ def press_skin_back(
     tensors = (reference, numbers, friction, place, bone, rubbed, record, wanted)
     given = dict(zip(shapes, tensors, strict=True))
     for name, shape in shapes.items():
-        check_like(name, given[name], torch.float64, shape)
-    check_like("steps", steps, torch.int64, (batch,))
-    ends = (0, 0) if not values_are_known() or not batch else (int(steps.min()), int(steps.max()))
+        check_like(name, given[name], "float64", shape)
+    check_like("steps", steps, "int64", (batch,))
+    ends = (0, 0) if not values_are_known() or not batch else range_of(steps)
     if count < 3 or not 0 <= ends[0] <= ends[1] <= rows:
         raise ValueError(
             f"{count} elements, {ends[0]} to {ends[1]} steps of {rows}: give 3 or more, and the whole record"
         )
-    stiffness, of_friction, result = (empty(torch.float64, batch, last) for last in (6, count, size))
+    stiffness, of_friction, result = (empty(reference, "float64", batch, last) for last in (6, count, size))
     entry("press_skin_back")(
-        **{name: tensor.contiguous() for name, tensor in given.items()},
-        steps=steps.contiguous(),
+        **{name: in_one_piece(tensor) for name, tensor in given.items()},
+        steps=in_one_piece(steps),
         stiffness=stiffness,
         of_friction=of_friction,
         result=result,
@@ -125,6 +119,6 @@ def press_skin_back(
         held_x=held[0],
         held_z=held[1],
         record_steps=rows,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return stiffness, of_friction, result

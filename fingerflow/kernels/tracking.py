@@ -2,11 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
-import torch
-from torch import Tensor
-
+from fingerflow.kernels.arrays import Array, copied, empty, in_one_piece, kind, rows_in_one_piece, zeros
 from fingerflow.kernels.checks import (
     FRAME_KINDS,
     check_frames,
@@ -14,14 +12,11 @@ from fingerflow.kernels.checks import (
     check_like,
     described,
     described_mask,
-    empty,
     extent,
     mask_of,
-    rows_in_one_piece,
 )
-from fingerflow.kernels.library import entry
-from fingerflow.kernels.torch_op import torch_op
-from fingerflow.ops.tracking_limits import NUMBERS, TABLE
+from fingerflow.kernels.library import entry, threads
+from fingerflow.kernels.tracking_limits import NUMBERS, TABLE
 
 __all__ = [
     "LARGEST_CORNER_WINDOW",
@@ -41,16 +36,15 @@ LARGEST_CORNER_WINDOW = 15
 WIDEST_SEARCH = 1 << 15  # px, so that places in it are counted by 32 bits
 
 
-@torch_op()
 def prepare_templates(
-    image: Tensor,
-    points: Tensor,
-    inverse_warp: Tensor | None,
-    variance: Tensor,
+    image: Array,
+    points: Array,
+    inverse_warp: Array | None,
+    variance: Array,
     window: int,
     gain_offset: bool,
     rounding: float,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Array, Array, Array, Array]:
     """Start, samples, table and numbers of templates, as `ops.templates.Templates` has them.
 
     An image (B, 1, H, W) of FRAME_KINDS, H and W at least 4; float32 points (B, N, 2), inverse_warp (B, N, 2, 2) and
@@ -59,18 +53,18 @@ def prepare_templates(
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(image, tuple(FRAME_KINDS))
+    check_frames(image)
     batch, count = image.shape[0], points.shape[1]
-    check_like("points", points, torch.float32, (batch, count, 2))
-    check_like("variance", variance, torch.float32, (batch,))
+    check_like("points", points, "float32", (batch, count, 2))
+    check_like("variance", variance, "float32", (batch,))
     if inverse_warp is not None:
-        check_like("inverse_warp", inverse_warp, torch.float32, (batch, count, 2, 2))
-        inverse_warp = inverse_warp.contiguous()
+        check_like("inverse_warp", inverse_warp, "float32", (batch, count, 2, 2))
+        inverse_warp = in_one_piece(inverse_warp)
     _check_window(window, image)
-    image, variance = rows_in_one_piece(image), variance.contiguous()
-    start = points.clone(memory_format=torch.contiguous_format)
-    samples = empty(torch.float32, batch, count, 3, window * window)
-    table, numbers = empty(torch.float32, batch, count, TABLE), empty(torch.float32, batch, count, NUMBERS)
+    image, variance = rows_in_one_piece(image), in_one_piece(variance)
+    start = copied(points)
+    samples = empty(image, "float32", batch, count, 3, window * window)
+    table, numbers = empty(image, "float32", batch, count, TABLE), empty(image, "float32", batch, count, NUMBERS)
     entry("prepare_templates")(
         **described(image),
         height=image.shape[2],
@@ -85,35 +79,34 @@ def prepare_templates(
         samples=samples,
         table=table,
         numbers=numbers,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return start, samples, table, numbers
 
 
-class FollowedPoints(NamedTuple):
+class FollowedPoints(NamedTuple, Generic[Array]):
     """Of K frames, as `ops.templates.Found` has them, (K, B, N, ...); place and speed (B, N, 2) after the last one."""
 
-    points: Tensor
-    error: Tensor
-    covariance: Tensor
-    status: Tensor
-    estimate: Tensor
-    place: Tensor
-    speed: Tensor
+    points: Array
+    error: Array
+    covariance: Array
+    status: Array
+    estimate: Array
+    place: Array
+    speed: Array
 
 
-@torch_op()
 def find_templates(
-    templates: Sequence[Tensor],
-    frames: Tensor,
-    place: Tensor,
-    speed: Tensor | None,
-    variance: Tensor | None,
+    templates: Sequence[Array],
+    frames: Array,
+    place: Array,
+    speed: Array | None,
+    variance: Array | None,
     rounds: int,
     rounding: float,
     forward_backward_limit: float,
     mismatch_limit: float,
-) -> FollowedPoints:
+) -> FollowedPoints[Array]:
     """Templates (start, samples, table, numbers) of B x N points followed through frames.
 
     Frames (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b; place (B, N, 2) expected in the first frame
@@ -122,7 +115,7 @@ def find_templates(
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
     """
-    check_frames(frames, tuple(FRAME_KINDS))
+    check_frames(frames)
     (batch, count), total = place.shape[:2], frames.shape[0]
     if total % max(batch, 1):
         raise ValueError(f"{total} frames cannot be those of {batch} recordings")
@@ -130,19 +123,20 @@ def find_templates(
     shapes = {"start": (2,), "samples": (3, window * window), "table": (TABLE,), "numbers": (NUMBERS,)}
     kept = {}
     for (name, last), tensor in zip(shapes.items(), templates, strict=True):
-        check_like(name, tensor, torch.float32, (batch, count, *last))
-        kept[name] = tensor.contiguous()
-    check_like("place", place, torch.float32, (batch, count, 2))
-    place = place.clone(memory_format=torch.contiguous_format)
-    speed = torch.zeros_like(place) if speed is None else speed.clone(memory_format=torch.contiguous_format)
-    check_like("speed", speed, torch.float32, (batch, count, 2))
+        check_like(name, tensor, "float32", (batch, count, *last))
+        kept[name] = in_one_piece(tensor)
+    check_like("place", place, "float32", (batch, count, 2))
+    place = copied(place)
+    speed = zeros(place, "float32", *place.shape) if speed is None else copied(speed)
+    check_like("speed", speed, "float32", (batch, count, 2))
     if variance is not None:
-        check_like("variance", variance, torch.float32, (total,))
-        variance = variance.contiguous()
+        check_like("variance", variance, "float32", (total,))
+        variance = in_one_piece(variance)
     _check_window(window, frames)
     frames = rows_in_one_piece(frames)
-    points, estimate, covariance = (empty(torch.float32, steps, batch, count, *last) for last in ((2,), (2,), (2, 2)))
-    error, status = (empty(dtype, steps, batch, count) for dtype in (torch.float32, torch.uint8))
+    size = (steps, batch, count)
+    points, estimate, covariance = (empty(frames, "float32", *size, *last) for last in ((2,), (2,), (2, 2)))
+    error, status = (empty(frames, dtype, *size) for dtype in ("float32", "uint8"))
     entry("find_templates")(
         **described(frames),
         height=frames.shape[2],
@@ -164,20 +158,19 @@ def find_templates(
         covariance=covariance,
         status=status,
         estimate=estimate,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return FollowedPoints(points, error, covariance, status, estimate, place, speed)
 
 
-def _check_window(window: int, frames: Tensor) -> None:
+def _check_window(window: int, frames: Array) -> None:
     if window < 5 or window % 2 == 0:
         raise ValueError(f"window must be odd and at least 5 px, not {window}")
     if min(frames.shape[2:]) < 4:
         raise ValueError(f"frames of {tuple(frames.shape[2:])} px: 4 x 4 and more are needed")
 
 
-@torch_op()
-def halve(frames: Tensor) -> Tensor:
+def halve(frames: Array) -> Array:
     """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS.
 
     Raises:
@@ -185,59 +178,54 @@ def halve(frames: Tensor) -> Tensor:
     """
     frames = _kernel_frames(frames)
     batch, _, height, width = frames.shape
-    halved = empty(torch.float32, batch, 1, height // 2, width // 2)
-    threads = torch.get_num_threads()
-    entry("halve")(frames=frames, halved=halved, **extent(frames), kind=FRAME_KINDS[frames.dtype], threads=threads)
+    halved = empty(frames, "float32", batch, 1, height // 2, width // 2)
+    entry("halve")(frames=frames, halved=halved, **extent(frames), kind=FRAME_KINDS[kind(frames)], threads=threads())
     return halved
 
 
-@torch_op()
-def mean_response(frames: Tensor) -> Tensor:
+def mean_response(frames: Array) -> Array:
     """Mean absolute response (B,) float64 of the mask of `ops.noise`, of frames of FRAME_KINDS, at least 3 x 3.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or smaller frames.
     """
     frames = _kernel_frames(frames)
-    means = empty(torch.float64, frames.shape[0])
-    threads = torch.get_num_threads()
+    means = empty(frames, "float64", frames.shape[0])
     entry("mean_response")(
-        frames=frames, means=means, **extent(frames), kind=FRAME_KINDS[frames.dtype], threads=threads
+        frames=frames, means=means, **extent(frames), kind=FRAME_KINDS[kind(frames)], threads=threads()
     )
     return means
 
 
-@torch_op()
-def spline_coefficients(frames: Tensor) -> Tensor:
+def spline_coefficients(frames: Array) -> Array:
     """(B, 1, H, W) float32, as `ops.spline` has them, bit for bit, of frames of FRAME_KINDS.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
     """
-    check_frames(frames, tuple(FRAME_KINDS))
+    check_frames(frames)
     frames = rows_in_one_piece(frames)
-    coefficients = empty(torch.float32, *frames.shape)
+    coefficients = empty(frames, "float32", *frames.shape)
     entry("spline_coefficients")(
         frames=frames,
         coefficients=coefficients,
         **extent(frames),
-        kind=FRAME_KINDS[frames.dtype],
-        threads=torch.get_num_threads(),
+        kind=FRAME_KINDS[kind(frames)],
+        threads=threads(),
     )
     return coefficients
 
 
-def _kernel_frames(frames: Tensor) -> Tensor:
-    check_frames(frames, tuple(FRAME_KINDS))
+def _kernel_frames(frames: Array) -> Array:
+    check_frames(frames)
     if min(frames.shape[2:]) < 3:
         raise ValueError(f"frames of {tuple(frames.shape[2:])} px: this compiled kernel needs at least 3 x 3")
     return rows_in_one_piece(frames)
 
 
-@torch_op()
 def search_windows(
-    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, size: int, reach: int
-) -> Tensor:
+    templates: Array, images: Array, image_index: Array, points: Array, guess: Array, size: int, reach: int
+) -> Array:
     """Places (P, 2) as `ops.search` has them, from images (B, 1, h, w) of half resolution, all float32.
 
     Image_index (P,) int64, points and guess (P, 2); templates `size` wide, found up to `reach` px away.
@@ -246,36 +234,35 @@ def search_windows(
         TypeError, ValueError: another dtype, shapes that do not belong together, an even size or a negative reach.
     """
     count = points.shape[0]
-    check_frames(templates, (torch.float32,))
-    check_like("images", images, torch.float32, tuple(templates.shape))
-    check_like("image_index", image_index, torch.int64, (count,))
+    check_frames(templates, ("float32",))
+    check_like("images", images, "float32", tuple(templates.shape))
+    check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("points", points, torch.float32, (count, 2))
-    check_like("guess", guess, torch.float32, (count, 2))
+    check_like("points", points, "float32", (count, 2))
+    check_like("guess", guess, "float32", (count, 2))
     if size < 1 or size % 2 == 0 or reach < 0 or (count and min(images.shape[2:]) < 1):
         raise ValueError(f"templates {size} wide, {reach} px away, in images of {tuple(images.shape)}")
     if size + 2 * reach > WIDEST_SEARCH:
         raise ValueError(f"templates {size} wide, {reach} px away: the compiled search ends at {WIDEST_SEARCH} px")
-    found = empty(torch.float32, count, 2)
+    found = empty(templates, "float32", count, 2)
     entry("search_windows")(
-        templates=templates.contiguous(),
-        images=images.contiguous(),
+        templates=in_one_piece(templates),
+        images=in_one_piece(images),
         height=images.shape[2],
         width=images.shape[3],
-        image_index=image_index.contiguous(),
-        points=points.contiguous(),
-        guess=guess.contiguous(),
+        image_index=in_one_piece(image_index),
+        points=in_one_piece(points),
+        guess=in_one_piece(guess),
         count=count,
         size=size,
         reach=reach,
         found=found,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return found
 
 
-@torch_op()
-def sample_windows(images: Tensor, image_index: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
+def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
     """Windows (N, m) as `ops.window_correlation` has them, to the rounding of their places, of images (n, 1, H, W) of
     FRAME_KINDS, at least 4 x 4.
 
@@ -285,66 +272,65 @@ def sample_windows(images: Tensor, image_index: Tensor, places: Tensor, warp: Te
         TypeError, ValueError: another dtype, shapes that do not belong together, smaller images, a window or a step
             below 1.
     """
-    check_frames(images, tuple(FRAME_KINDS))
+    check_frames(images)
     count, reach = places.shape[0], window // 2
-    check_like("image_index", image_index, torch.int64, (count,))
+    check_like("image_index", image_index, "int64", (count,))
     check_indices("image_index", image_index, images.shape[0], "images")
-    check_like("places", places, torch.float32, (count, 2))
-    check_like("warp", warp, torch.float32, (count, 2, 2))
+    check_like("places", places, "float32", (count, 2))
+    check_like("warp", warp, "float32", (count, 2, 2))
     if window < 1 or step < 1 or min(images.shape[2:]) < 4:
         raise ValueError(f"windows of {window} px by steps of {step} in images of {tuple(images.shape[2:])}")
     images = rows_in_one_piece(images)
-    found = empty(torch.float32, count, (2 * reach // step + 1) ** 2)
+    found = empty(images, "float32", count, (2 * reach // step + 1) ** 2)
     entry("sample_windows")(
         **described(images),
         height=images.shape[2],
         width=images.shape[3],
-        image_index=image_index.contiguous(),
-        places=places.contiguous(),
-        warp=warp.contiguous(),
+        image_index=in_one_piece(image_index),
+        places=in_one_piece(places),
+        warp=in_one_piece(warp),
         windows=count,
         reach=reach,
         step=step,
         found=found,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return found
 
 
-class CornerPlaces(NamedTuple):
+class CornerPlaces(NamedTuple, Generic[Array]):
     """Points (B, count, 2) and response (B, count), float32, strongest first; NaN behind the last."""
 
-    points: Tensor
-    response: Tensor
+    points: Array
+    response: Array
 
 
-@torch_op()
 def corners(
-    frames: Tensor,
-    mask: Tensor | None,
-    floors: Tensor,
+    frames: Array,
+    mask: Array | None,
+    floors: Array,
     *,
     count: int,
     min_distance: float,
     quality: float,
     window: int,
     border: int,
-) -> CornerPlaces:
+) -> CornerPlaces[Array]:
     """Corners of uint8 frames (B, 1, H, W), as `ops.corners` has them; responses exceed `floors` (B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.
     """
-    check_frames(frames, (torch.uint8,))
+    check_frames(frames, ("uint8",))
     batch, _, height, width = frames.shape
-    check_like("floors", floors, torch.float32, (batch,))
+    check_like("floors", floors, "float32", (batch,))
     if not 1 <= window <= LARGEST_CORNER_WINDOW or window % 2 == 0:
         raise ValueError(f"compiled corners have odd windows up to {LARGEST_CORNER_WINDOW}: {window} was asked for")
     if height * width >= 1 << 32:
         raise ValueError(f"a frame of {height} x {width}: compiled corners take fewer than 2^32 pixels")
-    frames, floors = rows_in_one_piece(frames), floors.contiguous()
+    frames, floors = rows_in_one_piece(frames), in_one_piece(floors)
     mask = None if mask is None else mask_of(frames, mask)
-    points, responses = empty(torch.float32, batch, count, 2), empty(torch.float32, batch, count)
+    points, responses = empty(frames, "float32", batch, count, 2), empty(frames, "float32", batch, count)
     entry("corners")(
         frames=frames,
         **extent(frames),
@@ -357,6 +343,6 @@ def corners(
         min_distance=min_distance,
         points=points,
         responses=responses,
-        threads=torch.get_num_threads(),
+        threads=threads(),
     )
     return CornerPlaces(points, responses)

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_adjoint import stiffness_gradients
 from fingerflow.models.skin_forces import Chain, half_circle
 from fingerflow.models.skin_implicit import MOST_STEPS, Load, State, advance, net_forces

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact_sizes import cell_of as cell_of
 from fingerflow.ops.cells import cell_means, enlarge, widest
 
 _LEAST_SHARE = 0.2  # of a region that its pattern covers at least
@@ -32,11 +33,6 @@ class Region(NamedTuple):
     center: Tensor
     semi_axes: Tensor
     angle: Tensor
-
-
-def cell_of(radius: int) -> int:
-    """Side (px) of the cells on which a pattern of this radius is followed: 4, less for fine patterns."""
-    return max(cell for cell in (1, 2, 4) if cell == 1 or 4 * cell <= 2 * radius + 1)
 
 
 def apparent_contact(

@@ -6,40 +6,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
-from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD, PlaneFit, fit_planes
+from fingerflow.kernels import field_limits as limits
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.scattered import check_scattered
 from fingerflow.ops.strain import STRAIN_MEASURES, green_lagrange
 from fingerflow.ops.strain_uncertainty import field_sensitivity
 from fingerflow.ops.tensors import finite, sum_rows
 
-POSITIONS = 800  # in an ellipse, whatever its size; 8,000 move the median divergence of a press by 0.3 um/mm RMS
-# A straight border of a dense cloud has its centroid 0.15 gauge lengths away. Farther out a fit would extrapolate.
-_FARTHEST_CENTROID = 0.16  # gauge lengths
-# Of the area over which the fields must be known for their medians to mean anything. A contact of 5 mm2 among 700
-# points has 50: by chance they leave 0.12 of it unknown.
-_LEAST_SHARE = 0.85
-_LEAST_RATIO = 0.1  # of areas before and after: less is no skin, but an edge that folds
-_REACH = 2.0  # standard deviations of a fit within which a position counts as next to the median
-_SAME_PLACE = 0.5  # radii
 _FAR = 1e3  # radii, from all positions
-_EVEN = 0.4  # of sum w^2 d d' to sum w d d' over a disc
 _TINY = 1e-30
 _FIELDS = 5
 
-
-def _lattice() -> Tensor:
-    """(POSITIONS, 2) in the unit disc, neighbours near each other in the list."""
-    number = torch.arange(POSITIONS, dtype=torch.float64, device="cpu") + 0.5
-    radius, turn = (number / POSITIONS).sqrt(), number * (math.pi * (3 - 5**0.5))
-    place = torch.stack((radius * turn.cos(), radius * turn.sin()), dim=1)
-    # In bands by y, in a band by x: the compiled form takes sixteen at a time.
-    bands = round((POSITIONS / 16) ** 0.5)
-    ordered = place[place[:, 1].argsort()].chunk(bands)
-    return torch.cat([band[band[:, 0].argsort()] for band in ordered])
-
-
-_LATTICE = _lattice()
+_LATTICE = torch.from_numpy(limits.lattice())
 
 
 class AreaMedians(NamedTuple):
@@ -116,17 +95,8 @@ def area_medians(
                 among,
                 fields,
                 std,
-                _LATTICE.to(kind),
                 measure=STRAIN_MEASURES.index(measure),
-                minimum_points=MINIMUM_POINTS,
                 radius=gauge_length / 2,
-                least_spread=MINIMUM_SPREAD,
-                farthest=2 * _FARTHEST_CENTROID,
-                least_ratio=_LEAST_RATIO,
-                least_share=_LEAST_SHARE,
-                reach=_REACH,
-                even=_EVEN,
-                same_place=_SAME_PLACE,
             )
         )
     planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
@@ -169,7 +139,12 @@ def medians_of_components(
     # G (I - G)^-1 = (I - G)^-1 - I, with little lost where G is small.
     ratio = (1 - xx) * (1 - yy) - xy * yx
     beside = fit.centroid - positions
-    known = fit.known & good & (sum_rows(beside * beside) < (2 * _FARTHEST_CENTROID) ** 2) & (ratio > _LEAST_RATIO)
+    known = (
+        fit.known
+        & good
+        & (sum_rows(beside * beside) < (2 * limits.FARTHEST_CENTROID) ** 2)
+        & (ratio > limits.LEAST_RATIO)
+    )
     lost = xx * yy - xy * yx
     gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
     fields = _fields(gradient, measure)
@@ -180,7 +155,7 @@ def medians_of_components(
         known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
     count = known.to(fields.dtype).sum(2, keepdim=True)
     falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
-    enough = (count >= _LEAST_SHARE * fields.shape[2]).squeeze(2)
+    enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
     # The same place twice where the count is odd.
     ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor().clamp_max(fields.shape[2] - 1)
     median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
@@ -191,7 +166,7 @@ def medians_of_components(
     share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
     joint = torch.zeros_like(median)
     if nearest is not None and nearest.std is not None:
-        away = (fields - median[..., None]).square() / (_REACH * nearest.std).square().clamp_min(_TINY)
+        away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
         share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * known, share)
     share = share / share.sum(2, keepdim=True).clamp_min(1)
     if nearest is not None and nearest.std is not None:
@@ -223,7 +198,7 @@ def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
     found = ((weights == nearest).to(weights.dtype) @ columns).mT
     count, of_them = found[:, :1], found[:, 1:2]
     fields = found[:, 2:] / of_them.clamp_min(1)
-    within = (nearest > (1 - _SAME_PLACE**2) ** 2).mT
+    within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
     return _OfNearest(
         of_them > count / 2, within, fields[:, :_FIELDS], None if apart.std is None else fields[:, _FIELDS:]
     )
@@ -255,10 +230,12 @@ def _beside(
     now = gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2)
     mean = torch.where(usable, covariance, 0.0).sum(2) / usable.to(fields.dtype).sum(2).clamp_min(1)
     own = mean[:, (0, 1, 1, 2)].unflatten(1, (2, 2))[:, None, None]
-    slopes = (_EVEN / radius**2 * fit.inverse / fit.mass)[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
+    slopes = (
+        (limits.EVEN / radius**2 * fit.inverse / fit.mass)[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
+    )
     sensitivity = field_sensitivity(now, measure)  # (B, Q, 5, 2, 2)
     variance = ((own @ sensitivity @ slopes[:, :, None]) * sensitivity).sum((-2, -1)).mT
-    away = (fields - median).square() / (_REACH**2 * variance).clamp_min(_TINY)
+    away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
     result: Tensor = (1 - away).clamp_min(0).square()
     return result
 

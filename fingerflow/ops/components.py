@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 
 def fill_holes(mask: Tensor) -> Tensor:

@@ -3,6 +3,9 @@
 import torch
 from torch import Tensor
 
+from fingerflow.kernels import contact_frames
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
 from fingerflow.ops.otsu import Classes, histogram, otsu_classes
@@ -46,6 +49,14 @@ def contact_threshold(
         (B,) of the type of `light`, within 0.05 to 1; NaN where no two classes are apart, without contact.
     """
     kind = light.dtype
+    if (
+        frames.dtype in kernels.FRAME_KINDS
+        and kind == black.dtype == torch.float32
+        and (gain is None or gain.dtype == torch.float32)
+        and median_px <= kernels.LARGEST_MAJORITY
+        and kernels.serve(frames, light, black, gain)
+    ):
+        return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
     lit = light > 0
     low, scale = LEVEL_RANGE[0], levels_per_unit(*LEVEL_RANGE)
     lost = (1 - low) * scale - (frames.to(kind) - black) * (scale / torch.where(lit, light, 1.0))
@@ -76,6 +87,20 @@ def contact_threshold(
         level = _half_way(_counts(smooth, counted & inside).to(kind), level, classes)
     threshold = share(level)
     return torch.where((threshold > _LEAST_INTENSITY_LOSS) & (threshold < 1), threshold, torch.nan)
+
+
+def _one_a_frame(frames: Tensor, light: Tensor, *others: object) -> Tensor:
+    return light.new_empty(len(frames))
+
+
+@torch_op(shapes=_one_a_frame)
+def compiled_threshold(
+    frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None, median_px: int, radius: int, stride_px: int
+) -> Tensor:
+    """`contact_threshold` in one call of the compiled library."""
+    arrays = (None if one is None else one.detach().numpy() for one in (frames, light, black, gain))
+    sizes = {"median_px": median_px, "radius": radius, "stride_px": stride_px}
+    return torch.from_numpy(contact_frames.contact_threshold(*arrays, **sizes))  # type: ignore[arg-type]
 
 
 def _counts(smooth: Tensor, mask: Tensor) -> Tensor:

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
-from fingerflow.kernels.torch_op import torch_op
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.cells import widest
 from fingerflow.ops.noise import estimate_noise

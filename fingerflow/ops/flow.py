@@ -30,10 +30,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.flow import Fields, Left
-from fingerflow.kernels.torch_op import torch_op
-from fingerflow.ops import tracking_limits as limits
+from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.flow_cells import CELL, halved, integrated, spread, to_cells, to_pixels, window, window_variance
 from fingerflow.ops.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels, check_constancy
 from fingerflow.ops.flow_covariance import flow_covariance
@@ -234,7 +234,7 @@ def _smoothing(variance: Tensor, roughness: float) -> Tensor:
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
-def _fields(coefficients: Tensor, mask: Tensor) -> Fields:
+def _fields(coefficients: Tensor, mask: Tensor) -> Fields[Tensor]:
     """What the spline of a first image and its mask (B, 1, H, W), 1 or 0, tell beside the windows."""
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
         return kernels.flow_template(coefficients, mask, _MARGIN)
@@ -280,7 +280,7 @@ def find_flow(
     return _at_pixels(template, flow, left, spread)
 
 
-def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left, spread_at: Tensor) -> Flow:
+def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], spread_at: Tensor) -> Flow:
     """The result, of the flow on cells, what was left before the last step, and the covariance for a gain of 1."""
     size = template.inside.shape[-2:]
     known = template.levels[0].inside
@@ -313,7 +313,7 @@ def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: 
 
 def _refined(
     template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
-) -> tuple[Tensor, Left, Level]:
+) -> tuple[Tensor, Left[Tensor], Level]:
     """The flow on cells after so many warps, what was left before the last one, and the finest level of its system."""
     coefficients = channels(spline_coefficients(current), template.constancy)
     for warp in range(warps):
@@ -330,7 +330,7 @@ def _refined(
     return flow, left, levels[0]
 
 
-def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left:
+def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
     """What a flow on cells leaves unexplained of all channels (C B, 1, H, W) together: means over cells of its products
     with the slopes, over the gain (B, 2, h, w), of its squares and of where it was seen (B, 1, h, w); and the gain of
     the light (B, 1, 1, 1).
@@ -351,7 +351,7 @@ def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left:
 
 def _left_of_each(
     coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
-) -> Left:
+) -> Left[Tensor]:
     """`_left` of every channel, its products not over the gain."""
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
         return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)

@@ -5,8 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
-from fingerflow.ops import tracking_limits as limits
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
 
 _RIDGE_NOISE = 0.86  # share of the variance of noise that the low-pass of the spline leaves at a period of 15 px
 _TINY = 1e-12

@@ -9,7 +9,7 @@ warp and three cycles so bring nine tenths of the flow to within 0.0023 px of th
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.flow_course import WINDOW, course
 from fingerflow.ops.flow_multigrid import COARSEST_SWEEPS, DAMPING, SWEEPS, Level, laplacian, times, v_cycle
 

@@ -39,7 +39,7 @@ def check_penalty(penalty: str) -> None:
         raise ValueError(f"penalty must be one of {get_args(Penalty)}, not {penalty!r}")
 
 
-def data_weights(left: Left, by_noise: Tensor) -> Tensor:
+def data_weights(left: Left[Tensor], by_noise: Tensor) -> Tensor:
     """Weights (B, 1, h, w) of cells of which so much is left; `by_noise` (B,), the mean square that noise leaves."""
     expected = by_noise[:, None, None, None] * (1 + left.gain * left.gain) / 2
     ratio = left.squares / (left.seen.clamp_min(_TINY) * expected)

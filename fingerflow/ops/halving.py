@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 
 def halved_image(images: Tensor) -> Tensor:

@@ -5,12 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
 from fingerflow.ops.quantile import frame_quantile
-
-# The brightest hundredth of a reference may be reflections and hot pixels; its full light is taken below them.
-_FULL_LIGHT = 0.99
-_LEAST_LIGHT = 0.05  # of full light, at which a quotient means anything
 
 # The signal of levels 0 and 255. The lower end leaves room for pixels brighter than the empty glass.
 LEVEL_RANGE = (-0.25, 1.0)
@@ -24,7 +21,7 @@ class NormalizedFrames(NamedTuple):
 
 
 def normalize_illumination(
-    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = _LEAST_LIGHT
+    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = LEAST_LIGHT
 ) -> NormalizedFrames:
     """(frames - dark) / (reference - dark), where the reference, the empty glass, is lit.
 
@@ -84,11 +81,11 @@ def glass_light(
     Raises:
         ValueError: shapes that do not fit.
     """
-    check_images([empty] if dark is None else [empty, dark], _LEAST_LIGHT)
+    check_images([empty] if dark is None else [empty, dark], LEAST_LIGHT)
     counts = empty.to(precision)
     black = torch.zeros_like(counts) if dark is None else dark.to(precision).expand(counts.shape)
     light = counts - black
-    return torch.where(_lit(light, _LEAST_LIGHT), light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
+    return torch.where(_lit(light, LEAST_LIGHT), light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
 
 
 def _lit(light: Tensor, minimum: float) -> Tensor:
@@ -98,8 +95,8 @@ def _lit(light: Tensor, minimum: float) -> Tensor:
 
 def _full_light(light: Tensor) -> Tensor:
     """(B,) of light (B, 1, H, W)."""
-    step = max(1, min(light.shape[-2:]) // 128)  # some 10,000 pixels tell the quantile of smooth light
-    return frame_quantile(light.detach()[..., ::step, ::step], _FULL_LIGHT).to(light.dtype)
+    step = max(1, min(light.shape[-2:]) // PIXELS_OF_LIGHT)
+    return frame_quantile(light.detach()[..., ::step, ::step], FULL_LIGHT).to(light.dtype)
 
 
 def _exceeds(light: Tensor, least: Tensor) -> Tensor:

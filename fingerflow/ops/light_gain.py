@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact_sizes import block_of
 
 _STEP = 4  # px between the lines that are read
-_LEAST_BLOCK = 16  # px, wide enough for a ridge and the skin beside it
 _MOST, _LEAST = 1.4, 0.7  # gains beyond which nothing tells light that has changed from glass that is covered
 _LIT = 0.25  # least light of a block, of that of the brightest
 _ROUGH = 0.15  # deviation of quotients within a block: of noise it is less, of ridges more
@@ -34,7 +34,7 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
         frame full of contact.
     """
     kind = light.dtype
-    block = max(_LEAST_BLOCK, (2 * radius + 1) // 8 * 8)
+    block = block_of(radius)
     if (
         frames.dtype in kernels.FRAME_KINDS
         and light.dtype == black.dtype == torch.float32

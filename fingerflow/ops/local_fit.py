@@ -6,8 +6,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
-from fingerflow.ops.plane_fit import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.ops.scattered import check_batches, check_scattered, result_dtype, working_dtype
 from fingerflow.ops.weighted_moments import weighted_moments
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 
 def looks(*tensors: Tensor) -> bool:

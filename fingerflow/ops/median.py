@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
-from fingerflow.kernels.torch_op import torch_op
-from fingerflow.ops.median_network import MedianProgram, Operand, Step, median_program, tile_program
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.median_network import MedianProgram, Operand, Step, median_program, tile_program
+from fingerflow.kernels.tensors.torch_op import torch_op
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS_A_PASS = 1 << 19

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 Shape = Literal["disc", "diamond"]
 

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 
 def estimate_noise(images: Tensor) -> Tensor:

@@ -5,17 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-NEIGHBOURS = 16  # of a point that are asked; the nearest
-LEAST_NEIGHBOURS = 5  # below which there is nobody to judge by
-#: Times its neighbours' disagreement that a point's may be. Of true displacements none in 10,000 exceed it where the
-#: field is a plane, and 2 in 1000 where it bends strongly. Of those off by 12 standard deviations 98 in 100 do.
-MOST_DISAGREEMENT = 3.0
-#: Times the (harmonic) mean standard deviation of its neighbours that a point's may be.
-MOST_UNCERTAINTY = 4.0
-_SPREAD = 4.0  # squared: of agreement, within which a neighbour has at least half a say in the plane
-_LEAST_DEVIATION = 1e-6  # in the unit of the positions: those of the first frame are 0
+from fingerflow.kernels import outlier_limits as limits
+
 _LEAST = 1e-30
-_RIDGE = 1e-3  # of the spread of neighbours: for those on one line
 
 
 class Neighbours(NamedTuple):
@@ -54,7 +46,7 @@ def find_neighbours(positions: Tensor, gauge_length: float) -> Neighbours:
     distance = across * across + down * down
     apart = ~torch.eye(positions.shape[1], dtype=torch.bool, device=positions.device)
     distance = torch.where(apart & (distance <= (gauge_length / 2) ** 2), distance, torch.inf)  # NaN is nowhere near
-    nearest = distance.topk(min(NEIGHBOURS, positions.shape[1] - 1), dim=2, largest=False)
+    nearest = distance.topk(min(limits.NEIGHBOURS, positions.shape[1] - 1), dim=2, largest=False)
     number, within = nearest.indices.mT.contiguous(), nearest.values.mT.contiguous() < torch.inf
     there = positions.gather(1, number.flatten(1)[..., None].expand(-1, -1, 2)).unflatten(1, number.shape[1:])
     offset = (there - positions[:, None]).contiguous()
@@ -87,7 +79,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     x, y = (part.contiguous() for part in offset.unbind(-1))
     known = (displacement.sum(-1) + position_std).isfinite()
     one = known.to(displacement.dtype)
-    sure = torch.where(known, position_std, 1.0).clamp_min(_LEAST_DEVIATION)
+    sure = torch.where(known, position_std, 1.0).clamp_min(limits.LEAST_DEVIATION)
     u, v = (part.contiguous() for part in torch.where(known[..., None], displacement, 0.0).unbind(-1))
     there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
     weight = there * within
@@ -96,7 +88,7 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     precision = 1 / (variance + sure.square()[:, None])
 
     distance, level = _agreement(u, v, precision, weight, number)
-    slope = _plane(x, y, u, v, weight / (1 + distance / (_SPREAD * level[:, None])))
+    slope = _plane(x, y, u, v, weight / (1 + distance / (limits.SPREAD * level[:, None])))
     _, fitted = _agreement(*_above(slope, x, y, u, v), precision, weight, number)
     trust = one / fitted.square()
     donated = (*(part * trust for part in slope), trust)
@@ -110,9 +102,10 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     usual, usual_deviation = (
         number / (part * weight).sum(1).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
     )
-    judged = known & (number >= LEAST_NEIGHBOURS)
+    judged = known & (number >= limits.LEAST_NEIGHBOURS)
     return Outliers(
-        judged & (disagreement > MOST_DISAGREEMENT * usual), judged & (sure > MOST_UNCERTAINTY * usual_deviation)
+        judged & (disagreement > limits.MOST_DISAGREEMENT * usual),
+        judged & (sure > limits.MOST_UNCERTAINTY * usual_deviation),
     )
 
 
@@ -143,7 +136,7 @@ def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[T
     xx = (by_x * x).sum(1) - mean_x * sum_x
     xy = (by_x * y).sum(1) - mean_x * sum_y
     yy = (by_y * y).sum(1) - mean_y * sum_y
-    ridge = _RIDGE * (xx + yy) + _LEAST
+    ridge = limits.RIDGE * (xx + yy) + _LEAST
     xx, yy = xx + ridge, yy + ridge
     determinant = (xx * yy - xy * xy).clamp_min(_LEAST)
     slopes = []

@@ -8,12 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.ops.tensors import finite, sum_rows
 
-MINIMUM_POINTS = 5
-# The weighted standard deviation of the points must be this part of the support's radius in every direction. A uniform
-# cloud has 0.35, half a disc across its edge 0.20; collinear, coincident or far off-centre points fall below it.
-MINIMUM_SPREAD = 0.1
 _TINY = 1e-20
 _ONE = 2.0**-60  # what counts as one: less than any number that is not 0 here, so that clamping makes it of them all
 
@@ -44,7 +41,7 @@ class PlaneFit(NamedTuple):
     weights: Tensor  # of `Support`
 
 
-def about_their_mean(points: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+def about_their_mean(points: Tensor, radius: float | Tensor) -> tuple[Tensor, Tensor]:
     """Places (B, 2, N) in radii from the mean of points (B, N, 2), 0 where one is not known; and (B, 1, N) whether."""
     moved = points.mT
     given = finite(sum_rows(moved))
@@ -68,7 +65,12 @@ def support_of(places: Tensor, queries: Tensor) -> Support:
 
 
 def fit_planes(
-    places: Tensor, values: Tensor, queries: Tensor, usable: Tensor, radius: float, support: Support | None = None
+    places: Tensor,
+    values: Tensor,
+    queries: Tensor,
+    usable: Tensor,
+    radius: float | Tensor,
+    support: Support | None = None,
 ) -> PlaneFit:
     """The weighted fits of `ops.local_gradients`, weights (1 - (r/R)^2)^2.
 

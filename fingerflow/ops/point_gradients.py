@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
 from fingerflow.ops.tensors import finite, sum_rows
@@ -75,3 +75,18 @@ def neighbour_planes(
     known = fitted.known & given
     value, gradient = (torch.where(known, one, torch.nan).mT for one in (fitted.value, fitted.gradient))
     return NeighbourPlanes(value, gradient.unflatten(2, (-1, 2)))
+
+
+def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
+    """Gradients (B, Q, C, 2) at queries (B, Q, 2) of values (B, N, C) known at points (B, N, 2), NaN where they do not
+    determine them: the portable form of `local_gradients` at fixed cost, which is exported.
+
+    ``gauge_length`` (1,) is in the unit of the points.
+    """
+    radius = gauge_length.to(points.dtype) / 2
+    both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)
+    (places, asked), (known, wanted) = (one.split((points.shape[1], queries.shape[1]), dim=2) for one in (both, given))
+    usable = known & finite(sum_rows(values.mT))
+    fitted = fit_planes(places, values.mT, asked, usable, radius)
+    gradient: Tensor = torch.where(fitted.known & wanted, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
+    return gradient

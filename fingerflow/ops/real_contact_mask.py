@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.box_sum import box_sum
 
 

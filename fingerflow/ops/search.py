@@ -4,16 +4,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
+from fingerflow.kernels.tracking_limits import SEARCH_TIE
 from fingerflow.ops.halving import halved_image
-from fingerflow.ops.tracking_limits import SEARCH_TIE
 from fingerflow.ops.windows import cut_windows
 
-# The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
-# than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them
-# apart. Within a few px there is no neighbouring ridge.
-_WIDENING = 3
-_SEARCHED = 1.0  # px that a search is good to
 _CHUNK = 128  # points a pass, which bounds the memory of the transforms
 
 
@@ -48,7 +44,7 @@ def search_windows(
         (P, 2) px; ``guess`` where it is not finite or nothing correlates.
     """
     coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
-    size, reach = _template_size(window, radius), (radius + 1) // 2
+    size, reach = sizes_of(window, radius)
     given = (coarse_templates, coarse_images, image_index, points, guess)
     if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
         return kernels.search_windows(*given, size, reach)
@@ -82,12 +78,7 @@ def search_and_return(
     """
     ahead = search_windows(key, current, image_index, start, guess, window, radius)
     back = search_windows(current, key, image_index, ahead, start, window, radius)
-    return ahead, (back - start).square().sum(-1).sqrt() <= forward_backward_limit + _SEARCHED
-
-
-def _template_size(window: int, radius: int) -> int:
-    """Odd side of the template at half resolution."""
-    return 2 * (min(_WIDENING * window, window + 2 * radius) // 4) + 1
+    return ahead, (back - start).square().sum(-1).sqrt() <= forward_backward_limit + SEARCHED
 
 
 def _search_coarse(

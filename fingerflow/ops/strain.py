@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-STRAIN_MEASURES = ("green_lagrange", "as_printed", "infinitesimal")
+from fingerflow.kernels.field_limits import STRAIN_MEASURES as STRAIN_MEASURES
 
 
 def divergence(gradient: Tensor) -> Tensor:

@@ -5,9 +5,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.median_network import join_program
 from fingerflow.ops.median import median_filter, run_network
-from fingerflow.ops.median_network import join_program
 
 # A window of its own takes up to 7 times the operations of one that shares them with all its neighbours.
 _OWN_WINDOWS = 3

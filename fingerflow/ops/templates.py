@@ -21,15 +21,16 @@ D grad D, which over a window is half the difference of D^2 between its opposite
 Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fingerflow import kernels
-from fingerflow.ops import tracking_limits as limits
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tracking_limits import BEYOND, ROUNDING, Number, TrackStatus
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.spline_windows import (
@@ -41,12 +42,10 @@ from fingerflow.ops.spline_windows import (
     taps_and_slopes,
 )
 from fingerflow.ops.tensors import components_first, finite, sum_rows
-from fingerflow.ops.tracking_limits import BEYOND, Number, TrackStatus
 from fingerflow.ops.windows import sample_windows
 
 _SHIFTS = 2 * BEYOND + 1
 _TINY = 1e-20
-ROUNDING = 1 / 12  # variance that whole grey levels have against the light
 
 
 class Templates(NamedTuple):
@@ -57,7 +56,7 @@ class Templates(NamedTuple):
         samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
         table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row
             by row.
-        numbers: (B, N, 34), see :class:`~fingerflow.ops.tracking_limits.Number`.
+        numbers: (B, N, 34), see :class:`~fingerflow.kernels.tracking_limits.Number`.
         pixels: (B, N, 3, m m), m = n + 6, the samples as weights of the pixels around a window at a whole pixel; None
             where the compiled twin has prepared them, which does without.
     """
@@ -92,7 +91,7 @@ class Found(NamedTuple):
         error: (B, N) px, forward-backward distance to first order; NaN where the status says that no window with
             texture was found: up to NOT_CONVERGED, without TRACKED.
         covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
-        status: (B, N) uint8, a :class:`~fingerflow.ops.tracking_limits.TrackStatus`.
+        status: (B, N) uint8, a :class:`~fingerflow.kernels.tracking_limits.TrackStatus`.
         estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
     """
 
@@ -106,12 +105,6 @@ class Found(NamedTuple):
     def variance(self) -> Tensor:
         """(B, N) px^2 of a component of ``points``, the mean of both."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
-
-    @classmethod
-    def joined(cls, parts: Iterable["Found"]) -> "Found":
-        """What was found in several frames, one after the other."""
-        first, *more = parts
-        return first if not more else cls._make(torch.cat(one) for one in zip(first, *more, strict=True))
 
 
 def prepare_templates(
@@ -158,31 +151,20 @@ def prepare_templates(
     return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
-def renewable(image: Tensor) -> Tensor:
-    """What `renew_templates` needs to know of a key frame (B, 1, H, W): its spline, or the frame itself where the
-    compiled twin takes it.
-    """
-    return image if kernels.serve(image) and image.dtype in kernels.FRAME_KINDS else spline_coefficients(image)
-
-
 def renew_templates(
-    held: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
+    coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
 ) -> Templates:
-    """`prepare_templates` of whole grey levels where it is known what a key frame is `renewable` from, and its noise.
+    """`prepare_templates` of whole grey levels where spline and noise of a key frame are known: what is exported.
 
     Args:
-        held: (B, 1, H, W) as `renewable` gave it.
+        coefficients: (B, 1, H, W) of the key frame (`spline_coefficients`).
         noise: (B,) standard deviation of white noise, grey levels.
         points, window, warp, gain_offset: as for `prepare_templates`.
     """
-    kind = torch.float64 if held.dtype == torch.float64 else torch.float32
-    given, inverse, variance = points.to(kind), inverse_2x2(warp.to(kind)), noise.to(kind).square()
-    if kernels.serve(held, given, inverse, variance) and held.dtype in kernels.FRAME_KINDS:
-        return Templates(
-            *kernels.prepare_templates(held, given, inverse, variance, window, gain_offset, ROUNDING), pixels=None
-        )
+    kind = coefficients.dtype
+    inverse, variance = inverse_2x2(warp.to(kind)), noise.to(kind).square()
     settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
-    return _of_spline(held, given, inverse, window, **settings)
+    return _of_spline(coefficients, points.to(kind), inverse, window, **settings)
 
 
 def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
@@ -265,7 +247,11 @@ def find_templates(
     guess = prediction.to(dtype)
     rounding = 0.0 if current.is_floating_point() else ROUNDING
     settings = (rounding, forward_backward_limit, mismatch_limit)
-    if compiled(templates, current, guess, variance):
+    if (
+        kernels.serve(current, guess, variance, *templates[:4])
+        and current.dtype in kernels.FRAME_KINDS
+        and templates.samples.dtype == torch.float32
+    ):
         followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
     if templates.pixels is None:  # prepared by the compiled twin, found elsewhere
@@ -276,15 +262,6 @@ def find_templates(
         return found
     return further_rounds(
         lambda some, near: _look(some, current, near, variance, *settings), templates, found, guess, rounds
-    )
-
-
-def compiled(templates: Templates, current: Tensor, *others: Tensor | None) -> bool:
-    """Whether the compiled twin finds these templates in this frame."""
-    return (
-        kernels.serve(current, *others, *templates[:4])
-        and current.dtype in kernels.FRAME_KINDS
-        and templates.samples.dtype == torch.float32
     )
 
 

@@ -7,9 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
-from fingerflow.kernels.torch_op import torch_op
-from fingerflow.ops import tracking_limits as limits
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tracking_limits import ROUNDS
+from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.search import search_and_return
@@ -25,10 +27,8 @@ from fingerflow.ops.templates import (
     prepare_templates,
     replaced,
 )
-from fingerflow.ops.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.windows import sample_windows
 
-ROUNDS = 5  # tables a point may use up before it counts as not found
 # Windows over which the deformation of a template is taken to be uniform: fewer follow shorter waves (`python -m bench
 # dic`).
 _GAUGE = 3.0

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.strain import STRAIN_MEASURES, energy_form, stiffness, strain_parts, stress_parts
 from fingerflow.ops.strain_uncertainty import strain_covariance_parts
 from fingerflow.ops.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes

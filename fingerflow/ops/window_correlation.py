@@ -1,21 +1,18 @@
-"""How alike the windows around points are in two pictures, one of them deformed: a second opinion on tracked points.
+"""Grey levels in the deformed windows around points, by which the windows of two pictures are compared.
 
-Nothing of it is the tracker's: samples are Keys' cubic convolution of the recorded pixels (1981), not a spline's, the
-deformation is given, and nothing is searched for.
+Samples are Keys' cubic convolution of the recorded pixels (1981), not a spline's: the comparison (`tracker.windows`)
+shares no arithmetic with the search that found the points.
 """
 
 import math
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.windows import taken
 
-_LEAST_VARIANCE = 1e-12
-_ROUNDS = 4
-_BESIDE = 0.5  # px, over which a slope is taken
-_FARTHEST = 0.15  # by which a round may change a number of a deformation
+_SHARPNESS = -0.75  # slope of the weights 1 px away, as bicubic interpolation of torch and OpenCV has it
 
 
 def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int) -> Tensor:
@@ -34,28 +31,58 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     known = kernels.serve(images, number, places, warp) and images.dtype in kernels.FRAME_KINDS
     if known and places.dtype == torch.float32 and min(images.shape[-2:]) >= 4:
         return kernels.sample_windows(images, number, places, warp, window, step)
-    steps = _steps(window, step, places)
     height, width = images.shape[-2:]
-    size = torch.tensor([width - 1, height - 1], dtype=places.dtype, device=places.device)
+    steps = _steps(window, step, places)
+    if min(height, width) < 4:
+        return places.new_full((len(places), len(steps)), torch.nan)
+    # From the pixel nearest to the middle: in the frame places have two digits less.
+    center = places.round()
+    (near_x, near_y), (pixel_x, pixel_y) = (one[..., None].unbind(1) for one in (places - center, center))
+    right, down = steps.unbind(1)
+    x = near_x + warp[:, 0, 0, None] * right + warp[:, 0, 1, None] * down
+    y = near_y + warp[:, 1, 0, None] * right + warp[:, 1, 1, None] * down
     # A deformed square lies in the image where its corners do; false where a place is NaN.
     side = math.isqrt(len(steps))
-    corners = steps[[0, side - 1, side * (side - 1), side * side - 1]].expand(len(places), -1, -1)
-    at = torch.baddbmm(places[:, None], corners, warp.transpose(1, 2))
-    whole = ((at >= 1) & (at <= size - 1)).flatten(1).all(1)
-    # All grids by one product, (N, 2, m), in the units of `grid_sample`, -1 to 1 from edge to edge: a product for each
-    # window takes ten times as long.
-    half = size / 2
-    affine = torch.cat((warp / half[:, None], (places / half - 1)[..., None]), 2)
-    straight = torch.cat((steps, torch.ones_like(steps[:, :1])), 1)
-    grid = (affine.flatten(0, 1) @ straight.T).unflatten(0, (len(places), 2))
-    found = places.new_full((len(places), len(steps)), torch.nan)
-    for frame in number[whole].unique():
-        chosen = (whole & (number == frame)).nonzero().squeeze(1)
-        where = grid.index_select(0, chosen).transpose(1, 2)[None]
-        image = images[frame : frame + 1].to(places.dtype)
-        sampled = functional.grid_sample(image, where, mode="bicubic", align_corners=True)
-        found.index_copy_(0, chosen, sampled[0, 0])
-    return found
+    corners = torch.tensor([0, side - 1, side * (side - 1), side * side - 1], device=places.device)
+    whole = torch.ones_like(pixel_x, dtype=torch.bool)
+    for at, pixel, size in ((x, pixel_x, width), (y, pixel_y, height)):
+        edge = at.index_select(1, corners) + pixel
+        whole = whole & ((edge >= 1) & (edge <= size - 2)).all(1, keepdim=True)
+    first_x, weights_x = _taps(x, pixel_x, whole, width)
+    first_y, weights_y = _taps(y, pixel_y, whole, height)
+    # torch takes no uint16 by number.
+    flat = (images.to(places.dtype) if images.dtype == torch.uint16 else images).reshape(-1)
+    index = (number[:, None] * height + first_y) * width + first_x
+    found = torch.zeros_like(x)
+    for row, weight_y in enumerate(weights_y):
+        along = torch.zeros_like(x)
+        for column, weight_x in enumerate(weights_x):
+            along = torch.addcmul(along, weight_x, taken(flat, index, row * width + column).to(places.dtype))
+        found = torch.addcmul(found, weight_y, along)
+    return torch.where(whole, found, torch.nan)
+
+
+def _taps(at: Tensor, pixel: Tensor, whole: Tensor, size: int) -> tuple[Tensor, list[Tensor]]:
+    """The first of four pixels (N, m) along an axis that samples are made of, at places from a pixel (N, 1), and their
+    weights; any where a window is not whole (N, 1).
+    """
+    at = torch.where(whole, at, 0.0)
+    first = at.floor()
+    pixel = torch.where(whole, pixel, 1.0)
+    first = torch.minimum(first, size - 3 - pixel)  # at the last place the fraction is 1 in place of 0
+    t = at - first
+    weights = [_far(1 + t), _near(t), _near(1 - t), _far(2 - t)]
+    return (first + (pixel - 1)).to(torch.int64), weights
+
+
+def _near(distance: Tensor) -> Tensor:
+    """Weight of a pixel up to 1 px away (Keys 1981, eq. 15 with a free parameter)."""
+    return ((_SHARPNESS + 2) * distance - (_SHARPNESS + 3)) * distance * distance + 1
+
+
+def _far(distance: Tensor) -> Tensor:
+    """Weight of a pixel 1 to 2 px away."""
+    return _SHARPNESS * (((distance - 5) * distance + 8) * distance - 4)
 
 
 def _steps(window: int, step: int, like: Tensor) -> Tensor:
@@ -64,37 +91,3 @@ def _steps(window: int, step: int, like: Tensor) -> Tensor:
     offsets = torch.arange(-reach, reach + 1, step, dtype=like.dtype, device=like.device)
     y, x = torch.meshgrid(offsets, offsets, indexing="ij")
     return torch.stack((x.flatten(), y.flatten()), -1)
-
-
-def deformed_alike(
-    first: Tensor, images: Tensor, number: Tensor, places: Tensor, warp: Tensor, window: int, step: int
-) -> Tensor:
-    """The deformation (N, 2, 2), near `warp`, by which windows come nearest to what they were, their middles held.
-
-    Gauss-Newton for a T + b = I(place + F w) in gain, offset and the four numbers of F: what remains of a window whose
-    middle is elsewhere is not explained by it. Arguments as for `sample_windows`, `first` (N, m) the windows then.
-    """
-    steps = _steps(window, step, places)
-    for _ in range(_ROUNDS):
-        here = sample_windows(images, number, places, warp, window, step)
-        slopes = []
-        for along in places.new_tensor([[_BESIDE, 0.0], [0.0, _BESIDE]]):
-            sides = (sample_windows(images, number, places + one, warp, window, step) for one in (along, -along))
-            slopes.append((next(sides) - next(sides)) / (2 * _BESIDE))
-        by_warp = torch.cat([slope[..., None] * steps for slope in slopes], -1)
-        unknown = torch.cat((by_warp, -first[..., None], -torch.ones_like(first)[..., None]), -1)
-        known = unknown.isfinite().all(-1).all(-1) & here.isfinite().all(-1)
-        if not known.any():
-            break
-        solved = torch.linalg.lstsq(unknown[known], -here[known][..., None]).solution[:, :4, 0]
-        warp = warp.clone()
-        warp[known] += solved.unflatten(1, (2, 2)).clamp(-_FARTHEST, _FARTHEST)
-    return warp
-
-
-def correlation(one: Tensor, other: Tensor) -> Tensor:
-    """Normalised correlation (N,) of windows (N, m): whatever gain and offset of the light; NaN where one is blank."""
-    first, second = (part - part.mean(1, keepdim=True) for part in (one, other))
-    variances = first.square().mean(1) * second.square().mean(1)
-    found = (first * second).mean(1) / variances.clamp_min(_LEAST_VARIANCE).sqrt()
-    return torch.where(variances > _LEAST_VARIANCE, found, torch.nan)

@@ -32,7 +32,7 @@ def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) 
         return pieces[image_index[:, None], 0, row, (corner[:, 0, None] + size).clamp(0, width + size)]
     # The derivative of that view would be ``size`` times as large as the image.
     column = (corner[:, 0, None] + steps).clamp(0, width - 1)
-    return _taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
+    return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
 
 
 def sample_windows(
@@ -115,7 +115,7 @@ def _sample_piece(
     level = flat.take(middle)
     value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
     for k in range(order + 1):
-        taps = [_taken(flat, index, k * width + j) - level for j in range(order + 1)]
+        taps = [taken(flat, index, k * width + j) - level for j in range(order + 1)]
         row_value, row_slope = weights_x[0] * taps[0], slopes_x[0] * taps[0]
         for j in range(1, order + 1):
             row_value = torch.addcmul(row_value, weights_x[j], taps[j])
@@ -134,8 +134,8 @@ def _sample_piece(
     return value + level, gradient
 
 
-def _taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
-    """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` says."""
+def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
+    """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` (P, ...) says."""
     if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
         return flat.gather(0, index.flatten() + later).reshape(index.shape)
     return flat[later:].take(index)  # the same index from a later start

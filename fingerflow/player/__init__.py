@@ -1,6 +1,6 @@
-"""Runs an exported bundle on a live stream: numpy and onnxruntime, no torch; copied into the bundle as it is.
+"""Runs an exported bundle on a live stream: numpy and onnxruntime, no torch; a bundle carries the folder as it is.
 
-    python -m player --source synthetic             # in the bundle's folder
+    python -m fingerflow.player --source synthetic  # in the bundle's folder
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
 Threads pass frames on: capture, one for each frame that is computed side by side, sink; the main thread watches them
@@ -15,23 +15,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .cli import main as main
-    from .errors import PlayerError as PlayerError
-    from .results import StreamResults as StreamResults
-    from .results import read_results as read_results
-    from .results import write_table as write_table
+    from fingerflow.player.cli import main as main
+    from fingerflow.player.errors import PlayerError as PlayerError
+    from fingerflow.player.results import StreamResults as StreamResults
+    from fingerflow.player.results import read_results as read_results
+    from fingerflow.player.results import write_table as write_table
 
 _HOMES = {
-    "main": ".cli",
-    "PlayerError": ".errors",
-    "StreamResults": ".results",
-    "read_results": ".results",
-    "write_table": ".results",
+    "main": "fingerflow.player.cli",
+    "PlayerError": "fingerflow.player.errors",
+    "StreamResults": "fingerflow.player.results",
+    "read_results": "fingerflow.player.results",
+    "write_table": "fingerflow.player.results",
 }
 __all__ = ["PlayerError", "StreamResults", "main", "read_results", "write_table"]
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
-        return getattr(import_module(_HOMES[name], __name__), name)
+        return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")

@@ -1,8 +1,8 @@
-"""`python -m player`, in the folder of a bundle."""
+"""`python -m fingerflow.player`, in the folder of a bundle."""
 
 import sys
 
-from .cli import main
+from fingerflow.player.cli import main
 
 if __name__ == "__main__":
     sys.exit(main(prog=f"python -m {__package__}"))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import PlayerError
+from fingerflow.player.errors import PlayerError
 
 Array = NDArray[Any]
 _NUMPY = {

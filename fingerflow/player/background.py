@@ -6,20 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .arrays import Array
-from .bundle import Bundle
-from .errors import PlayerError
-from .scene import View
-from .sources import open_recording
+from fingerflow.player.arrays import Array
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.scene import View
+from fingerflow.player.sources import open_recording
 
 _STILLS = 64  # of a recording of the empty glass are averaged: its noise is then an eighth of a frame's
-
-
-def touching(view: Array, glass: Array, dark: Array, threshold: float) -> float:
-    """Share of some 20,000 pixels of a contact view (H, W) that lose more of the light of the empty glass."""
-    every = max(1, round((view.size / 20_000) ** 0.5))
-    seen, empty, black = (picture[::every, ::every].astype(np.float32) for picture in (view, glass, dark))
-    return float((seen - black < (1 - threshold) * (empty - black)).mean())
 
 
 def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:

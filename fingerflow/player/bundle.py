@@ -11,22 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from .errors import PlayerError
+from fingerflow.engines.bundle_settings import bundle_settings
+from fingerflow.engines.engine import EngineSettings
+from fingerflow.engines.names import GRAPHS
+from fingerflow.player.errors import PlayerError
 
-BUNDLE_FORMAT = 4
-GRAPHS = ("frame", "fields", "detect", "key", "renew", "search", "background")  # without which nothing can be played
-MEASURING = "contact"  # the graph that finds the threshold where the scene gives none
+BUNDLE_FORMAT = 5
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """An exported folder whose files are those that the export wrote."""
+    """An exported folder whose files are those that the export wrote; `expected` is for `engines.check`."""
 
     folder: Path
     recipe: Mapping[str, Any]
     version: str
     hashes: Mapping[str, str]
     files: Mapping[str, Path]
+    expected: Mapping[str, Any]  # numbers of the built-in frame (`engines.check`)
 
     @property
     def height(self) -> int:
@@ -44,9 +46,14 @@ class Bundle:
         return int(self.recipe["views"]["bit_depth"])
 
     @property
-    def window_px(self) -> int:
-        """Side of the window around a point."""
-        return int(self.recipe["tracking"]["window_px"])
+    def points(self) -> int:
+        """That a frame has at most."""
+        return int(self.recipe["tracking"]["points"])
+
+    @property
+    def engine_settings(self) -> EngineSettings:
+        """With which its graphs were exported."""
+        return bundle_settings(self.recipe)
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -74,15 +81,15 @@ def load_bundle(folder: Path) -> Bundle:
         )
     try:
         graphs = facts["graphs"]
-        names = (*GRAPHS, MEASURING) if MEASURING in graphs else GRAPHS
         bundle = Bundle(
             folder=folder,
             recipe=facts["recipe"],
             version=str(facts["fingerflow"]),
-            hashes={name: graphs[name]["sha256"] for name in names},
-            files={name: folder / graphs[name]["file"] for name in names},
+            hashes={name: graphs[name]["sha256"] for name in GRAPHS},
+            files={name: folder / graphs[name]["file"] for name in GRAPHS},
+            expected=facts["expected"],
         )
-        _ = bundle.height, bundle.width, bundle.dtype, bundle.window_px
+        _ = bundle.height, bundle.width, bundle.dtype, bundle.points, bundle.engine_settings
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PlayerError(
             f"{path}: has no proper entry {error}; a stream needs the graphs {', '.join(GRAPHS)}: {again}"

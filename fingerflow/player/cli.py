@@ -16,25 +16,32 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from .bundle import load_bundle
-from .contract.unfinished import remove, unfinished
-from .errors import PlayerError, first_line
-from .live import Forces
-from .played import played_by
-from .providers import PROVIDERS, Engine
-from .records import RecordLayout
-from .results import RESULTS_FORMAT, Sink
-from .scene import contradictions
-from .settings import Settings
-from .sources import kinds
-from .stepper import Stepper
-from .stream import Player
+from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
+from fingerflow.errors import FingerflowError
+from fingerflow.kernels.library import set_threads
+from fingerflow.player.bundle import load_bundle
+from fingerflow.player.contract.unfinished import remove, unfinished
+from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.player.handover import Slot
+from fingerflow.player.live import Forces
+from fingerflow.player.played import played_by
+from fingerflow.player.records import RecordLayout
+from fingerflow.player.results import RESULTS_FORMAT, Sink
+from fingerflow.player.scene import contradictions, stream_settings
+from fingerflow.player.settings import Settings
+from fingerflow.player.sources import kinds
+from fingerflow.player.stream import Player
+from fingerflow.tracker.stream import StreamTracker
 
 _LEAST = 1e-6  # frames a second, as in scenes, or s: below, a computer's clock does not reach as far as the next frame
 _SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which one is known
 log = logging.getLogger("fingerflow.player")
 
 
+COORDINATES = (
+    "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
+    "(batch, 1, height, width)"
+)
 ReadForces = Callable[[Path], Forces | None]
 
 
@@ -68,17 +75,31 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
     parallel = options.parallel_frames
-    # Frames side by side share the threads inside operators, beside the one that each has itself.
-    threads = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
-    engine = Engine(bundle, options.provider, threads, options.spin)
-    if parallel > 1 and engine.provider == "directml":
+    if options.threads:
+        set_threads(options.threads)
+    # Frames beside each other share the threads inside operators, beside the one that each has itself.
+    inside = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
+    of_onnx = parallel > 1 or options.provider is not None
+    if options.engine == "native" and of_onnx:
         raise PlayerError(
-            "--parallel-frames: DirectML computes one frame at a time; leave it out, or add --provider cpu"
+            "--parallel-frames and --provider are of ONNX Runtime, and the engine native computes one frame at a time "
+            "on all threads; leave them out, or take --engine onnx"
         )
-    stepper = Stepper(engine, scene, played.glass, played.dark, parallel)
-    stepper.warm_up()
-    properties = engine.frame.get_modelmeta().custom_metadata_map
-    layout = RecordLayout(stepper.outputs, scene.mm_per_px, json.loads(properties.get("fingerflow.units", "{}")))
+    try:
+        engine = engine_of_stream(
+            bundle,
+            "onnx" if of_onnx else options.engine,
+            provider=options.provider,
+            threads=inside,
+            spin=options.spin,
+        )
+    except FingerflowError as error:
+        raise error if isinstance(error, PlayerError) else PlayerError(str(error)) from None
+    # ONNX Runtime gives the same numbers with one frame after the other and with two beside each other.
+    lag = 1 if engine.name == "native" else max(2, parallel)
+    tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
+    tracker.warm_up(Slot(bundle))
+    layout = RecordLayout(bundle.points)
     named = options.output or scene.output
     folder = named or Path(f"results-{datetime.now():%Y%m%d-%H%M%S}")
     live = options.camera is not None
@@ -90,6 +111,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         first=played.first,
         frames=min((count for count in (options.frames, played.frames) if count is not None), default=None),
         give_up=options.give_up,
+        parallel=parallel,
         page=options.page,
     )
     header = {
@@ -98,13 +120,13 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         "fingerflow": bundle.version,
         "recipe": bundle.recipe,
         "graph_sha256": bundle.hashes,
-        "provider": PROVIDERS[engine.provider],
+        "engine": engine.described,
         "source": name,
         "policy": "every" if every else "latest",
         "mm_per_px": scene.mm_per_px,
         "topography_to_contact": scene.topography_to_contact.tolist(),
-        "threshold": "measured" if stepper.measures else scene.given_threshold,
-        "coordinates": properties.get("fingerflow.coordinates", ""),
+        "threshold": "measured" if tracker.measures else scene.given_threshold,
+        "coordinates": COORDINATES,
         "warnings": warnings,
         "record_bytes": layout.dtype.itemsize,
         "fields": layout.fields,
@@ -118,12 +140,12 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         raise PlayerError(f"{name}: cannot be opened ({type(error).__name__}: {first_line(error)})") from error
     forces = forces_of(played.forces_in) if played.forces_in is not None and options.page else None
     player = Player(
-        *(stepper, engine.provider, bundle, scene, source, played.open_source, sink, layout, settings, name),
+        *(tracker, engine.described, bundle, scene, source, played.open_source, sink, layout, settings, name),
         *(played.expected, forces),
     )
     with _stopped_by_signals(player) as received:
         summary = player.run()
-    text = json.dumps({**summary, "provider": PROVIDERS[engine.provider], "policy": header["policy"]}, indent=1)
+    text = json.dumps({**summary, "engine": engine.described, "policy": header["policy"]}, indent=1)
     print(text)
     if options.json is not None:
         part = unfinished(options.json)
@@ -169,7 +191,7 @@ def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
 
 def _parser(prog: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog, description="Contact area, points and divergence of a live stream.")
-    here = Path(__file__).resolve().parents[1]
+    here = Path(__file__).resolve().parents[2]
     add = parser.add_argument
     add(
         "bundle",
@@ -192,13 +214,21 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
     add("--policy", choices=("every", "latest"), help="every frame (default for files), or the newest (for cameras)")
     add("--queue", type=_count, default=Settings.queue, help="frames that wait at most under the policy `every`")
     add(
-        "--provider",
-        choices=PROVIDERS,
-        help="execution provider; default: the first of onnxruntime's that works, in this order. `compiled` is for "
-        "computers with the package fingerflow: six times as fast as cpu",
+        "--engine",
+        choices=STREAM_ENGINES,
+        help="what computes: the compiled library, or the graphs by ONNX Runtime; default: the first that serves here",
     )
-    add("--threads", type=_count, default=0, help="threads inside an operator; default one a core")
-    add("--parallel-frames", type=_count, default=1, metavar="N", help="compute N frames side by side, on N cores")
+    add(
+        "--provider", help="execution provider of ONNX Runtime, such as cpu, cuda or openvino; default: the first there"
+    )
+    add("--threads", type=_count, default=0, help="threads of the engine; default one a core")
+    add(
+        "--parallel-frames",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="with ONNX Runtime: compute N frames beside each other",
+    )
     add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
     add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
     add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")

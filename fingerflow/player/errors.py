@@ -1,8 +1,10 @@
 """What a user can put right, and how it is said."""
 
+from fingerflow.errors import FingerflowError
 
-class PlayerError(Exception):
-    """What the user can put right: names the file or setting, the value found and the way out."""
+
+class PlayerError(FingerflowError):
+    """What the user of a stream can put right. A stream ends with it; of any other error it tries again."""
 
 
 def first_line(error: BaseException) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from .contract.variables import FRAME_STATUS
-from .frame_check import USABLE
+from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.tracker.frame_quality import USABLE
 
 
 class Findings:

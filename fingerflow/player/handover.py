@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
 
 import numpy as np
-import onnxruntime as ort
 
-from .arrays import Array
-from .bundle import Bundle
-from .errors import PlayerError
-from .scene import Scene, View
+from fingerflow.player.arrays import Array
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.scene import Scene, View
+from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
 
@@ -133,17 +133,13 @@ class InOrder(Generic[T]):
             self._changed.notify_all()
 
 
-class Slot:
-    """Room for one frame: both views (1, 1, H, W), and the tensors that the graph reads them from without a copy."""
+class Slot(Frame):
+    """Room for one frame: both views (1, 1, H, W), its number and when it arrived."""
 
     def __init__(self, bundle: Bundle) -> None:
         shape = (1, 1, bundle.height, bundle.width)
-        self.number = 0
+        super().__init__({name: np.zeros(shape, bundle.dtype) for name in (CONTACT_VIEW, TOPOGRAPHY_VIEW)})
         self.arrival = 0.0
-        self.blocks: dict[str, Array] = {}  # what `FrameCheck.look` says of the frame
-        self.status = 0
-        self.views = {name: np.zeros(shape, bundle.dtype) for name in ("contact_view", "topography_view")}
-        self.values = {name: ort.OrtValue.ortvalue_from_numpy(view) for name, view in self.views.items()}
 
     def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
         """Copies the views out of a frame; raises PlayerError where its size or depth is another one."""
@@ -168,4 +164,4 @@ class Slot:
 
 
 def _views(scene: Scene) -> dict[str, View]:
-    return {"contact_view": scene.contact, "topography_view": scene.topography}
+    return {CONTACT_VIEW: scene.contact, TOPOGRAPHY_VIEW: scene.topography}

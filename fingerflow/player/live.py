@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Array
-from .bundle import Bundle
-from .handover import Slot
+from fingerflow.player.arrays import Array
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.handover import Slot
 
 _PAGE_INTERVAL = 1 / 15  # s between pictures, made only while somebody looks
 _TRACE_LENGTH = 900  # 30 s, as the page shows, of a point every 1 / 30 s
@@ -38,7 +38,7 @@ class Forces(NamedTuple):
 
 
 class LiveViews(NamedTuple):
-    """What a picture is drawn from: a frame, and the (1, 1, H, W) real-contact mask where the recipe has it."""
+    """What a picture is drawn from: a frame, and the (H, W) real-contact mask where the recipe has it."""
 
     slot: Slot
     real_contact_mask: Array | None
@@ -85,7 +85,7 @@ class LiveData:
             for name, view in views.slot.views.items()
         }
         if views.real_contact_mask is not None:
-            arrays["real_contact_mask"] = views.real_contact_mask[0, 0, :: self._every, :: self._every].astype(np.uint8)
+            arrays["real_contact_mask"] = views.real_contact_mask[:: self._every, :: self._every].astype(np.uint8)
         names = record.dtype.names or ()
         arrays |= {name: record[name].astype(np.float32) for name in _DRAWN if name in names}
         self._scalars = {name: float(record[name]) for name in names if record.dtype[name].shape == ()}

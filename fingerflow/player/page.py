@@ -18,8 +18,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from .errors import PlayerError, first_line
-from .live import LiveData
+from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.player.live import LiveData
 
 log = logging.getLogger("fingerflow.player")
 

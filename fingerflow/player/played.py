@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import Array
-from .background import mean_view
-from .bundle import Bundle
-from .errors import PlayerError
-from .live import Expected
-from .scene import Scene, check_scene, load_scene
-from .sources import open_recording
-from .sources.camera import open_camera
-from .sources.source import OpenSource
-from .sources.synthetic import Synthetic, side_by_side
+from fingerflow.player.arrays import Array
+from fingerflow.player.background import mean_view
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.live import Expected
+from fingerflow.player.scene import Scene, check_scene, load_scene
+from fingerflow.player.sources import open_recording
+from fingerflow.player.sources.camera import open_camera
+from fingerflow.player.sources.source import OpenSource
+from fingerflow.player.sources.synthetic import Synthetic, side_by_side
 
 
 class Played(NamedTuple):

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Array
-from .contract.unfinished import remove, unfinished
-from .contract.variables import FRAME, LABELS
-from .errors import PlayerError, first_line
-from .patient_file import PatientFile
+from fingerflow.player.arrays import Array
+from fingerflow.player.contract.unfinished import remove, unfinished
+from fingerflow.player.contract.variables import FRAME, LABELS
+from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.player.patient_file import PatientFile
 
 RESULTS_FORMAT = 2
 _AT_ONCE = 1 << 13  # bytes of records that are written together: what a killed process loses

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Array
-from .bundle import Bundle
-from .contract.scene_file import SceneError, read_scene
-from .errors import PlayerError
+from fingerflow.player.arrays import Array
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.contract.region import region_runs
+from fingerflow.player.contract.scene_file import SceneError, read_scene
+from fingerflow.player.errors import PlayerError
+from fingerflow.tracker.stream import StreamSettings
 
 
 class View(NamedTuple):
@@ -65,6 +67,26 @@ class Scene:
     def given_threshold(self) -> float | None:
         """None where it is to be measured."""
         return None if isinstance(self.threshold, str) else self.threshold
+
+
+def stream_settings(scene: Scene, bundle: Bundle) -> StreamSettings:
+    """What the tracker of a stream needs to know of a scene and a bundle."""
+    region = np.zeros((bundle.height, bundle.width), dtype=bool)
+    if scene.drawn is not None:
+        for row, first, end in region_runs(scene.drawn, *region.shape):
+            region[row, first:end] = True
+    else:
+        (scene.region or View((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
+    return StreamSettings(
+        points=bundle.points,
+        bit_depth=bundle.bit_depth,
+        mm_per_px=scene.mm_per_px,
+        topography_to_contact=scene.topography_to_contact,
+        region=region,
+        threshold=scene.given_threshold,
+        rekey_share=scene.rekey_share,
+        rekey_frames=scene.rekey_frames,
+    )
 
 
 _DECIDED_BY_RECIPES = ("contact", "tracking", "fields")

@@ -16,6 +16,7 @@ class Settings:
         first: number of the first frame in the source.
         frames: end after so many, None at the source's end.
         give_up: s without a frame after which the stream ends with an error.
+        parallel: frames that are computed beside each other.
         page: host and port of the live page, None for none; port 0 takes a free one.
     """
 
@@ -25,4 +26,5 @@ class Settings:
     first: int = 0
     frames: int | None = None
     give_up: float = 30.0
+    parallel: int = 1
     page: tuple[str, int] | None = None

@@ -7,44 +7,40 @@ import math
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from .arrays import Array
-from .bundle import Bundle
-from .contract.pace import MOST_FRAMES
-from .contract.variables import FRAME_STATUS
-from .errors import PlayerError, first_line
-from .findings import Findings
-from .frame_check import USABLE, FrameCheck
-from .handover import Channel, InOrder, Slot
-from .latency import Latencies
-from .live import Expected, Forces, LiveData, LiveViews
-from .motion import count_known
-from .page import serve_page
-from .providers import PROVIDERS
-from .records import RecordLayout
-from .renewal import Pace
-from .results import Sink
-from .scene import Scene
-from .settings import Settings
-from .slip_flag import SlipFlag
-from .sources.closing import close_within
-from .sources.source import OpenSource, Source
-from .stepper import Stepper
-from .upkeep import REKEY, Change, Renewing, ThresholdSearch, Upkeep
+from fingerflow.player.arrays import Array
+from fingerflow.player.bundle import Bundle
+from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.player.findings import Findings
+from fingerflow.player.handover import Channel, InOrder, Slot
+from fingerflow.player.latency import Latencies
+from fingerflow.player.live import Expected, Forces, LiveData, LiveViews
+from fingerflow.player.page import serve_page
+from fingerflow.player.records import RecordLayout
+from fingerflow.player.results import Sink
+from fingerflow.player.scene import Scene
+from fingerflow.player.settings import Settings
+from fingerflow.player.sources.closing import close_within
+from fingerflow.player.sources.source import OpenSource, Source
+from fingerflow.tracker.frame_quality import USABLE
+from fingerflow.tracker.stream import Event, Outcome, StreamTracker, Work
 
 log = logging.getLogger("fingerflow.player")
 
 _STALL_WARNING = 2.0  # s
 _HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
-_REKEY_SHARE = 0.8
-_PAGE = "page"  # somebody asked for other points
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
+_SENTENCES = {  # of the log, by the names of the tracker's events
+    "restart": "{points} points seeded ({cause})",
+    "key_frame": "{points} points followed from a new key frame",
+    "threshold": "threshold {threshold:.4f} of the intensity lost",
+}
 _RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
 
 
@@ -56,8 +52,8 @@ class Player:
 
     def __init__(
         self,
-        stepper: Stepper,
-        provider: str,
+        tracker: StreamTracker,
+        computed_by: str,
         bundle: Bundle,
         scene: Scene,
         source: Source,
@@ -70,12 +66,12 @@ class Player:
         forces: Forces | None = None,
     ) -> None:
         self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
-        self.provider = provider
-        self._stepper, self._sink, self._layout = stepper, sink, layout
+        self.computed_by = computed_by
+        self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, some computed, one is in doubt, one drawn on the page, one becomes the key frame;
-        # the others wait. Their number is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 4 + stepper.lag)]
+        # One slot is being filled, some computed, one is in doubt, one drawn on the page; the others wait. Their number
+        # is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 3 + tracker.lag)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
@@ -83,29 +79,21 @@ class Player:
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)  # one is being filled, one written
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
         self.frames_in = self.processed = self.dropped = self.overruns = 0
-        self.reconnects = self.stalls = self.restarts = self.keys = 0
+        self.reconnects = self.stalls = 0
         self.latencies, self._recent = Latencies(), Latencies()
         self.tracked = 0
         self.rate, self.recent = math.nan, self.latencies.summary()
         self.live = LiveData(bundle, expected, forces)
         self._state, self._said = "waiting", ""  # for the page
-        self.restart_wanted = threading.Event()
         self._stop = threading.Event()
         self._finished = threading.Event()
         self._failure: BaseException | None = None
         self._waiting_since: float | None = None  # for the source
-        self._computing = stepper.parallel  # threads
-        self._beginning, self._order = threading.Lock(), InOrder(self._end, stepper.lag)
+        self._computing = settings.parallel  # threads
+        self._beginning, self._order = threading.Lock(), InOrder(self._end, tracker.lag)
         self._first = math.nan
-        self._check, self._findings = FrameCheck(stepper.glass, stepper.dark, bundle.bit_depth), Findings()
-        self._in_doubt: tuple[Slot, int] | None = None  # a frame of which the next one says whether it counts
-        self._unlooked, self._pace = 0, Pace(bundle.window_px)
-        self._search = ThresholdSearch(stepper.lag)
-        self._upkeep = Upkeep(scene.rekey_share or _REKEY_SHARE, scene.rekey_frames or math.inf)
-        self._change: Change | None = None
-        self._renewals: deque[Renewing] = deque()
+        self._findings = Findings()
         self._drawing = False  # a frame is on its way to the page
-        self._slip = SlipFlag()
         self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
         self._last_trouble = ""
 
@@ -116,7 +104,7 @@ class Player:
             threading.Thread(target=self._guard, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
                 (self._capture, (self._frames.close,)),
-                *[(self._compute, after_computing)] * self._stepper.parallel,
+                *[(self._compute, after_computing)] * self.settings.parallel,
                 (self._store, (self._records.close, self._finished.set)),
             )
         ]
@@ -124,7 +112,7 @@ class Player:
         address = self.settings.page
         page = None
         try:
-            page = serve_page(address, self.live, self._said_by_page, self.restart_wanted.set) if address else None
+            page = serve_page(address, self.live, self._said_by_page, self._tracker.reseed) if address else None
             self._sink.open()
             log.info("results: %s, %.1f kB a frame", self._sink.folder, self._layout.dtype.itemsize / 1e3)
             for thread in threads:
@@ -150,7 +138,7 @@ class Player:
                 page.stop()
         if self._failure is not None:
             raise self._failure
-        missing = self._findings.missing(math.isfinite(self._stepper.threshold))
+        missing = self._findings.missing(math.isfinite(self._tracker.threshold))
         for sentence in missing:
             log.warning("%s", sentence)
         return {**self.summary(), "warnings": missing}
@@ -161,7 +149,7 @@ class Player:
 
     def points(self) -> dict[str, int]:
         """Points that the last frame tracked, of those chosen at the last restart."""
-        return {"tracked": self.tracked, "found": self._stepper.found}
+        return {"tracked": self.tracked, "found": self._tracker.found}
 
     def summary(self) -> dict[str, Any]:
         """Counts, seconds, rates and latencies until now."""
@@ -173,20 +161,20 @@ class Player:
             "overruns": self.overruns,
             "reconnects": self.reconnects,
             "stalls": self.stalls,
-            "restarts": self.restarts,
-            "key_frames": self.keys,
+            "restarts": self._tracker.restarts,
+            "key_frames": self._tracker.keys,
             "not_usable": dict(self._findings.not_usable),
             "seconds": round(seconds, 3),
             "rate_hz": round(self.processed / seconds, 2),
             "latency_ms": self.latencies.summary(),
-            "threshold": self._stepper.threshold if math.isfinite(self._stepper.threshold) else None,
+            "threshold": self._tracker.threshold if math.isfinite(self._tracker.threshold) else None,
             "results": str(self._sink.folder) if self.processed else None,
         }
 
     def _said_by_page(self) -> dict[str, Any]:
         return {
             "bundle": self.bundle.folder.resolve().name,
-            "provider": PROVIDERS[self.provider],
+            "computed_by": self.computed_by,
             "mm_per_px": self.scene.mm_per_px,
             "topography_mm_per_px": self._topography_mm_per_px,
             "state": "running" if self._state == "waiting" and self.processed else self._state,
@@ -242,7 +230,7 @@ class Player:
         times = ", ".join(f"{name} {value}" for name, value in latency.items())
         return (
             f"{self.rate:.1f} frames/s; in {self.frames_in}, processed {self.processed}, dropped {self.dropped}, "
-            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._stepper.found}"
+            f"overruns {self.overruns}; latency ms: {times}; points {self.tracked} of {self._tracker.found}"
         )
 
     # Capture: source -> frames.
@@ -298,7 +286,7 @@ class Player:
             return
         slot.number, slot.arrival = self.settings.first + self.frames_in, arrival
         slot.fill(frame, self.scene, self.bundle, self.source_name)
-        slot.blocks, slot.status = self._check.look(slot.views)
+        self._tracker.inspect(slot)
         self.frames_in += 1
         if self.settings.every:
             self._frames.put(slot)
@@ -306,34 +294,35 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Compute: frames -> records, in as many threads as frames are computed side by side.
+    # Compute: frames -> records, in as many threads as frames are computed beside each other.
 
     def _compute(self) -> None:
         try:
             while (begun := self._begin()) is not None:
-                number, (slot, side) = begun
-                self._stepper.run(side)
-                self._order.done(number, (slot, side))
-                # Not while frames are ended: others would wait.
-                any(one.work.prepare_piece(self._stepper.prepared) for one in tuple(self._renewals))
+                number, work = begun
+                self._tracker.compute(work)
+                self._order.done(number, work)
             with self._beginning:  # by the first of these threads that gets here
                 if self._order.wait_for_all():
-                    self._settle(None)
+                    self._hand_on(self._tracker.settle())
         except BaseException:
             self._order.stop()
             raise
 
-    def _begin(self) -> tuple[int, tuple[Slot, int]] | None:
+    def _begin(self) -> tuple[int, Work] | None:
         """The next frame; None where there is none or the stream has failed."""
         with self._beginning:
             if not self._order.wait_for_room():
                 return None
             slot = self._frames.get()
-            if slot is None or not self._prepare(slot, self._order.begun):
+            if slot is None:
                 return None
-            measure = self._stepper.measures and self._search.wants(self._order.begun)
-            side = self._stepper.begin(slot, measure)
-            return self._order.begin(), (slot, side)
+            if math.isnan(self._first):
+                self._first = slot.arrival
+            if self._tracker.must_wait(slot) and not self._order.wait_for_all():
+                return None
+            work, outcomes = self._tracker.begin(slot)
+            return (self._order.begin(), work) if self._hand_on(outcomes) else None
 
     def _close_records(self) -> None:
         """After the last of these threads no record comes."""
@@ -342,180 +331,54 @@ class Player:
             if not self._computing:
                 self._records.close()
 
-    def _prepare(self, slot: Slot, index: int) -> bool:
-        """What changes before a frame begins; False where the stream has failed."""
-        change, threshold = self._change, self._search.due(index)
-        if index == 0:
-            self._first = slot.arrival
-        starting = not self.restarts and slot.status == USABLE
-        if change is not None and index < change.after + self._stepper.lag:
-            change = None
-        due = self._renewals and index >= self._renewals[0].due
-        if change is None and threshold is None and not due and not starting:
-            return True
-        templates = self._renewals[0].work.templates(self._stepper.prepared) if due else {}
-        if not self._order.wait_for_all():  # they read what changes now
-            return False
-        self._settle(slot)
-        if starting:
-            self._restart(index, slot, self._stepper.choose(slot), "start")
-        if threshold is not None:
-            self._stepper.use(threshold)
-            self._search.used()
-        if due and (renewing := self._renewals.popleft()).key == self.restarts + self.keys:
-            self._stepper.renew(renewing.work.rows, templates)
-        if change is not None:
-            if change.cause == REKEY:
-                self._rekey(change.key, change.points)
-            else:
-                self._choose(index, change)
-            self._change = None
-            self._free.put(change.key)
-        return True
+    def _end(self, work: Work) -> bool:
+        """Finishes a frame that was computed; False where the stream has failed."""
+        return self._hand_on(self._tracker.finish(work))
 
-    def _choose(self, index: int, change: Change) -> None:
-        """Takes new points where they are more than those that are followed."""
-        points = self._stepper.choose(change.key)
-        if count_known(points) > (0 if change.cause == _PAGE else count_known(change.points)):
-            self._slip.follow_others(change.points[0], points[0])
-            self._restart(index, change.key, points, change.cause)
+    def _hand_on(self, outcomes: Iterable[Outcome]) -> bool:
+        """Passes on the records of frames whose outcome is known; False where the stream has failed."""
+        while self._tracker.events:
+            self._write_event(self._tracker.events.pop(0))
+        going = True
+        for outcome in outcomes:
+            going &= self._recorded(outcome)
+        return going
+
+    def _write_event(self, event: Event) -> None:
+        self._sink.event(event.name, event.frame, **event.facts)
+        log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
+
+    def _recorded(self, outcome: Outcome) -> bool:
+        slot, place, fields = outcome.frame, self.processed % len(self._room), self._fields
+        assert isinstance(slot, Slot)
+        self.tracked = outcome.tracked
+        if outcome.results is None:
+            if outcome.status != USABLE and self._findings.skip(outcome.status):
+                self._sink.event("not_usable", slot.number, status=FRAME_STATUS[outcome.status])
+                log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[outcome.status])
+            self._layout.fill_unknown(fields, place)
+            fields["slip_flag"][place] = outcome.slipping
         else:
-            self._upkeep.kept(index)
-
-    def _restart(self, index: int, slot: Slot, points: Array, cause: str) -> None:
-        self._stepper.restart(slot, points)
-        self._upkeep.restarted(index, slot.number, self._stepper.found)
-        self._search.begin()
-        self.restarts += 1
-        self._sink.event("restart", slot.number, cause=cause, points=self._stepper.found)
-        log.info("frame %d: %d points chosen (%s)", slot.number, self._stepper.found, cause)
-
-    def _rekey(self, slot: Slot, points: Array) -> None:
-        self._stepper.key(slot, points)
-        self._upkeep.keyed(slot.number, self._stepper.keyed)
-        self.keys += 1
-        self._sink.event("key_frame", slot.number, points=self._stepper.keyed)
-
-    def _end(self, computed: tuple[Slot, int]) -> bool:
-        """Hands a record on and decides whether something is to change; False where the stream has failed."""
-        slot, side = computed
-        if not self._settle(slot):
-            return False
-        index = self.processed
-        elsewhere = slot.status == USABLE and self._stepper.look_again(slot, side).elsewhere
-        found = self._stepper.found_in(side)
-        status = self._check.see(slot.number, slot.blocks, slot.status, found, elsewhere)
-        self._unlooked += 1
-        if status is None:
-            self._in_doubt = slot, side
-            self._stepper.skip(side)
-            return True
-        if status != USABLE:
-            return self._skip(slot, side, status)
-        place, outputs = self._finish(slot, side)
-        if self._stepper.measures:
-            area = float(outputs["real_area_px"][0])
-            self._learn_threshold(slot, index, area, self._stepper.measured(side))
-        if self._unlooked >= self._pace.frames:
-            self._unlooked = 0
-            self._look_at_templates(index, outputs)
-        drawn = None
-        if self._change is None and (cause := self._cause_to_change(slot, index)):
-            self._change = Change(index, slot, outputs["points"].copy(), cause)
-        elif not self._drawing and self.live.is_due():
-            self._drawing = True
-            real_contact_mask = outputs.get("real_contact_mask")
-            drawn = LiveViews(slot, None if real_contact_mask is None else real_contact_mask.copy())
-        else:
-            self._free.put(slot)
-        return self._records.put((place, drawn))
-
-    def _finish(self, slot: Slot, side: int, late: bool = False) -> tuple[int, dict[str, Array]]:
-        """Fills the record of a frame that counts; its place, and what the graphs gave."""
-        place = self.processed % len(self._room)
-        outputs = self._stepper.finish(side, late)
-        self.tracked = self._stepper.found_in(side)
-        self._layout.fill(self._fields, place, outputs)
-        self._fill(slot, place, USABLE)
-        self._fill_slip(outputs, place)
-        self._findings.count(self.tracked, float(outputs["real_area_px"][0]))
-        return place, outputs
-
-    def _settle(self, following: Slot | None) -> bool:
-        """The record of a frame that was in doubt, as the one behind it is known; False where the stream has failed.
-
-        Nothing else is learnt from it: frames behind it may have begun, and what they are given is not to depend on how
-        far they have got.
-        """
-        if self._in_doubt is None:
-            return True
-        (slot, side), self._in_doubt = self._in_doubt, None
-        status = self._check.settle(None if following is None or following.status != USABLE else following.blocks)
-        if status != USABLE:
-            return self._skip(slot, side, status)
-        if self._stepper.measured(side) is not None:
-            self._search.passed_over()
-        place, _ = self._finish(slot, side, late=True)
-        self._free.put(slot)
-        return self._records.put((place, None))
-
-    def _skip(self, slot: Slot, side: int, status: int) -> bool:
-        """A frame that is no picture of the trial: its numbers are NaN, and nothing is learnt from it."""
-        place = self.processed % len(self._room)
-        self._stepper.skip(side)
-        if self._stepper.measured(side) is not None:
-            self._search.passed_over()
-        if self._findings.skip(status):
-            self._sink.event("not_usable", slot.number, status=FRAME_STATUS[status])
-            log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[status])
-        self._layout.fill_unknown(self._fields, place)
-        self._fill(slot, place, status)
-        if self._layout.tells_slip:
-            self._fields["slip_residual"][place] = math.nan
-            self._fields["slip_flag"][place] = self._slip.slipping
-        self._free.put(slot)
-        return self._records.put((place, None))
-
-    def _look_at_templates(self, index: int, outputs: dict[str, Array]) -> None:
-        """Those that are to be renewed count after as many frames again; where skin is fast, as soon as may be."""
-        key = self.restarts + self.keys
-        self._pace.see(key, index, outputs["warp"])
-        later = MOST_FRAMES if self._pace.frames == MOST_FRAMES else self._stepper.lag
-        under_way = [one.work.rows for one in self._renewals if one.key == key]  # those that are due are gone
-        work = self._stepper.stale(outputs, np.concatenate([np.empty(0, int), *under_way]))
-        if work is not None:
-            self._renewals.append(Renewing(index + 1 + later, key, work))
-
-    def _cause_to_change(self, slot: Slot, index: int) -> str:
-        """Why points are to be chosen anew, or kept and compared with this frame; empty for neither."""
-        if self.restart_wanted.is_set():
-            self.restart_wanted.clear()
-            return _PAGE
-        return self._upkeep.see(index, slot.number, self.tracked)
-
-    def _learn_threshold(self, slot: Slot, index: int, area: float, measured: float | None) -> None:
-        if self._search.see(index, area, measured) and measured is not None:
-            self._sink.event("threshold", slot.number, threshold=measured)
-            log.info("frame %d: threshold %.4f of the intensity lost", slot.number, measured)
-
-    def _fill(self, slot: Slot, place: int, status: int) -> None:
+            self._layout.fill(fields, place, outcome.results)
+            self._findings.count(outcome.tracked, float(outcome.results["real_contact_area"]))
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
-            *(("key_frame", self._upkeep.key_frame), ("restart", self.restarts), ("frame_status", status)),
-            ("contact_threshold", self._stepper.threshold if status == USABLE else math.nan),
+            *(("key_frame", outcome.key_frame), ("restart", outcome.restart), ("frame_status", outcome.status)),
+            ("contact_threshold", outcome.threshold),
         ):
-            self._fields[name][place] = value
+            fields[name][place] = value
         self.latencies.add(latency)
         self._recent.add(latency)
         self.processed += 1
-
-    def _fill_slip(self, outputs: dict[str, Array], place: int) -> None:
-        if self._layout.tells_slip:
-            points, std, covered = (outputs[name][0] for name in ("points", "position_std", "covered"))
-            slip = self._slip.see(points, std, covered)
-            self._fields["slip_residual"][place] = slip.residual * self._topography_mm_per_px
-            self._fields["slip_flag"][place] = slip.slipping
+        drawn = None
+        if outcome.results is not None and not self._drawing and self.live.is_due():
+            self._drawing = True
+            mask = outcome.real_contact_mask
+            drawn = LiveViews(slot, None if mask is None else mask.copy())
+        else:
+            self._free.put(slot)
+        return self._records.put((place, drawn))
 
     # Sink: records -> disk and page.
 

@@ -1,8 +1,29 @@
-"""Frames and forces in: one reader a file, behind `open_recording` and `open_forces`."""
+"""Frames and forces in: one reader a file, behind `open_recording` and `open_forces`.
 
-from fingerflow.recordings.forces.forces import Forces
-from fingerflow.recordings.forces.opening import force_columns, open_forces
-from fingerflow.recordings.frames.opening import open_recording
-from fingerflow.recordings.frames.recording import Recording
+A name is loaded when it is first asked for: who reads frames needs no library of forces, such as SciPy.
+"""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fingerflow.recordings.forces.forces import Forces as Forces
+    from fingerflow.recordings.forces.opening import force_columns as force_columns
+    from fingerflow.recordings.forces.opening import open_forces as open_forces
+    from fingerflow.recordings.frames.opening import open_recording as open_recording
+    from fingerflow.recordings.frames.recording import Recording as Recording
+
+_HOMES = {
+    "Forces": "fingerflow.recordings.forces.forces",
+    "force_columns": "fingerflow.recordings.forces.opening",
+    "open_forces": "fingerflow.recordings.forces.opening",
+    "open_recording": "fingerflow.recordings.frames.opening",
+    "Recording": "fingerflow.recordings.frames.recording",
+}
 __all__ = ["Forces", "Recording", "force_columns", "open_forces", "open_recording"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public are {', '.join(__all__)}")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.store import Values
 
 _NEIGHBOURS = 8  # whose displacement is extended to a point

@@ -8,10 +8,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.engines.engine import Contact
+from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.errors import FingerflowError
-from fingerflow.graphs import Contact, ContactGraph, LightGraph
 from fingerflow.ops.cells import mask_of
-from fingerflow.ops.light_gain import light_gain
+from fingerflow.ops.illumination import glass_light
 from fingerflow.ops.morphology import dilate
 from fingerflow.player.contract.variables import CONTACT
 from fingerflow.stages import plausibility
@@ -52,10 +53,9 @@ class ContactStage(Stage):
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
-        settings = self.inputs.scene.contact
         self._view = self.inputs.scene.views.contact
-        self._graph = self.inputs.engine(ContactGraph(settings.median_px, settings.gross_radius_px))
-        self.cell_px = self._graph.cell_px
+        self._engine = self.inputs.engine
+        self.cell_px = self._engine.cell_px
         frames = len(trial)
         self.series = {
             variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
@@ -66,14 +66,11 @@ class ContactStage(Stage):
         self._blind = np.zeros(frames, dtype=bool)  # frames with contact and without glass
 
     def begin(self) -> None:
-        unknown = torch.full((1,), torch.nan, dtype=torch.float32, device=self.inputs.device)
-        light = self.inputs.engine(LightGraph())
         self._usable = self.trial.stage(FrameCheckStage).usable
-        self._light, self._black, _ = light(self.inputs.reference(self._view), self.inputs.dark(self._view), unknown)
-        drawn = region_mask(self.inputs.scene, "contact")
-        if drawn is not None:  # where no light is, nothing touches
-            inside = torch.from_numpy(drawn).to(self._light.device)
-            self._light = torch.where(inside, self._light, 0.0)
+        glass, dark = self.inputs.reference(self._view)[0, 0].cpu().numpy(), self.inputs.dark(self._view)
+        black = None if dark is None else dark[0, 0].cpu().numpy()
+        # Where no light is, nothing touches.
+        self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
         self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
         self._threshold = self._fixed_threshold()
         if "gross_contact_region" in self.trial.asked:
@@ -83,22 +80,22 @@ class ContactStage(Stage):
     def step(self, batch: Batch) -> Any:
         """`Contact` of these frames."""
         assert batch.frames is not None
-        contact, threshold = self._contact(batch.frames)
+        contact, threshold = yield from self._contact(batch.frames)
         size, indices = self.inputs.mm_per_px, batch.indices
         for name, values in {
             "contact_threshold": threshold,
-            "real_contact_area": contact.real_area_px.double() * size**2,
-            "gross_contact_area": contact.gross_area_px.double() * size**2,
-            "ellipse_center": contact.center.double() * size,
-            "ellipse_semi_axes": contact.semi_axes.double() * size,
+            "real_contact_area": contact.real_area_px.astype(np.float64) * size**2,
+            "gross_contact_area": contact.gross_area_px.astype(np.float64) * size**2,
+            "ellipse_center": contact.center.astype(np.float64) * size,
+            "ellipse_semi_axes": contact.semi_axes.astype(np.float64) * size,
             "ellipse_angle": contact.angle,
         }.items():
-            self.series[name][indices] = values.cpu()
+            self.series[name][indices] = values
         if "gross_contact_region" in self.results:
-            region = (contact.density_margin[:, 0] > 0).cpu().numpy()
+            region = contact.density_margin[:, 0] > 0
             self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
-        self._gain[indices] = contact.light_gain.cpu()
-        self._blind[indices] = (contact.light_gain.isnan() & (contact.real_area_px > 0)).cpu()
+        self._gain[indices] = contact.light_gain
+        self._blind[indices] = np.isnan(contact.light_gain) & (contact.real_area_px > 0)
         return contact
 
     def finish(self) -> None:
@@ -150,16 +147,16 @@ class ContactStage(Stage):
         return dilate(self._region_of(first) | self.largest(), margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
-        contact, _ = self._contact(self.inputs.recording[[frame]].read())
-        return mask_of(contact.density_margin, self._graph.cell_px, *contact.real_contact_mask.shape[2:])
+        contact, _ = run_alone(self._contact(self.inputs.recording[[frame]].read()))
+        return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
-    def _contact(self, frames: NDArray[np.generic]) -> tuple[Contact, Tensor]:
-        view = self.inputs.view(frames, self._view)
+    def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[Contact, NDArray[np.floating]]]:
+        images = self._engine.images(self._view.crop(frames))
         if self._threshold is None:
-            threshold = self._graph.threshold(view, self._light, self._black)
+            threshold = yield Call(self._engine.threshold, (images, self._light))
         else:
-            threshold = torch.full((len(view),), self._threshold, dtype=self._light.dtype, device=view.device)
-        return self._graph(view, self._light, self._black, 1 - threshold), threshold
+            threshold = np.full(len(images), self._threshold, np.float32)
+        return (yield Call(self._engine.contact, (images, self._light, threshold))), threshold
 
     def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
         if normal_force is not None:
@@ -175,11 +172,16 @@ class ContactStage(Stage):
         """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
         is left, as in a dark frame: a contact leaves half.
         """
-        view: Tensor = self.inputs.view(frame, self._view)
-        some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, self._light, self._black))
-        light = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
-        gain = float(light_gain(view, self._light, self._black, self._graph.gross_radius_px))
-        return light / (gain if np.isfinite(gain) else 1) if light > _LEAST_LIGHT else float("nan")
+        view = self.inputs.view(frame, self._view)
+        light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
+        if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
+            light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
+        some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
+        seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
+        unknown = np.full(1, np.nan, np.float32)  # by which nothing touches
+        images = self._engine.images(self._view.crop(frame))
+        gain = float(self._engine.contact(images, self._light, unknown).light_gain[0])
+        return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
 
     def _fixed_threshold(self) -> float | None:
         """Relative intensity loss that counts as contact; None where every frame has its own."""
@@ -188,8 +190,8 @@ class ContactStage(Stage):
             return None
         if not isinstance(setting, str):
             return float(setting)
-        frame = self.inputs.view(self.inputs.recording[[self.reference_frame]].read(), self._view)
-        threshold = float(self._graph.threshold(frame, self._light, self._black))
+        frame = self._view.crop(self.inputs.recording[[self.reference_frame]].read())
+        threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
             raise FingerflowError(
                 f"{self.inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "

@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.stages.displacement import DisplacementStage, Moved, at_frames
-from fingerflow.stages.entered_skin import LEAST_AREA, EntryTriangles, entry_triangles, triangulate
+from fingerflow.stages.entered_skin import EntryTriangles, entry_triangles, triangulate
 from fingerflow.store import Store
+from fingerflow.tracker.entry import LEAST_AREA
 
 Points = NDArray[np.float64]
 

@@ -7,22 +7,20 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.onset import LASTING
 from fingerflow.player.contract.variables import DISPLACEMENT, ENTRY
-from fingerflow.stages.border import BORDER_MM, Border
 from fingerflow.stages.common_frame import common_frame
 from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.entered_skin import moved_in
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.reference import Reference, reference_of
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.store import Values
+from fingerflow.tracker.entry import BORDER_MM, Border, advected
+from fingerflow.tracker.onset import Touches
 
 _LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
 _FRAMES = 64  # read at a time
-_NO_PAIR = complex(np.nan, np.nan)
 Points = NDArray[np.float64]
 
 
@@ -121,7 +119,7 @@ class DisplacementStage(Stage):
             gauge = inputs.scene.fields.gauge_length_mm
             self.places = self._common.places
             border = Border.of(self.trial.stage(ContactStage).series)
-            moves_in = moved_in(self.results["position"], self.places, self.onset, self.reference, gauge, border)
+            moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, border)
         else:
             self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
             self._warn_of_unknown()
@@ -133,7 +131,7 @@ class DisplacementStage(Stage):
         self.results.put("reference_position", self.reference, self._attributes)
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)
-        self._touch = _Touch(points)
+        self._touch = Touches(points)
         of_onset = np.trace(self.of_onset, axis1=1, axis2=2) + (self.late**2).sum(1)
         self._of_onset = of_onset.astype(np.float32) / 2  # (N,) mean square of a component
 
@@ -174,7 +172,7 @@ class DisplacementStage(Stage):
         return result
 
     def _find_onsets(self) -> None:
-        touch = _Touch(self.results["position"].shape[1])
+        touch = Touches(self.results["position"].shape[1])
         count, total = np.zeros((2, touch.points))
         for indices in _runs(len(self.trial)):
             variance = self._since_touch(touch, indices).variance
@@ -217,7 +215,7 @@ class DisplacementStage(Stage):
                 f"from it is NaN (field_coverage says in how much of the contact something is known)"
             )
 
-    def _since_touch(self, touch: "_Touch", indices: NDArray[np.intp]) -> Moved:
+    def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
         """What the frames (n,), which follow those that `touch` has seen, have moved by since the touch of each."""
         position, covered = self.results["position"][indices], self.results["in_contact"][indices]
         variance = self.results["position_std_px"][indices] ** 2
@@ -307,61 +305,6 @@ class _Fixed(NamedTuple):
     place: Points  # (N, 2) mm
     place_px: Points
     deviation_px: NDArray[np.float32]  # (N,)
-
-
-class _Touch:
-    """The present touch of each point, run after run of frames: `ops.onset` for numbers on their way."""
-
-    def __init__(self, points: int) -> None:
-        self.points = points
-        self.length = np.zeros(points, np.uint8)  # as `touch_length` counts
-        self.start = np.full(points, -1)  # frame in which it began
-        self.place = np.full((points, 2), np.nan)  # mm, of the point then
-        self.variance = np.full(points, np.nan, np.float32)  # px^2, then
-        self.first = np.full(points, -1)  # frame of the first touch of all
-        self.first_place = np.full((points, 2), np.nan)
-
-    def go_on(
-        self, frames: NDArray[np.intp], covered: NDArray[Any], position: Points, variance: NDArray[np.float32]
-    ) -> tuple[Points, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_]]:
-        """F frames more, all at once: place (F, N, 2) and variance (F, N) at the beginning of the touch that each point
-        has in each of them, NaN where it has none, whether it has one, and whether it begins there.
-        """
-        steps, goes_on = len(frames), self.length > 0
-        touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
-        place = np.repeat(np.where(goes_on[:, None], self.place, np.nan)[None], steps, axis=0)
-        spread = np.repeat(np.where(goes_on, self.variance, np.float32(np.nan))[None], steps, axis=0)
-        # Most have come to stay, or are out of the contact in all of these frames.
-        some = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
-        if not len(some):
-            return place, spread, touching, begins
-        number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
-        # `touch_length` frame by frame: the frames since the last one without contact, unless it has come to stay.
-        left = np.maximum.accumulate(np.where(covered[:, some], 0, number), axis=0)
-        length = number - left + np.where(left == 0, self.length[some], 0)
-        stays = np.logical_or.accumulate(length >= LASTING, axis=0)
-        length = np.where(stays, LASTING, length).astype(np.uint8)
-        begin = (length == 1) & (np.concatenate((self.length[None, some], length[:-1])) == 0)
-        touching[:, some], begins[:, some] = length > 0, begin
-        came = np.flatnonzero(begin.any(0) & (self.first[some] < 0))
-        first, points = begin[:, came].argmax(0), some[came]
-        self.first[points], self.first_place[points] = frames[first], position[first, points]
-        began = np.maximum.accumulate(np.where(begin, number, 0), axis=0)
-        here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
-        at = at * self.points + some
-        for values, given, none in (
-            (_pairs(place), _pairs(position), _NO_PAIR),
-            (spread, variance, np.float32(np.nan)),
-        ):
-            values[:, some] = np.where(here, np.where(new, given.ravel()[at], values[:, some]), none)
-        self.start[some] = np.where(new[-1], frames[began[-1] - 1], self.start[some])
-        self.length[some], self.place, self.variance = length[-1], place[-1].copy(), spread[-1].copy()
-        return place, spread, touching, begins
-
-
-def _pairs(places: Points) -> NDArray[np.complex128]:
-    """(...) of (..., 2), in the same memory: NumPy is several times as slow over an axis of two."""
-    return places.view(np.complex128)[..., 0]
 
 
 def _runs(frames: int) -> list[NDArray[np.intp]]:

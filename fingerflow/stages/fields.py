@@ -4,23 +4,29 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.graphs import Entered, Fields, FieldsGraph, GrossEllipse
+from fingerflow import graphs
+from fingerflow.engines.engine import Ellipse, Entered, Fields
 from fingerflow.ops.rigid_motion import rigid_residual
 from fingerflow.player.contract.variables import FIELDS
 from fingerflow.stages import plausibility
-from fingerflow.stages.border import Border
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
-from fingerflow.stages.entered_skin import EntryGradients
 from fingerflow.stages.median_bias import MedianBias
 from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.tracker.entry import Border, EntryGradients
 
 _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
     ("divergence", 0, True),
     ("curl", 1, False),
     ("strain", slice(2, 5), True),
 )
+
+
+def _tensors_of(found: Fields) -> graphs.Fields:
+    """The same fields as tensors of torch."""
+    known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
+    return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
 
 class FieldsStage(Stage):
@@ -36,13 +42,13 @@ class FieldsStage(Stage):
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
         self._settings = self.inputs.scene.fields
-        self._graph = self.inputs.engine(FieldsGraph(self.inputs.gauge_length_mm, self._settings.strain))
+        self._engine = self.inputs.engine
         self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
         self._residual, self._known = np.full((2, len(trial)), np.nan)
         self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self.inputs.gauge_length_mm}
 
     def begin(self) -> None:
-        self._reference = self.inputs.tensor(self.trial.stage(DisplacementStage).reference)[None]
+        self._reference = self.trial.stage(DisplacementStage).reference.astype(np.float32)
         self._gauge |= self.trial.stage(DisplacementStage).since.attributes(self.inputs.scene.recording.first_frame)
         self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
         for name in self._given:
@@ -58,43 +64,49 @@ class FieldsStage(Stage):
         self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
         self._entry = None
         if len(moved.entered):
-            self._entry = EntryGradients(moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
+            self._entry = EntryGradients(
+                *(self._engine, moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
+            )
 
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
-        ellipse = GrossEllipse(*map(self.inputs.tensor, Border.of(contact).at(batch.indices)))
-        covariance = self.inputs.tensor(displacement.covariance(moved))
+        ellipse = Ellipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
+        covariance = displacement.covariance(moved)
         entered = None if self._entry is None else self._entered(self._entry, batch.indices)
-        shift = self.inputs.tensor(moved.displacement)
-        found: Fields = self._graph(self._reference, shift, covariance, ellipse, entered)
+        shift = moved.displacement.astype(np.float32)
+        found: Fields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
-            self.results[name][batch.indices] = getattr(found, name).cpu().numpy()
-        residual = rigid_residual(self._reference, shift).cpu().numpy()
+            self.results[name][batch.indices] = getattr(found, name)
+        residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
         if "rigid_residual" in self.results:
             self.results["rigid_residual"][batch.indices] = residual
         across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
         self._residual[batch.indices] = nanmedian(np.sqrt(across * across + down * down))
-        assert found.median is not None
-        assert found.median_std is not None
-        assert found.known_share is not None
-        self._known[batch.indices] = found.known_share.cpu()
-        self._median[batch.indices] = found.median.cpu()
-        self._median_std[batch.indices] = found.median_std.cpu()
-        self._bias.look(batch, found, shift, ellipse, None if entered is None else entered.among)
+        self._known[batch.indices] = found.known_share
+        self._median[batch.indices] = found.median
+        self._median_std[batch.indices] = found.median_std
+        self._bias.look(
+            batch,
+            _tensors_of(found),
+            torch.from_numpy(shift),
+            graphs.GrossEllipse(*map(torch.from_numpy, ellipse)),
+            None if entered is None else torch.from_numpy(entered.among),
+        )
 
     def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> Entered:
-        """Of these frames, on the device."""
+        """Of these frames."""
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
-        among = torch.zeros(len(frames), len(displacement.onset), dtype=torch.bool)
+        among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
         among[:, displacement.entered] = True
+        assert since.covariance is not None
         gradient, covariance = (
-            torch.full((*among.shape, *one.shape[2:]), torch.nan, dtype=self._reference.dtype) for one in since
+            np.full((*among.shape, *one.shape[2:]), np.nan, np.float32) for one in (since.gradient, since.covariance)
         )
-        gradient[:, displacement.entered] = since.gradient.to(gradient)
-        covariance[:, displacement.entered] = since.covariance.to(covariance)
-        return Entered(*(one.to(self.inputs.device) for one in (among, gradient, covariance)))
+        gradient[:, displacement.entered] = since.gradient
+        covariance[:, displacement.entered] = since.covariance
+        return Entered(among, gradient, covariance)
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)

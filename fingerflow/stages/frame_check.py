@@ -1,19 +1,19 @@
 """Which frames are pictures of the trial, before anything is measured in them."""
 
+from typing import Any
+
 import numpy as np
-import torch
 import xarray as xr
 from numpy.typing import NDArray
-from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.ops.frame_distances import LONGEST, block_distances, block_means
 from fingerflow.player.contract.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
-from fingerflow.stages.frame_returns import jumps_and_returns, repeats
 from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.tracker.block_means import block_means
+from fingerflow.tracker.frame_distances import LONGEST, block_distances
+from fingerflow.tracker.frame_returns import REPEATED_SHARE, jumps_and_returns, repeats
 
 _AT_ONCE = 64  # frames whose distances are taken together: there are a few hundred numbers in each
-_REPEATED_SHARE = 0.2  # of the frames, beyond which they are the recording's own and not the camera's fault
 _USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
 _SAID = {
     _UNREADABLE: "frames that the recording cannot give whole",
@@ -49,40 +49,43 @@ class FrameCheckStage(Stage):
         views = self.inputs.scene.views
         self._views = [view for view in (views.contact, views.topography) if view is not None]
         self._status = np.zeros(len(trial), np.uint8)
-        self._blocks: list[list[Tensor]] = [[] for _ in self._views]  # of frames that are yet to be compared,
+        self._blocks: list[list[NDArray[np.float32]]] = [
+            [] for _ in self._views
+        ]  # of frames that are yet to be compared,
         self._compared = [0] * len(self._views)  # and of so many before them that were
         self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
         self._light, self._saturated = np.full((2, len(trial)), np.nan)
 
     def begin(self) -> None:
         contact = self._views[0]
-        glass, dark = self.inputs.reference(contact), self.inputs.dark(contact)
-        self._black = 0.0 if dark is None else float(block_means(dark).mean())
-        self._glass = float(block_means(glass).mean()) - self._black
+        glass = _blocks(self.inputs.reference(contact)[0].cpu().numpy())
+        dark = self.inputs.dark(contact)
+        self._black = 0.0 if dark is None else float(_blocks(dark[0].cpu().numpy()).mean())
+        self._glass = float(glass.mean()) - self._black
         depth = self.inputs.recording.bit_depth
         self._top = np.inf if depth is None else 2**depth - 1.5
-        self._glass_saturated = float((block_means(glass) > self._top).float().mean())
+        self._glass_saturated = float((glass > self._top).mean())
 
     def step(self, batch: Batch) -> None:
         assert batch.frames is not None
         indices = batch.indices
         for k, view in enumerate(self._views):
-            blocks = block_means(self.inputs.view(batch.frames, view))
+            blocks = _blocks(view.crop(batch.frames))
             if batch.frames.dtype.kind == "f":
                 whole = np.isfinite(view.crop(batch.frames)).all(axis=(1, 2))
                 self._status[indices[~whole]] = _NOT_FINITE
-                blocks = blocks.nan_to_num(0.0, 0.0, 0.0)
+                blocks = np.nan_to_num(blocks, nan=0.0, posinf=0.0, neginf=0.0)
             if k == 0:
-                self._light[indices] = blocks.mean((1, 2)).cpu() - self._black
-                self._saturated[indices] = (blocks > self._top).float().mean((1, 2)).cpu()
+                self._light[indices] = blocks.mean((1, 2)) - self._black
+                self._saturated[indices] = (blocks > self._top).mean((1, 2))
             self._blocks[k].append(blocks)
             if sum(map(len, self._blocks[k])) >= _AT_ONCE:
                 self._compare(k)
 
     def _compare(self, view: int) -> None:
         """The frames of a view that are yet to be, with those before them."""
-        blocks, compared = torch.cat(self._blocks[view]), self._compared[view]
-        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]).cpu().numpy())
+        blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
+        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
         self._blocks[view] = [blocks[-LONGEST - 1 :]]
         self._compared[view] = len(self._blocks[view][0])
 
@@ -105,7 +108,7 @@ class FrameCheckStage(Stage):
         self._distances, self._blocks = [], []  # more than all results hold of a frame without points
         twice = repeats(distances) & (status == _USABLE)
         share = float(twice.mean())
-        if share <= _REPEATED_SHARE:
+        if share <= REPEATED_SHARE:
             status[twice] = _REPEATED
         else:
             self.warnings.append(
@@ -131,6 +134,11 @@ class FrameCheckStage(Stage):
                 f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "
                 f"[background] and [views.contact] in {self.inputs.scene.path}"
             )
+
+
+def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
+    """Block means (n, rows, columns) of frames (n, H, W)."""
+    return block_means(frames)[0]
 
 
 def _listed(numbers: NDArray[np.integer]) -> str:

@@ -1,44 +1,34 @@
 """What a trial is computed from, opened and checked: frames, background, forces, calibration."""
 
-from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.torch import Modules, images_on
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.scene import Scene
 from fingerflow.stages import plausibility
 from fingerflow.stages.reference import frame_asked
+from fingerflow.tracker.points import RECORDING, Knowledge
 from fingerflow.views import View
 
 _REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
 
 
-M = TypeVar("M", bound=nn.Module)
-
-
-class Engine(Protocol):
-    """Gives the module to call in place of one: itself, or one that computes the same elsewhere."""
-
-    def __call__(self, module: M) -> M: ...
-
-
-def as_it_is(module: M) -> M:
-    """The engine that is torch."""
-    return module
-
-
 @dataclass
 class Inputs:
-    """An opened scene on a device; the stages run their modules by the engine. Gradients are fitted over the gauge
-    length.
+    """An opened scene on a device. Gradients are fitted over the gauge length.
 
     Attributes:
-        alone: no other recording is computed beside it, which would wait for it.
+        engine: computes contact, points and fields.
+        knowledge: of frames to come, that tracking has.
     """
 
     scene: Scene
@@ -46,13 +36,17 @@ class Inputs:
     times: NDArray[np.float64]
     device: torch.device
     warnings: list[str]
-    engine: Engine = as_it_is
-    alone: bool = True
+    engine: Engine
+    knowledge: Knowledge = RECORDING
     _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
     gauge_length_mm: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.gauge_length_mm = self.scene.fields.gauge_length_mm
+
+    def with_scene(self, scene: Scene) -> "Inputs":
+        """The same files with the settings of another scene."""
+        return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
 
     @property
     def mm_per_px(self) -> float:
@@ -82,14 +76,7 @@ class Inputs:
         """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
         memory of the frames. uint16 becomes int32, which torch can compute with.
         """
-        part = view.crop(frames)
-        if part.dtype == np.uint16:
-            part = part.astype(np.int32)
-        elif part.dtype == np.float64:
-            part = part.astype(np.float32)
-        elif not part.flags.writeable:
-            part = np.asarray(_Lent(part))
-        return torch.from_numpy(part)[:, None].to(self.device)
+        return images_on(self.device, view.crop(frames))
 
     def reference(self, view: View) -> Tensor:
         """The view without a finger, (1, 1, h, w) float32."""
@@ -140,17 +127,8 @@ def read_frames(part: Recording) -> NDArray[Any]:
         ) from error
 
 
-class _Lent:
-    """An array of a memory map that says it may be written to: torch warns of others, and stages only read."""
-
-    def __init__(self, array: NDArray[Any]) -> None:
-        self._array = array  # alive as long as what is made of this
-        address = array.__array_interface__["data"][0]
-        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
-
-
-def open_inputs(scene: Scene, device: str) -> Inputs:
-    """Opens the recording of a scene and checks that its views fit.
+def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
+    """Opens the recording of a scene and checks that its views fit; engine and modules as for `engines.choice`.
 
     Raises FingerflowError for what does not fit, with the value and the remedy.
     """
@@ -192,7 +170,23 @@ def open_inputs(scene: Scene, device: str) -> Inputs:
                 raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
     warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
     warnings += plausibility.of_frames(len(recording))
-    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings)
+    computing = engine_for(engine, _engine_settings(scene), chosen, modules)
+    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, computing)
+
+
+def _engine_settings(scene: Scene) -> EngineSettings:
+    contact, tracking, fields = scene.contact, scene.tracking, scene.fields
+    return EngineSettings(
+        median_px=contact.median_px,
+        gross_radius_px=contact.gross_radius_px,
+        window_px=tracking.window_px,
+        gain_offset=tracking.gain_offset,
+        forward_backward_limit_px=tracking.forward_backward_limit_px,
+        search_px=tracking.search_px,
+        min_distance_px=tracking.min_distance_px,
+        gauge_length_mm=fields.gauge_length_mm,
+        strain=fields.strain,
+    )
 
 
 def _device(name: str) -> torch.device:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import TRACKING
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.marker_contact import CELL_PX

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.marker_matching import Ties, match_markers, tie_neighbours
 from fingerflow.ops.markers import MarkerLook, detect_markers, measure_markers
-from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.stages.rest import find_rest
 from fingerflow.stages.stage import Batch, Stage, Trial
 

@@ -15,10 +15,10 @@ from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.tensors import finite
-from fingerflow.stages.border import BORDER_MM
 from fingerflow.stages.displacement import DisplacementStage
 from fingerflow.stages.series import medians_among
 from fingerflow.stages.stage import Batch
+from fingerflow.tracker.entry import BORDER_MM
 
 EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at so often, and between linear
 

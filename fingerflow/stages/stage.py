@@ -119,7 +119,10 @@ class Stage:
         """Opens what it needs. Raises FingerflowError for what the user can put right."""
 
     def step(self, batch: Batch) -> Any:
-        """Results of these frames; what it returns, stages beside it get by `Batch.of`."""
+        """Results of these frames; what it returns, stages beside it get by `Batch.of`.
+
+        It may be a generator of engine calls that several recordings share (`engines.together`).
+        """
 
     def finish(self) -> None:
         """Results that need all frames, and warnings."""

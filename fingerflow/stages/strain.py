@@ -11,7 +11,6 @@ from fingerflow.ops.strain import principal_strains
 from fingerflow.ops.triangle_strain import SharedErrors, triangle_strain
 from fingerflow.ops.triangles import triangle_areas
 from fingerflow.player.contract.variables import STRAIN
-from fingerflow.stages.border import Border
 from fingerflow.stages.border_energy import border_energy
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.counted_skin import CountedSkin
@@ -19,6 +18,7 @@ from fingerflow.stages.displacement import DisplacementStage
 from fingerflow.stages.missing_energy import MissingEnergy
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.tracker.entry import Border
 
 
 class StrainStage(Stage):

@@ -8,26 +8,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from torch import Tensor
 
+from fingerflow.engines.engine import Found, Images, nothing_found
+from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
-from fingerflow.graphs.detect import DetectGraph
-from fingerflow.graphs.track import WARP_GAUGE_PX
-from fingerflow.ops.apparent_contact import cell_of
-from fingerflow.ops.cells import covered
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
 from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
-from fingerflow.ops.templates import Found
-from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import TRACKING
 from fingerflow.room import size_of_results
 from fingerflow.stages import plausibility
-from fingerflow.stages.chosen_points import ChosenPoints, Graphs, beside, part_of
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
 from fingerflow.stages.new_skin import Known, NewSkin
 from fingerflow.stages.regions import region_mask
 from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
+from fingerflow.tracker.motion import Motion
+from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
 MOST_CHOSEN = 3  # times `tracking.points`, of points that are chosen in a recording altogether
@@ -62,16 +59,15 @@ class TrackingStage(Stage):
         assert view is not None
         self._view = view
         self._settings = inputs.scene.tracking
-        self._detect = inputs.engine(self._detector(self._settings.points))
-        self._graphs = Graphs.of(inputs, self._settings)
-        self._matrix = torch.from_numpy(inputs.topography_to_contact).to(inputs.device, torch.float32)
-        self._chosen: list[ChosenPoints] = []
-        self._around: list[Tensor] = []  # numbers (A,) of the points before that each of these goes by
+        self._engine = inputs.engine
+        self._matrix = inputs.topography_to_contact.astype(np.float32)
+        self._chosen: list[Points] = []
+        self._around: list[NDArray[np.intp]] = []  # numbers (A,) of the points before that each of these goes by
         self._density = 0.0  # points a px of the region of the first choice
         self._new_skin: NewSkin | None = None
         self._full = False  # whether no more points may be chosen
         self._skipped: list[int] = []  # frames before the points were chosen
-        self._region = torch.empty(0)  # (1, 1, h, w) bool, px of the contact view: where to look for points
+        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: where to look for points
         self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
 
     @classmethod
@@ -88,7 +84,8 @@ class TrackingStage(Stage):
         self._usable = self.trial.stage(FrameCheckStage).usable
         border = self.depends_on(self.trial.planned)
         window = self._settings.window_px
-        self._region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
+        region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
+        self._region = region[0, 0].cpu().numpy()
         if not self._region.any():
             self.warnings.append(
                 f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
@@ -96,18 +93,18 @@ class TrackingStage(Stage):
             )
             self._create(0)
 
-    def step(self, batch: Batch) -> None:
+    def step(self, batch: Batch) -> Any:
         """Tracks through these frames, in the order given; those that are not usable are passed over."""
         if "position" in self.results and not self.results["position"].shape[1]:
             return
         assert batch.frames is not None
         margin = batch.of(ContactStage).density_margin
-        images = self.inputs.view(batch.frames, self._view)
+        images = self._engine.images(self._view.crop(batch.frames))
         numbers = np.arange(len(images))
         for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
             indices = batch.indices[some]
             if self._usable[indices[0]]:
-                self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
+                yield from self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
             else:
                 self._pass_over(indices)
 
@@ -120,45 +117,38 @@ class TrackingStage(Stage):
         for points in self._chosen:
             points.pass_over(len(indices))
 
-    def _step_through(self, images: Tensor, indices: NDArray[np.intp], margin: Tensor) -> None:
+    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
         every: list[Found] = []
         if not self._chosen:
             first = self._choose(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
-            every.append(self._go_on(self._chosen[0], images, first, _nothing(images)))
+            rest = [(yield from self._chosen[0].follow(images[1:]))] if len(images) > 1 else []
+            every.append(Found(*map(np.concatenate, zip(first, *rest, strict=True))))
         else:
             for points, numbers in zip(self._chosen, self._around, strict=True):
-                around = part_of(beside(every), numbers) if every else _nothing(images)
-                every.append(self._go_on(points, images, None, around))
+                around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
+                every.append((yield from points.follow(images, around)))
         found = beside(every)
-        before = found.status.shape[1]
-        new = self._choose_new(images[-1:], margin[-1:], Found._make(one[-1:] for one in found))
+        before, last = found.status.shape[1], len(images) - 1
+        new = self._choose_new(images[last:], margin[last], found.of(slice(last, None)))
         if new is not None:
-            found = beside((found, _in_last_of(len(images), new)))
-        pixels, error, status = (one.cpu().numpy() for one in (found.points, found.error, found.status))
-        in_contact = self._inside(margin, found.estimate) & (found.status != TrackStatus.NOT_CHOSEN_YET)
+            found = beside([found, _in_last_of(len(images), new)])
+        pixels, error, status = found.points, found.error, found.status
+        covered = self._engine.covered(margin, found.estimate, self._matrix)
         for name, values in {
             "position": self.inputs.on_glass(pixels.astype(np.float64)),
             "position_px": pixels,
-            "position_std_px": found.variance.sqrt().cpu().numpy(),
+            "position_std_px": np.sqrt(found.variance),
             "forward_backward_error": error,
             "status": status,
-            "in_contact": in_contact.cpu().numpy(),
+            "in_contact": covered & (status != TrackStatus.NOT_CHOSEN_YET),
         }.items():
             self.results[name][indices] = values
         tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
         self._share[indices] = tracked.mean(1)
         self._differs[indices] = differs.mean(1)
         self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
-
-    def _go_on(self, points: ChosenPoints, images: Tensor, first: Found | None, around: Found) -> Found:
-        """What is found of points in these images, the `first` of which is known where they are chosen there."""
-        known = [] if first is None else [first]
-        rest = images[len(known) :]
-        if len(rest):
-            known.append(points.follow(rest, Found._make(one[len(known) :] for one in around)))
-        return points.looked_at(images, Found.joined(known), around)
 
     def finish(self) -> None:
         first_frame = self.inputs.scene.recording.first_frame
@@ -173,56 +163,47 @@ class TrackingStage(Stage):
             if "point" in variable.dims:
                 self.results.create(variable.name, point=points)
 
-    def _detector(self, points: int) -> DetectGraph:
-        return DetectGraph(points, self._settings.min_distance_px, self._settings.window_px)
-
-    def _choose(self, image: Tensor, margin: Tensor) -> Found:
-        """Chooses the points in the first frame."""
-        where = self._where(image)
-        found, _ = self._detect(self._view_for_choice(image), where)
-        points = found[:, found[0].isfinite().all(-1)]
-        if points.shape[1] < 3:
+    def _choose(self, image: Images, margin: NDArray[np.floating]) -> Found:
+        """Seeds the points in the first frame."""
+        where = self._where()
+        points = self._engine.detect(self._view_for_choice(image), where, self._settings.points)
+        if len(points) < 3:
             raise FingerflowError(
-                f"{self.inputs.recording.path}: {points.shape[1]} points with texture were found in the "
+                f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
                 f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
                 f"region, [stream] region, the calibration and the focus."
             )
         asked, apart = self._settings.points, self._settings.min_distance_px
-        self.warnings.extend(plausibility.of_points(points.shape[1], asked, apart, int(where.sum())))
-        self._create(points.shape[1])
-        self._density = points.shape[1] / float(where.sum())
-        cell = cell_of(self.inputs.scene.contact.gross_radius_px)
-        self._new_skin = NewSkin(self.inputs.topography_to_contact, cell, self._settings.window_px)
-        self._new_skin.searched.append(where[0, 0].cpu().numpy())
-        self._new_skin.begin(margin[0, 0].cpu().numpy(), points[0].cpu().numpy())
-        nobody = torch.zeros(0, dtype=torch.int64, device=image.device)
-        return self._add(image, points, nobody, _nothing(image))
+        self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
+        self._create(len(points))
+        self._density = len(points) / float(where.sum())
+        self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
+        self._new_skin.searched.append(where)
+        self._new_skin.begin(margin[0, 0], points)
+        return self._add(Points(*(self._engine, image, points), **self._how()), np.zeros(0, np.intp))
 
-    def _add(self, image: Tensor, points: Tensor, numbers: Tensor, found: Found) -> Found:
-        """Points (1, N, 2) px chosen in an image; they go by those of these numbers, `found` (1, ...) in it."""
-        around = found.points[:, numbers]
-        self._chosen.append(ChosenPoints(self._graphs, self._settings, image, points, around))
+    def _how(self) -> dict[str, Any]:
+        return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
+
+    def _add(self, points: Points, numbers: NDArray[np.intp]) -> Found:
+        """Follows points from now on, which go by those of these numbers; what is found (1, N) of them."""
+        self._chosen.append(points)
         self._around.append(numbers)
-        return self._chosen[-1].as_chosen
+        return points.as_seeded
 
-    def _view_for_choice(self, image: Tensor) -> Tensor:
+    def _view_for_choice(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
-    def _places(self, name: str) -> NDArray[np.float32]:
-        """(N, 2) px of all points: where they are expected, or where they were chosen."""
-        result: NDArray[np.float32] = torch.cat([getattr(one, name) for one in self._chosen], dim=1)[0].cpu().numpy()
-        return result
-
-    def _choose_new(self, image: Tensor, margin: Tensor, found: Found) -> Found | None:
-        """Points that are chosen in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
+    def _choose_new(self, image: Images, margin: NDArray[np.floating], found: Found) -> Found | None:
+        """Points that are seeded in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
         if self._full:
             return None
         assert self._new_skin is not None
-        place, total = self._places("place"), found.status.shape[1]
+        place = np.concatenate([one.expect(0) for one in self._chosen])
+        start = np.concatenate([one.start for one in self._chosen])
+        total, tracked = len(place), found.status[0] == TrackStatus.TRACKED
         choice = np.repeat(np.arange(len(self._chosen)), [len(one) for one in self._chosen])
-        tracked = found.status[0] == TrackStatus.TRACKED
-        known = Known(place, self._places("start"), tracked.cpu().numpy(), choice)
-        region = self._new_skin.region(margin[0, 0].cpu().numpy(), known)
+        region = self._new_skin.region(margin[0], Known(place, start, tracked, choice))
         if region is None:
             return None
         if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
@@ -230,15 +211,15 @@ class TrackingStage(Stage):
         wanted = min(round(self._density * float(region.sum())), MOST_CHOSEN * self._settings.points - total)
         if wanted < 1:
             return None
-        where = torch.from_numpy(region).to(image.device)[None, None]
-        corners, _ = self._detector(wanted)(self._view_for_choice(image), where)
-        points = corners[:, corners[0].isfinite().all(-1)]
-        if not points.shape[1] or not self._make_room(total, points.shape[1]):
+        points = self._engine.detect(self._view_for_choice(image), region, wanted)
+        if not len(points) or not self._make_room(total, len(points)):
             return None
-        apart, _ = cKDTree(points[0].cpu().numpy()).query(place)
-        near = np.flatnonzero(known.tracked & (apart <= WARP_GAUGE_PX))
+        apart, _ = cKDTree(points).query(place)
+        near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        return self._add(image, points, torch.from_numpy(near).to(image.device), found)
+        every = Motion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
+        new = Points(self._engine, image, points, found.points[0, near], motion=every.seeded(points), **self._how())
+        return self._add(new, near)
 
     def _make_room(self, points: int, more: int) -> bool:
         """Lets the results grow; a warning says where they may not."""
@@ -258,51 +239,42 @@ class TrackingStage(Stage):
             self.results.grow("point", points + more, {"status": TrackStatus.NOT_CHOSEN_YET})
         return more > 0
 
-    def _enhanced(self, image: Tensor) -> Tensor:
+    def _enhanced(self, image: Images) -> Images:
         """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
         press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust.
         """
-        skin = subtract_background(image, self.inputs.reference(self._view))
-        return unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
+        recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
+        skin = subtract_background(recorded, self.inputs.reference(self._view))
+        enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
+        return self._engine.images(enhanced[:, 0].cpu().numpy())
 
-    def _where(self, image: Tensor) -> Tensor:
-        """(1, 1, H, W) bool: the region that the scene draws in the topography view; or where in the first frame
-        (1, 1, H, W) of a stream skin is expected to touch: so both have the same points. Else, and of a stream's region
-        where the last frame comes first, all that touches at some time.
+    def _where(self) -> NDArray[np.bool_]:
+        """(h, w) bool: the region that the scene draws in the topography view; or where in the first frame of a stream
+        skin is expected to touch: so both have the same points. Else, and of a stream's region where the last frame
+        comes first, all that touches at some time.
         """
         drawn = region_mask(self.inputs.scene, "topography")
         if drawn is not None:
-            return torch.from_numpy(drawn).to(image.device)[None, None]
+            return drawn
         stated = self.inputs.scene.stream.region
         if stated is not None and self._settings.direction == "forward":
-            mask = torch.zeros_like(image, dtype=torch.bool)
+            mask = np.zeros(self._view.shape, dtype=bool)
             stated.crop(mask)[...] = True
             return mask
+        height, width = self._view.shape
         region = cv2.warpAffine(
-            self._region[0, 0].cpu().numpy().astype(np.uint8),
+            self._region.astype(np.uint8),
             self.inputs.topography_to_contact,
-            (image.shape[3], image.shape[2]),
+            (width, height),
             flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         )
-        return torch.from_numpy(region).to(image.device)[None, None] > 0
-
-    def _inside(self, density_margin: Tensor, points: Tensor) -> Tensor:
-        """Whether the gross contact (`Contact.density_margin`) covers points (n, P, 2) of its view, (n, P)."""
-        # Components before points: torch is slow where the last axis is short.
-        x, y = (self._matrix[:, :2] @ points.mT + self._matrix[:, 2:]).unbind(1)
-        return covered(density_margin, x, y, cell_of(self.inputs.scene.contact.gross_radius_px))
-
-
-def _nothing(images: Tensor) -> Found:
-    """Of no points in images (n, 1, h, w)."""
-    none = torch.zeros(len(images), 0, device=images.device, dtype=torch.float32)
-    place = none[..., None].expand(-1, -1, 2)
-    return Found(place, none, place[..., None].expand(-1, -1, -1, 2), none.to(torch.uint8), place)
+        return region > 0
 
 
 def _in_last_of(frames: int, chosen: Found) -> Found:
     """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
-    points, error, covariance = (torch.full_like(one, torch.nan) for one in chosen[:3])
-    status = torch.full_like(chosen.status, int(TrackStatus.NOT_CHOSEN_YET))
-    before = Found(points, error, covariance, status, chosen.estimate)
-    return Found.joined([before] * (frames - 1) + [chosen])
+    before = Found(*(np.repeat(one, frames, axis=0) for one in chosen))
+    for one in before[:3]:
+        one[:-1] = np.nan
+    before.status[:-1] = TrackStatus.NOT_CHOSEN_YET
+    return before

@@ -27,8 +27,8 @@ class Share:
     def _look(cls, more: int) -> float:
         with cls._lock:
             now = time.process_time()
-            if Share._running:
-                Share._each += (now - Share._looked) / Share._running
-            Share._looked = now
-            Share._running += more
-            return Share._each
+            if cls._running:
+                cls._each += (now - cls._looked) / cls._running
+            cls._looked = now
+            cls._running += more
+            return cls._each

@@ -12,7 +12,7 @@ from fingerflow.study.keys import all_codes, keys_of
 from fingerflow.study.manifest import Manifest, TrialEntry
 from fingerflow.study.trial import Job, Outcome, is_current, run_trials
 
-_TOGETHER = 8  # trials that go through one graph on an accelerator
+_TOGETHER = 8  # trials that are computed together on an accelerator
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def run_study(
 ) -> Summary:
     """Runs what `plan_run` says, on processes of this computer or on a cluster.
 
-    Each task is one trial, or some that go through one graph. What is finished stands in the folder of the results,
+    Each task is one trial, or some that are computed together. What is finished stands in the folder of the results,
     whatever happens afterwards: Ctrl-C, or the loss of a worker or of the scheduler, end the run and lose nothing of
     it.
 
@@ -91,7 +91,7 @@ def run_study(
             threads of each.
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
-        together: trials that a worker takes through one graph at a time (`fingerflow.side_by_side`), of which an
+        together: trials that a worker computes in lock-step (`fingerflow.pipeline.process_together`), of which an
             accelerator has something; by default 8 where this computer has one, else 1.
 
     Raises FingerflowError where the cluster cannot be had.

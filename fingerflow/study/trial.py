@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,10 @@ import cv2
 import torch
 
 from fingerflow import __version__
+from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
-from fingerflow.pipeline import process_to
+from fingerflow.pipeline import run_steps, steps_to
 from fingerflow.result import open_result, read_own
-from fingerflow.side_by_side import side_by_side
-from fingerflow.stages.inputs import Engine
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at
@@ -66,17 +65,15 @@ class Outcome:
 
 
 def run_trials(jobs: Sequence[Job]) -> list[Outcome]:
-    """Processes trials side by side and writes the row of each, or the reason why there is none.
+    """Processes trials together and writes the row of each, or the reason why there is none.
 
     Only what is wrong with the worker itself is raised, as FingerflowError: another version of the package.
     """
-    if len(jobs) == 1:
-        return [run_trial(jobs[0])]
-    return side_by_side([partial(run_trial, job, together=len(jobs)) for job in jobs])
+    return run_steps([_steps(job, len(jobs)) for job in jobs])
 
 
-def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Outcome:
-    """As `run_trials`, of one, that is one of so many which are computed together."""
+def _steps(job: Job, together: int) -> Steps[Outcome]:
+    """A trial that is one of so many which are computed together."""
     different = [part for part, code in job.codes.items() if code_of(part) != code]
     if different:
         raise FingerflowError(
@@ -85,10 +82,10 @@ def run_trial(job: Job, engine: str | Engine = "torch", together: int = 1) -> Ou
         )
     _settle(job.threads)
     with Share() as share:
-        return _run(job, engine, together, share)
+        return (yield from _run(job, together, share))
 
 
-def _run(job: Job, engine: str | Engine, together: int, share: Share) -> Outcome:
+def _run(job: Job, together: int, share: Share) -> Steps[Outcome]:
     started, wall = datetime.now(UTC), time.perf_counter()
     folder = job.manifest.results / job.entry.name
     keys: Keys | None = None
@@ -106,7 +103,7 @@ def _run(job: Job, engine: str | Engine, together: int, share: Share) -> Outcome
                 row, curves = measure(result)
         else:
             # One that is there under this name may be damaged, and then it would not be known for a result.
-            process_to(path, scene, earlier=earlier, overwrite=True, engine=engine)
+            yield from steps_to(path, scene, earlier=earlier, overwrite=True, ahead=together == 1)
             row, curves = measure(read_own(path, READ, DESCRIBED))
         content = replace(look_at(path), path=path.name)
         trial = TrialRow(MEASURED, keys=keys, result=path.name, content=content, row=row, curves=curves)

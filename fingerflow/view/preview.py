@@ -1,13 +1,14 @@
 """What `process` will find in a frame: its own stages, run for that frame alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from fingerflow.engines.together import run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.plan import VARIABLES, plan
 from fingerflow.scene import Scene
@@ -57,7 +58,7 @@ class Previewer:
         """
         self.scene = scene
         same = before if type(before) is type(self) and _opened(before.scene) == _opened(scene) else None
-        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else replace(same._inputs, scene=scene)
+        self._inputs: Inputs = open_inputs(scene, "cpu") if same is None else same._inputs.with_scene(scene)
         self._trial = self._begin_trial()
         # Forces are resampled once: they do not depend on what is moved on the page.
         lent = same._loading if same is not None and same.scene.forces == scene.forces else None
@@ -97,8 +98,8 @@ class Previewer:
         """Of a frame, from 0 for the first one that counts."""
         if frame not in self._seen:
             with torch.inference_mode():
-                found = self._contact.step(self._batch(frame))
-            self._seen = {frame: Preview(found.real_contact_mask[0, 0].numpy(), numbers_of(self._contact, frame))}
+                found = run_alone(self._contact.step(self._batch(frame)))
+            self._seen = {frame: Preview(found.real_contact_mask[0, 0], numbers_of(self._contact, frame))}
         return self._seen[frame]
 
     def chosen(self) -> Chosen:
@@ -115,8 +116,8 @@ class Previewer:
         with torch.inference_mode():
             tracking.begin()
             batch = self._batch(frame)
-            batch.keep(self._contact, self._contact.step(batch))
-            tracking.step(batch)
+            batch.keep(self._contact, run_alone(self._contact.step(batch)))
+            run_alone(tracking.step(batch))
         points = trial.results["position_px"][np.array([frame])][0]
         return Chosen(points, frame, list(tracking.warnings))
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.variables import LABELS
 from fingerflow.result import open_result
-from fingerflow.untrusted import open_hdf5
+from fingerflow.untrusted.hdf5 import open_hdf5
 
 _SAMPLED = 24  # frames that tell the range of colours
 _RANGE = 0.96  # share of the values below its end

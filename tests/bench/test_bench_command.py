@@ -11,7 +11,7 @@ import torch
 from bench import __main__ as command
 from bench import suites, timing
 from bench.rows import Row, as_table, number
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 SUITE = '''"""Counts to two."""
 

@@ -22,7 +22,7 @@ from bench.suites import (
     large_motion,
     memory,
     pipeline,
-    side_by_side,
+    process_together,
     skin_chain,
     speed_against_error,
     stated,
@@ -291,12 +291,12 @@ def test_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fields[0] == fields[1] > 50
 
 
-def test_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two recordings call an accelerator little more often than one, for the same positions."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    rows = side_by_side.run(quick=True)
+    rows = process_together.run(quick=True)
     assert [(row["recordings"], row["way"]) for row in rows] == [
-        (number, way) for number in (1, 2) for way in ("one by one", "side by side")
+        (number, way) for number in (1, 2) for way in ("one by one", "together")
     ]
     assert number(rows[1], "calls_to_peer") == pytest.approx(1, abs=0.02)
     assert 0.5 < number(rows[3], "calls_to_peer") < 0.8

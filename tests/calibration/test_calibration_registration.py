@@ -59,7 +59,7 @@ def test_transform_between_drawn_views(matrix: Array) -> None:
     assert found.discs[0][0].radius_px == pytest.approx(np.sqrt(30 * 28), abs=0.1)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     degrees=st.floats(-180, 180),
     scale=st.floats(0.5, 2.0),

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from fingerflow.engines.names import GRAPHS
 from fingerflow.errors import FingerflowError
 from fingerflow.export.recipe import load_recipe
-from fingerflow.player.bundle import GRAPHS, MEASURING
 
 RECIPES = sorted((Path(__file__).parents[2] / "export").glob("*.toml"))
 
@@ -16,10 +16,10 @@ def test_shipped_recipes_are_valid(path: Path) -> None:
     assert load_recipe(path).views.height > 0
 
 
-def test_a_bundle_has_by_default_what_the_player_opens(tmp_path: Path) -> None:
+def test_a_bundle_has_by_default_what_the_engine_opens(tmp_path: Path) -> None:
     """And nothing else: each graph is exported, verified and carried to the lab."""
     (tmp_path / "recipe.toml").write_text("[views]\nheight = 512\nwidth = 640\n")
-    assert {*load_recipe(tmp_path / "recipe.toml").export.graphs} == {*GRAPHS, MEASURING}
+    assert {*load_recipe(tmp_path / "recipe.toml").export.graphs} == {*GRAPHS}
 
 
 @pytest.mark.parametrize(

@@ -267,7 +267,7 @@ def _bundle(folder: Path) -> list[Sample]:
 
     write_bundle(folder / "bundle")
     write_scene(folder / "bundle" / "scene.toml", '[recording]\nframes = "frames.npy"\nframe_rate = 300.0')
-    np.save(folder / "bundle" / "frames.npy", np.stack([frame(10 - k // 3, 40 * k, k) for k in range(6)]))
+    np.save(folder / "bundle" / "frames.npy", np.stack([frame(10 - k // 3, 40 * k, k / 4) for k in range(6)]))
     files = {path.name: path.read_bytes() for path in (folder / "bundle").iterdir()}
     return [
         Sample(files, name, ".")

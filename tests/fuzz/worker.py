@@ -82,7 +82,6 @@ def _limit_memory() -> None:
 
 def _outcome(read: Callable[[Path], Any], sample: Sample, folder: Path, data: bytes) -> dict[str, str]:
     from fingerflow.errors import FingerflowError
-    from fingerflow.player.errors import PlayerError
 
     before = _most_resident()
     # Of the processor's time, by a signal that ends the process: loops in C are seen too, and a busy machine is not.
@@ -90,7 +89,7 @@ def _outcome(read: Callable[[Path], Any], sample: Sample, folder: Path, data: by
     try:
         _read_one(read, sample, folder, data)
         outcome = {"outcome": "read"}
-    except (FingerflowError, PlayerError) as error:
+    except FingerflowError as error:
         text = str(error)
         causes = _chain(error)
         if any(isinstance(cause, MemoryError) for cause in causes):
@@ -185,7 +184,7 @@ def play(bundle: Path) -> Path:
     results = bundle.parent / "results"
     shutil.rmtree(results, ignore_errors=True)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
-        options = ["--output", str(results), "--page", "off", "--provider", "cpu", "--threads", "1", "--no-spin"]
+        options = ["--output", str(results), "--page", "off", "--threads", "1"]
         options += ["--rate", "1e6"]  # a slow one in the scene is none
         if main([str(bundle), *options]):
             raise PlayerError(said.getvalue())

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.graphs import detect
 from fingerflow.graphs.detect import DetectGraph
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.corners import corner_response
 from fingerflow.ops.noise import estimate_noise
 

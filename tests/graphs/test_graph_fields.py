@@ -4,10 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
 from fingerflow.graphs import FieldsGraph, GrossEllipse
-from fingerflow.graphs.frame import SinceOnsetGraph
 from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.point_gradients import gradients_at
 from fingerflow.ops.strain import curl, divergence, green_lagrange
 from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
 
@@ -74,45 +73,14 @@ def test_one_set_of_points_serves_all_frames() -> None:
     assert together.median[2].isnan().all()
 
 
-def test_pixels_of_the_topographic_view_or_millimetres(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What an exported graph computes in pixels, a recording does in mm: the same numbers."""
+def test_the_exported_fit_is_that_of_local_gradients() -> None:
+    """At places between the points too, NaN for one, in both precisions."""
     reference, displacement = skin()
-    matrix = torch.tensor([[0.999, 0.02, 30.4], [-0.02, 0.999, -10.3]])
-    middle, axes, angle = ellipse()
-    millimetres = 0.03
-    place = (reference @ matrix[:, :2].T + matrix[:, 2]) * millimetres
-    moved = displacement @ matrix[:, :2].T * millimetres
-    center = middle @ matrix[:, :2].T + matrix[:, 2]
-    expected = FieldsGraph(GAUGE * millimetres)(
-        place, moved, None, GrossEllipse(center * millimetres, axes * millimetres, angle)
-    )
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    touched = torch.ones(reference.shape[:2], dtype=torch.uint8)
-    glass = (matrix, torch.tensor([millimetres]))
-    none = torch.zeros(*touched.shape, 2, 2)
-    found = SinceOnsetGraph(GAUGE * millimetres)(
-        reference + displacement, touched, reference, touched, 0 * touched, none, reference, *glass, center, axes, angle
-    )[5:]
-    assert expected.median is not None
-    for ours, theirs in zip(found, (*expected[:3], expected.median[:, 0]), strict=True):
-        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-4, equal_nan=True)
-
-
-def test_a_touch_that_does_not_stay_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Covered in the frames 1 and 2 and from 5 on: what counts in the end is where the point was in frame 5."""
-    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
-    graph = SinceOnsetGraph(1.6)
-    reference = torch.full((1, 1, 2), torch.nan)
-    reached, entry = torch.zeros(2, 1, 1, dtype=torch.uint8)
-    entering = torch.full((1, 1, 2, 2), torch.nan), torch.zeros(1, 1, 2)
-    glass = (torch.eye(2, 3), torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2), torch.zeros(1))
-    starts = []
-    for number, covers in enumerate([0, 1, 1, 0, 0, 1, 1, 1, 0, 1]):
-        touched = torch.full((1, 1), covers, dtype=torch.uint8)
-        found = graph(torch.full((1, 1, 2), float(number)), touched, reference, reached, entry, *entering, *glass)
-        reference, reached, entry = found.next_reference, found.next_reached, found.next_entry
-        starts.append(float(reference[0, 0, 0]))
-    nothing = torch.nan
-    torch.testing.assert_close(
-        torch.tensor(starts), torch.tensor([nothing, 1, 1, nothing, nothing, 5, 5, 5, 5, 5]), equal_nan=True
-    )
+    queries = torch.cat((reference[:, :40] + 3, reference[:, 5:8]), dim=1)
+    expected = local_gradients(reference.double(), displacement.double(), queries.double(), gauge_length=GAUGE).gradient
+    for kind, rounding in ((torch.float32, 5e-5), (torch.float64, 1e-9)):
+        given = (one.to(kind) for one in (reference, displacement, queries))
+        found = gradients_at(*given, torch.tensor([GAUGE]))
+        assert found.dtype == kind
+        torch.testing.assert_close(found.double(), expected, rtol=0, atol=rounding, equal_nan=True)
+    assert expected.isnan().any()

@@ -5,9 +5,9 @@ import torch
 from torch import Tensor
 
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
+from fingerflow.kernels.tracking_limits import Number, TrackStatus
 from fingerflow.ops.outliers import find_neighbours
-from fingerflow.ops.templates import Found, find_templates, inverse_2x2, prepare_templates
-from fingerflow.ops.tracking_limits import Number, TrackStatus
+from fingerflow.ops.templates import find_templates, inverse_2x2, prepare_templates
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM = 0.0325
@@ -90,22 +90,17 @@ def test_no_deformation_takes_off_more_than_leaves_the_noise_of_the_key_frame() 
     assert (corrected.variance / of_key - 1).abs().max() < 1e-3
 
 
-def test_points_elsewhere_and_unsure_ones_are_marked_and_lost() -> None:
+def test_points_elsewhere_and_unsure_ones_are_told_apart() -> None:
     start = grid()
     generator = torch.Generator().manual_seed(0)
     count = start.shape[1]
     points = start + 0.01 * (start - 150) + 0.01 * torch.randn(3, count, 2, generator=generator)
     points[1, 100] += 3.0
-    variance = torch.full((3, count), 1e-4)
-    variance[2, 200] = 0.05
-    status = torch.zeros(3, count, dtype=torch.uint8)
-    status[0, 7] = TrackStatus.MISMATCH
     points[0, 7] = torch.nan
-    covariance = variance[..., None, None] * torch.eye(2)
-    found = Found(points, variance.sqrt(), covariance, status, points.nan_to_num(0.0))
-    marked = AgreementGraph()(find_neighbours(start, 120.0), start, found)
-    expected = status.clone()
-    expected[1, 100], expected[2, 200] = TrackStatus.OFF_NEIGHBOURS, TrackStatus.UNCERTAIN
-    assert torch.equal(marked.status, expected)
-    assert torch.equal(marked.points.isnan().any(-1), expected != TrackStatus.TRACKED)
-    assert torch.equal(marked.covariance.isnan().flatten(2).any(-1), expected != TrackStatus.TRACKED)
+    deviation = torch.full((3, count), 1e-2)
+    deviation[2, 200] = 0.05**0.5
+    judged = AgreementGraph()(find_neighbours(start, 120.0), start, points, deviation)
+    off_neighbours, uncertain = (torch.zeros(3, count, dtype=torch.bool) for _ in range(2))
+    off_neighbours[1, 100] = uncertain[2, 200] = True
+    assert torch.equal(judged.off_neighbours, off_neighbours)
+    assert torch.equal(judged.uncertain, uncertain)

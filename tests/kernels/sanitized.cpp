@@ -1,4 +1,5 @@
 // Every kernel on images of awkward sizes whose memory ends right behind them, for a build with sanitizers.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -6,6 +7,7 @@
 #include <cstring>
 #include <exception>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "entry.h"
@@ -91,6 +93,22 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         std::vector<float> quotients(bytes.size());
         fingerflow_normalize(&lit, limits.data(), quotients.data(), bytes.data(), threads);
         for (std::int64_t side : {8, 16, 40}) fingerflow_light_gain(&lit, side, gains.data(), threads);
+        std::vector<float> cells(static_cast<std::size_t>(batch * ((height + 3) / 4) * ((width + 3) / 4)));
+        fingerflow_contact_of_frames(&lit, limits.data(), 3, 16, 8, 4, gains.data(), bytes.data(), cells.data(), numbers.data(), threads);
+        std::vector<float> thresholds(limits.size());
+        for (int size : {1, 3, 9})
+            for (std::int64_t stride : {1, 3, 8})
+                fingerflow_contact_threshold(&lit, gains.data(), size, nullptr, 8, 4, stride, thresholds.data(), threads);
+        const std::int64_t down = std::min<std::int64_t>(3, height), along = std::min<std::int64_t>(2, width);
+        const std::int64_t lines = (height - down / 2 + down - 1) / down, across = (width - along / 2 + along - 1) / along;
+        std::vector<float> means(static_cast<std::size_t>(batch * lines * across)), of_lines(static_cast<std::size_t>(batch * lines));
+        for (const auto& blocks : {std::pair<std::int64_t, std::int64_t>{1, 1}, {lines, across}, {(lines + 1) / 2, (across + 2) / 3}})
+            fingerflow_block_means(image.data, batch, height, width, frame, width, static_cast<int>(image.kind), down, along,
+                                   blocks.first, blocks.second, means.data(), of_lines.data(), threads);
+        const auto places = noise<float>(2 * 50 * batch, 12);
+        const std::vector<float> transform{0.1f * static_cast<float>(width) / 25.6f, 0, 0, 0, 0.1f * static_cast<float>(height) / 25.6f, 0};
+        std::vector<std::uint8_t> inside(static_cast<std::size_t>(50 * batch));
+        fingerflow_covered(cells.data(), batch, (height + 3) / 4, (width + 3) / 4, 4, places.data(), 50, transform.data(), inside.data());
     }
     if (height >= 4 && width >= 4) {
         const fingerflow_image first{eight.data(), batch, frame, width, 0}, second{real.data(), batch, frame, width, 3};
@@ -123,6 +141,26 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
             }
         for (int reach : {0, 5})
             fingerflow_search_windows(real.data(), real.data(), height, width, index.data(), start.data(), start.data(), points, 31, reach, found.data(), threads);
+        for (std::int32_t reach : {0, 5}) {
+            const fingerflow_search_both_ways both{eight.data(), real.data(), index.data(), start.data(), start.data(), found.data(), status.data(),
+                                                   frame, width, 0, frame, width, 3, batch, height, width, points, 15, reach, 2.0f};
+            fingerflow_search_and_return(&both, threads);
+        }
+    }
+    if (height >= 7 && width >= 7) {
+        std::vector<std::uint8_t> everywhere(static_cast<std::size_t>(frame), 1), half(everywhere);
+        for (std::size_t k = 0; k < half.size(); k += 2) half[k] = 0;
+        const std::int64_t least = std::min(height, width), border = std::min<std::int64_t>(15, (least - 1) / 2);
+        for (const std::vector<std::uint8_t>& part : {everywhere, half})
+            for (std::int64_t wanted : {std::int64_t(1), std::int64_t(40), frame}) {
+                std::vector<float> points(static_cast<std::size_t>(2 * wanted)), responses(static_cast<std::size_t>(wanted));
+                const fingerflow_detection of_bytes{eight.data(), part.data(), points.data(), responses.data(), height, width, width, 0, width,
+                                                    border, 3, 21, wanted, 0.01f, 1.0f};
+                fingerflow_detect_points(&of_bytes, threads);
+                const fingerflow_detection of_floats{real.data(), part.data(), points.data(), responses.data(), height, width, width, 3, width,
+                                                     3, 1, 90, wanted, 0.0f, 0.0f};
+                fingerflow_detect_points(&of_floats, threads);
+            }
     }
     if (height >= 3 && width >= 3) {
         std::vector<double> means(static_cast<std::size_t>(batch));
@@ -224,6 +262,39 @@ void try_fits(std::int64_t points, std::int64_t queries, std::int64_t components
     }
 }
 
+void try_deformation(std::int64_t frames, std::int64_t points, int threads) {
+    auto start = noise<float>(2 * points, 21), found = noise<float>(2 * frames * points, 22);
+    const auto numbers = noise<float>(34 * points, 23), warp = noise<float>(4 * points, 24);
+    for (std::size_t k = 0; k < found.size(); k += 14) found[k] = std::numeric_limits<float>::quiet_NaN();
+    if (points > 40) start[60] = start[80] = std::numeric_limits<float>::quiet_NaN();
+    const std::vector<float> covariance(static_cast<std::size_t>(4 * frames * points), 0.1f);
+    std::vector<float> corrected(found.size()), remaining(covariance.size()), deformed(covariance.size()), expected(found.size());
+    std::vector<float> shift(static_cast<std::size_t>(frames * points));
+    const fingerflow_deformation given{start.data(), found.data(), covariance.data(), numbers.data(), warp.data(), corrected.data(),
+                                       remaining.data(), deformed.data(), shift.data(), expected.data(), frames, points, 25, 5, 60.0, 6.0};
+    fingerflow_correct_points(&given, threads);
+}
+
+void try_outliers(std::int64_t frames, std::int64_t points, std::int64_t neighbours, int threads) {
+    const std::int64_t stride = (points + 15) / 16 * 16;
+    std::vector<std::int32_t> number(static_cast<std::size_t>(neighbours * stride));
+    std::vector<float> within(number.size());
+    for (std::int64_t k = 0; k < neighbours; ++k)
+        for (std::int64_t point = 0; point < points; ++point) {
+            number[static_cast<std::size_t>(k * stride + point)] = static_cast<std::int32_t>((point + k + 1) % points);
+            within[static_cast<std::size_t>(k * stride + point)] = k % 5 < 4;
+        }
+    const auto x = noise<float>(neighbours * stride, 25), y = noise<float>(neighbours * stride, 26);
+    auto displacement = noise<float>(2 * frames * points, 27);
+    const auto deviation = noise<float>(frames * points, 28);
+    displacement[0] = std::numeric_limits<float>::quiet_NaN();
+    std::vector<unsigned char> off(deviation.size()), uncertain(deviation.size());
+    const fingerflow_outliers given{number.data(), x.data(), y.data(), within.data(), displacement.data(), deviation.data(), off.data(),
+                                    uncertain.data(), frames, points, stride, neighbours, 4.0f, 1e-3f, 1e-6f, 3.0f, 4.0f, 5};
+    fingerflow_find_outliers(&given, threads);
+    expect(off[0] == 0 && uncertain[0] == 0, "a point that is not known is not judged");
+}
+
 // Every kernel, with each piece of its work failing in turn: an exception, and no memory that is lost or used again.
 void try_faults() {
     using namespace fingerflow;
@@ -243,9 +314,11 @@ void try_faults() {
             tried([&] { try_triangles(50, 97, threads); });
             tried([&] { try_skin(5, 4, threads); });
             tried([&] { try_fits<float>(300, 50, 2, 1, threads); });
+            tried([&] { try_deformation(2, 60, threads); });
+            tried([&] { try_outliers(2, 200, 16, threads); });
         }
         inject_fault(Fault::kNone, 0, Thread::kAny);
-        expect(piece > 0 || thrown == 10, "a fault in the first piece comes out of every kernel");
+        expect(piece > 0 || thrown == 14, "a fault in the first piece comes out of every kernel");
     }
 }
 
@@ -312,6 +385,13 @@ int main() {
                 try_fits<double>(37, 1, 3, geometries, threads);
                 try_fits<float>(0, 20, 1, geometries, threads);
             }
+            try_deformation(1, 300, threads);
+            try_deformation(3, 60, threads);
+            try_deformation(2, 1, threads);
+            try_deformation(2, 0, threads);
+            try_outliers(1, 300, 16, threads);
+            try_outliers(3, 16, 15, threads);
+            try_outliers(2, 2, 1, threads);
         }
     }
     std::printf("%d failures\n", failures);

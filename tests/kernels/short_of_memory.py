@@ -14,15 +14,17 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 
-from fingerflow import kernels, ops
-from fingerflow.kernels import library
+from fingerflow import ops
+from fingerflow.kernels import block_means, contact_frames, library, tracked_points
+from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_chain import press
 from fingerflow.ops.triangle_strain import triangle_strain
 from tests.embedded import CASES, scene, tensors_of
@@ -47,6 +49,9 @@ def calls() -> dict[str, Callable[[], Any]]:
     one, other = (frame.repeat(1, 1, 8, 1) for frame in (first, second))  # of flow, whose cells are a fourth
     moving = one.float().expand(-1, 2, -1, -1) / 100
     friction = torch.tensor([0.2, 0.6], dtype=torch.float64, requires_grad=True)
+
+    on_tall = tuple(one.numpy() for one in (tall, *(one.repeat(1, 1, 4, 1) for one in (light, 0 * light))))
+    limits = np.full(2, 0.5, np.float32)
 
     def chain() -> Any:
         with torch.enable_grad():
@@ -82,6 +87,16 @@ def calls() -> dict[str, Callable[[], Any]]:
                 tall, light.repeat(1, 1, 4, 1), 0 * light.repeat(1, 1, 4, 1), torch.full((2,), 0.5), 3
             ),
             "light_gain": lambda: kernels.light_gain(first, light, 0 * light, 8),
+            "contact_of_frames": lambda: _tensors(
+                contact_frames.contact_of_frames(*on_tall, limits, median_px=3, radius=8, cell=4)
+            ),
+            "contact_threshold": lambda: _tensors(
+                [contact_frames.contact_threshold(*on_tall, median_px=3, radius=8, stride_px=2)]
+            ),
+            "block_means": lambda: _tensors(block_means.block_means(on_tall[0], (2, 2), (4, 4))),
+            "covered": lambda: _tensors(
+                [contact_frames.covered(on_tall[1], points[:1].numpy(), np.ones((2, 3), np.float32), 4)]
+            ),
             "mean_response": lambda: kernels.mean_response(tall),
             "halve": lambda: kernels.halve(tall),
             "sample_windows": lambda: kernels.sample_windows(
@@ -94,7 +109,34 @@ def calls() -> dict[str, Callable[[], Any]]:
             ),
             "skin_chain": chain,
         }
+        | on_arrays(tall)
     )
+
+
+def on_arrays(frames: torch.Tensor) -> dict[str, Callable[[], Any]]:
+    """What takes NumPy arrays alone; results as tensors."""
+    random = np.random.default_rng(0)
+    points = random.uniform(10, 190, (60, 2)).astype(np.float32)
+    moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
+    covariance = np.broadcast_to(np.eye(2, dtype=np.float32), (2, 60, 2, 2))
+    frame = frames[:1].numpy()
+    neighbours = tracked_points.find_neighbours(points, 120.0)
+    search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    named: dict[str, Callable[[], Any]] = {
+        "correct_points": lambda: tracked_points.correct_points(
+            points, moved, covariance, np.ones((60, 34), np.float32), covariance[0], window=25, gauge_px=120.0
+        ),
+        "find_outliers": lambda: tracked_points.find_outliers(neighbours, moved - points, np.ones((2, 60), np.float32)),
+        "search_and_return": lambda: tracked_points.search_and_return(frame, frame, points, points, **search),
+        "detect_points": lambda: tracked_points.detect_points(
+            frame, np.ones(frame.shape[2:], np.bool_), 20, min_distance_px=6.0, window=9
+        ),
+    }
+    return {name: lambda call=call: _tensors(call()) for name, call in named.items()}
+
+
+def _tensors(arrays: Iterable[Any]) -> tuple[torch.Tensor, ...]:
+    return tuple(torch.from_numpy(array) for array in arrays)
 
 
 @contextmanager

@@ -13,12 +13,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.ops.flow import dense_flow
 from fingerflow.ops.search import search_windows
 from fingerflow.ops.templates import find_templates, prepare_templates
 from fingerflow.ops.tracking import track_points
-from fingerflow.ops.tracking_limits import TrackStatus
 from fingerflow.synthetic import RidgeTexture
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

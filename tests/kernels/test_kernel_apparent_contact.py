@@ -6,7 +6,7 @@ import pytest
 import torch
 from kernel_images import SHAPES, images
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.apparent_contact import Region, apparent_contact
 from fingerflow.ops.components import fill_holes, largest_component
 from fingerflow.ops.ellipse import fit_ellipse, mask_moments

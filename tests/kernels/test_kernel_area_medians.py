@@ -6,22 +6,11 @@ from typing import Any
 import pytest
 import torch
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.area_medians import Apart, AreaMedians, area_medians
 
 Portable = Callable[[Callable[[], object]], Any]
-SETTINGS: dict[str, Any] = {
-    "measure": 0,
-    "minimum_points": 5,
-    "radius": 1.0,
-    "least_spread": 0.1,
-    "farthest": 0.3,
-    "least_ratio": 0.1,
-    "least_share": 0.85,
-    "reach": 2.0,
-    "even": 0.4,
-    "same_place": 0.5,
-}
+SETTINGS: dict[str, Any] = {"measure": 0, "radius": 1.0}
 NOBODY = (None, None, None)
 
 
@@ -102,22 +91,17 @@ def test_same_medians_with_points_apart(instruction_set: int, portable: Portable
 
 
 def test_refusals() -> None:
-    reference, displacement, ellipses, lattice = (
-        torch.zeros(1, 5, 2),
-        torch.zeros(3, 5, 2),
-        torch.ones(3, 6),
-        torch.zeros(4, 2),
-    )
+    reference, displacement, ellipses = torch.zeros(1, 5, 2), torch.zeros(3, 5, 2), torch.ones(3, 6)
     with pytest.raises(ValueError, match="reference"):
-        kernels.area_medians(reference.expand(2, 5, 2), displacement, ellipses, None, *NOBODY, lattice, **SETTINGS)
+        kernels.area_medians(reference.expand(2, 5, 2), displacement, ellipses, None, *NOBODY, **SETTINGS)
     with pytest.raises(ValueError, match="displacement is"):
-        kernels.area_medians(reference, displacement.double(), ellipses, None, *NOBODY, lattice, **SETTINGS)
+        kernels.area_medians(reference, displacement.double(), ellipses, None, *NOBODY, **SETTINGS)
     with pytest.raises(ValueError, match="covariance"):
-        kernels.area_medians(reference, displacement, ellipses, torch.zeros(3, 5), *NOBODY, lattice, **SETTINGS)
+        kernels.area_medians(reference, displacement, ellipses, torch.zeros(3, 5), *NOBODY, **SETTINGS)
     apart, fields = torch.ones(3, 5, dtype=torch.bool), torch.zeros(3, 5, 5)
     with pytest.raises(ValueError, match="apart_fields"):
-        kernels.area_medians(reference, displacement, ellipses, None, apart, fields[:2], None, lattice, **SETTINGS)
+        kernels.area_medians(reference, displacement, ellipses, None, apart, fields[:2], None, **SETTINGS)
     with pytest.raises(ValueError, match="deviations"):
-        kernels.area_medians(reference, displacement, ellipses, None, apart, fields, fields, lattice, **SETTINGS)
-    with pytest.raises(ValueError, match="0 positions"):
-        kernels.area_medians(reference, displacement, ellipses, None, *NOBODY, lattice[:0], **SETTINGS)
+        kernels.area_medians(reference, displacement, ellipses, None, apart, fields, fields, **SETTINGS)
+    with pytest.raises(ValueError, match="measure 3"):
+        kernels.area_medians(reference, displacement, ellipses, None, *NOBODY, measure=3, radius=1.0)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.corners import Corners, detect_corners
 
 Portable = Callable[[Callable[[], object]], Any]

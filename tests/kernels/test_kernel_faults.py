@@ -3,13 +3,15 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from fingerflow import kernels
-from fingerflow.kernels import library
+from fingerflow.kernels import block_means, contact_frames, library, tracked_points
+from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import HEADER, read
 from fingerflow.kernels.library import entry
 
@@ -37,10 +39,16 @@ def calls() -> dict[str, Callable[[], object]]:
     variance = torch.ones(2)
     templates = kernels.prepare_templates(FRAMES, points, None, variance, 11, True, 0.0)
     coefficients = FRAMES.float()
+    lit, sizes = [one.numpy() for one in (FRAMES, light, 0 * light, limits)], {"median_px": 3, "radius": 8}
     return {
         "median": lambda: kernels.median(FRAMES, 5),
         "real_contact_mask": lambda: kernels.real_contact_mask(FRAMES, light, 0 * light, limits, 3),
         "light_gain": lambda: kernels.light_gain(FRAMES, light, 0 * light, 8),
+        "contact_of_frames": lambda: arrays_of(contact_frames.contact_of_frames(*lit, cell=4, **sizes)),
+        "block_means": lambda: arrays_of(block_means.block_means(lit[0], (2, 2), (4, 4))),
+        "contact_threshold": lambda: arrays_of(
+            [contact_frames.contact_threshold(*lit[:3], stride_px=1, **sizes)],
+        ),
         "histogram": lambda: kernels.histogram(FRAMES, None, None, 256),
         "dilate": lambda: kernels.dilate(MASK, [0, 1, 0], False),
         "fill_holes": lambda: kernels.fill_holes(MASK),
@@ -59,7 +67,34 @@ def calls() -> dict[str, Callable[[], object]]:
             points, points, points, None, radius=20.0, least_spread=0.1, minimum_points=5
         ),
         "flow_warp": lambda: kernels.flow_warp(coefficients.repeat(1, 1, 8, 8), torch.zeros(2, 2, 1600, 512)),
+        **on_arrays(),
     }
+
+
+def on_arrays() -> dict[str, Callable[[], object]]:
+    """Functions that take NumPy arrays alone."""
+    random = np.random.default_rng(0)
+    points = random.uniform(10, 190, (60, 2)).astype(np.float32)
+    moved = points + random.normal(size=(2, 60, 2)).astype(np.float32)
+    covariance = np.broadcast_to(np.eye(2, dtype=np.float32), (2, 60, 2, 2))
+    frame = FRAMES[:1].numpy()
+    search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    return {
+        "correct_points": lambda: tracked_points.correct_points(
+            points, moved, covariance, np.ones((60, 34), np.float32), covariance[0], window=25, gauge_px=120.0
+        ),
+        "find_outliers": lambda: tracked_points.find_outliers(
+            tracked_points.find_neighbours(points, 120.0), moved - points, np.ones((2, 60), np.float32)
+        ),
+        "search_and_return": lambda: tracked_points.search_and_return(frame, frame, points, points, **search),
+        "detect_points": lambda: tracked_points.detect_points(
+            frame.repeat(2, axis=2), np.ones((400, 64), np.bool_), 20, min_distance_px=6.0, window=9
+        ),
+    }
+
+
+def arrays_of(results: Iterable[Any]) -> tuple[torch.Tensor, ...]:
+    return tuple(torch.from_numpy(one) for one in results)
 
 
 CALLS = calls() if kernels.serve() else {}
@@ -112,7 +147,7 @@ def test_more_memory_than_there_is() -> None:
     resource = pytest.importorskip("resource", reason="no limits on memory here")
     code = """
 import resource, torch
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 resource.setrlimit(resource.RLIMIT_DATA, (1 << 30, 1 << 30))
 images, place, index = torch.zeros(1, 1, 8, 8), torch.zeros(1, 2), torch.zeros(1, dtype=torch.int64)
 for threads in (1, 3):
@@ -165,6 +200,8 @@ def assert_same(result: object, other: object) -> None:
     if isinstance(result, torch.Tensor):
         assert isinstance(other, torch.Tensor)
         torch.testing.assert_close(result, other, rtol=0, atol=0, equal_nan=True)
+    elif isinstance(result, np.ndarray):
+        np.testing.assert_array_equal(result, other)
     elif isinstance(result, tuple):
         assert isinstance(other, tuple)
         for one, another in zip(result, other, strict=True):

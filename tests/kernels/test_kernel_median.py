@@ -9,7 +9,7 @@ import scipy.ndimage
 import torch
 from kernel_images import images
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.median import median_filter
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

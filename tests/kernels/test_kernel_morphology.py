@@ -10,7 +10,7 @@ import scipy.ndimage
 import torch
 from kernel_images import SHAPES, images
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.morphology import dilate, erode
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

@@ -6,14 +6,14 @@ import textwrap
 
 import pytest
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 BEGIN = """
 import os, signal, sys, threading
 import torch
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 
 def frames(seed=0, count=4):
     return torch.randint(0, 256, (count, 1, 120, 160), dtype=torch.uint8, generator=torch.Generator().manual_seed(seed))
@@ -79,7 +79,7 @@ def test_a_fault_in_a_forked_child() -> None:
 
 LOADED = """
 import torch
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops import median_filter, track_points
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.search import search_windows
 from fingerflow.synthetic import RidgeTexture
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.models.skin_chain import Press, press
 from fingerflow.models.skin_parameters import PARAMETERS
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients
 

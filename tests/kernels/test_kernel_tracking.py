@@ -3,13 +3,16 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.engines.engine import Engine, EngineSettings, Followed
+from fingerflow.engines.native import NativeEngine
+from fingerflow.engines.torch import TorchEngine
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops import templates
-from fingerflow.ops.following import follow_templates
 from fingerflow.ops.templates import find_templates, prepare_templates
 from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture
@@ -245,20 +248,21 @@ def test_followed_in_one_call_as_one_after_the_other() -> None:
     """Eight frames in which a point speeds up, and one that cannot be seen in three of them."""
     frames = torch.cat([skin((0.05 * k * k, -0.1 * k), seed=k) for k in range(9)])
     frames[4:7, :, 60:110, 90:150] = 128
-    points = starts()
-    kept = prepare_templates(frames[:1], points)
-    begin = {"place": points, "speed": torch.zeros_like(points), "rounds": 3}
-    found = follow_templates(find_templates, kept, frames[1:], **begin)  # type: ignore[arg-type]
+    points, settings = starts()[0].numpy(), EngineSettings(window_px=21, gain_offset=False)
+
+    def followed(engine: Engine) -> Followed:
+        images = engine.images(frames[:, 0].numpy())
+        return engine.follow(engine.prepare(engine.key(images[:1]), points), images[1:], points, np.zeros_like(points))
+
+    found = followed(NativeEngine(settings))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kernels, "serve", lambda *_: False)
-        portably = prepare_templates(frames[:1], points)
-        expected = follow_templates(find_templates, portably, frames[1:], **begin)  # type: ignore[arg-type]
-    same(Tracks(*found.found[:4]), Tracks(*expected.found[:4]))
+        expected = followed(TorchEngine(settings, torch.device("cpu")))
+    same(*(Tracks(*map(torch.from_numpy, one.found[:4])) for one in (found, expected)))
     assert (expected.found.status[4] != TrackStatus.TRACKED).any()
-    assert (expected.found.status[7] == TrackStatus.TRACKED).float().mean() > 0.9
-    torch.testing.assert_close(found.place, expected.place, atol=2e-4, rtol=0)
-    torch.testing.assert_close(found.speed, expected.speed, atol=2e-4, rtol=0)
-    torch.testing.assert_close(found.found.estimate, expected.found.estimate, atol=2e-4, rtol=0)
+    assert (expected.found.status[7] == TrackStatus.TRACKED).mean() > 0.9
+    for one, other in zip(*((one.place, one.speed, one.found.estimate) for one in (found, expected)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=2e-4)
 
 
 def test_templates_of_either_form() -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial import Delaunay
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
 
 Portable = Callable[[Callable[[], object]], Any]

@@ -8,8 +8,8 @@ import sys
 import pytest
 import torch
 
-from fingerflow import kernels
 from fingerflow.kernels import library
+from fingerflow.kernels import tensors as kernels
 
 FRAME = torch.zeros(1, 1, 8, 8, dtype=torch.uint8)
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
@@ -56,14 +56,14 @@ class _Module(torch.nn.Module):
 
 
 def test_environment_turns_them_off() -> None:
-    code = "from fingerflow import kernels; import torch; print(kernels.serve(torch.zeros(1)))"
+    code = "from fingerflow.kernels import tensors as kernels; import torch; print(kernels.serve(torch.zeros(1)))"
     environment = {**os.environ, "FINGERFLOW_KERNELS": "0"}
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "False"
 
 
 def test_says_once_that_they_are_absent(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(library.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(library, "_path", lambda: None)
     monkeypatch.delenv("FINGERFLOW_KERNELS", raising=False)
     library._library.cache_clear()
     try:

@@ -2,7 +2,8 @@
 
 import torch
 
-from fingerflow import kernels, ops
+from fingerflow import ops
+from fingerflow.kernels import tensors as kernels
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ import torch
 from chains import begun, chain_of, held_load
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.models import skin_implicit
 from fingerflow.models.half_space import stress
 from fingerflow.models.skin_chain import Press, follow, press

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops import dense_flow, flow_descent, flow_multigrid
 from fingerflow.ops.flow import Flow, _sampled, find_flow, prepare_flow
 from fingerflow.ops.flow_penalty import Penalty

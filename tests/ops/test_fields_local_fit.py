@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.special import jv
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops import weighted_moments
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.strain import curl, divergence

@@ -4,12 +4,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import GRADIENT_NOISE
 from fingerflow.ops import dense_flow
 from fingerflow.ops.flow import _fields, find_flow, prepare_flow
 from fingerflow.ops.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from fingerflow.ops.spline import spline_coefficients
-from fingerflow.ops.tracking_limits import GRADIENT_NOISE
 from tests.ops.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave, with_few_sweeps
 
 

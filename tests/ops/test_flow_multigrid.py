@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow import kernels
+from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.flow_cells import to_pixels
 from fingerflow.ops.flow_covariance import flow_covariance
 from fingerflow.ops.flow_descent import descended

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from fingerflow.ops.median_network import MedianProgram, median_program
+from fingerflow.kernels.median_network import MedianProgram, median_program
 
 # Reached with tiles of 2x1, 2x1, 4x2, 2x2 and 4x2; a change that needs more operations should be noticed.
 OPERATIONS_PER_PIXEL = {3: 17.0, 5: 57.0, 7: 115.75, 9: 183.0, 11: 264.25}

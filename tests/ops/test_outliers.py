@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.outliers import LEAST_NEIGHBOURS, Outliers, find_neighbours, find_outliers
+from fingerflow.kernels.outlier_limits import LEAST_NEIGHBOURS
+from fingerflow.ops.outliers import Outliers, find_neighbours, find_outliers
 
 SIDE = (400.0, 320.0)  # px, of a contact
 GAUGE = 120.0

@@ -1,4 +1,4 @@
-"""A stream of the tiny bundle, run as the command line runs it."""
+"""A stream of the tiny bundle, run as the command line runs it, by the compiled library."""
 
 import json
 import logging
@@ -12,6 +12,9 @@ import pytest
 from tiny_bundle import write_bundle, write_scene
 
 from fingerflow import player
+from fingerflow.engines.native import NativeEngine
+from fingerflow.kernels.library import is_present
+from fingerflow.player.bundle import Bundle
 
 
 class Ended(NamedTuple):
@@ -62,8 +65,6 @@ class Stream:
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"
         given = [str(self.bundle), "--output", str(output), "--threads", "1", "--no-spin", *arguments]
-        if "--provider" not in arguments:
-            given += ["--provider", "cpu"]
         code = self.play(given if "--page" in arguments else [*given, "--page", "off"])
         said = self._capsys.readouterr()
         results = player.read_results(output) if output.exists() else None
@@ -77,4 +78,22 @@ def stream(
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Stream:
+    if not is_present():
+        pytest.skip("the compiled library was not built or is turned off: graphs of the tiny bundle are none")
     return Stream(tmp_path, capsys, caplog, monkeypatch)
+
+
+class Together(NativeEngine):
+    """The compiled library in the place of ONNX Runtime, which may compute several frames beside each other."""
+
+    name = described = "onnx"
+
+
+@pytest.fixture
+def together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams of this test take `--parallel-frames`; what a frame gives counts two frames later, or more."""
+
+    def engine(bundle: Bundle, name: str | None, **_: Any) -> Together:
+        return Together(bundle.engine_settings)
+
+    monkeypatch.setattr("fingerflow.player.cli.engine_of_stream", engine)

@@ -1,7 +1,6 @@
 """Frames that cannot be, in a stream: a press is played with each kind of them, and `process` is asked about the same.
 
-The trials and their settings are those of tests/small_trials.py, and the exported bundle is
-played by the compiled kernels, in a tenth of the time.
+The trials and their settings are those of tests/small_trials.py, played by the compiled library.
 """
 
 import shutil
@@ -10,23 +9,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import torch
 
 import fingerflow
 from fingerflow import player
-from fingerflow.ops.frame_distances import LONGEST as LONGEST_RECORDED
-from fingerflow.ops.frame_distances import block_means
+from fingerflow.kernels.library import is_present
 from fingerflow.player.contract.variables import FRAME_STATUS, TRACK_STATUS
-from fingerflow.player.frame_check import LONGEST, USABLE, FrameCheck
-from fingerflow.player.upkeep import ThresholdSearch
+from fingerflow.tracker.frame_quality import USABLE
 from tests.small_trials import (
     FRAMES,
     HEIGHT,
     SPOILED,
     WIDTH,
     dim_contact,
+    recipe_of_trials,
+    write_library_bundle,
     write_trial,
 )
+
+pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
 
 # Alone, two and three in a row, where templates are looked at, at the end.
 PLACES = [3, 9, 17, 18, 30, 41, 55, 56, 57, 71]
@@ -47,12 +47,13 @@ class Small(NamedTuple):
         shutil.rmtree(self.folder / "out", ignore_errors=True)
         options = ["--scene", str(self.folder / "trial" / "scene.toml"), "--source", str(self.folder / "played.npy")]
         options += ["--output", str(self.folder / "out"), "--page", "off", "--threads", "1", "--no-spin"]
-        assert player.main([str(self.bundle), *options, "--provider", "compiled", *arguments]) == 0
+        assert player.main([str(self.bundle), *options, *arguments]) == 0
         found = player.read_results(self.folder / "out")
         return found._replace(records=np.array(found.records))
 
 
-def _made(kind: str, bundle: Path, folder: Path) -> Small:
+def _made(kind: str, folder: Path) -> Small:
+    bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
     write_trial(folder / "trial", kind)
     frames = np.load(folder / "trial" / "frames.npy")
     unplayed = Small(folder, bundle, frames, player.StreamResults(frames[:0], {}, []))
@@ -60,15 +61,15 @@ def _made(kind: str, bundle: Path, folder: Path) -> Small:
 
 
 @pytest.fixture(scope="module")
-def small(bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
-    return _made("press", bundle_of_trials, tmp_path_factory.mktemp("bad_frames"))
+def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
+    return _made("press", tmp_path_factory.mktemp("bad_frames"))
 
 
 @pytest.fixture(scope="module", params=("press", "slide"))
-def trial(request: pytest.FixtureRequest, bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Small:
+def trial(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Small:
     if request.param == "press":
         return request.getfixturevalue("small")  # type: ignore[no-any-return]
-    return _made(request.param, bundle_of_trials, tmp_path_factory.mktemp(request.param))
+    return _made(request.param, tmp_path_factory.mktemp(request.param))
 
 
 def _status_of(records: Frames) -> dict[int, str]:
@@ -116,14 +117,18 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
 def _assert_slide_as_before(small: Small, records: Frames, places: list[int]) -> None:
     """Skin that slides by px a frame has gone further after a gap: some points are lost for some frames, which say so.
 
-    Areas are the clean run's to the last digit. Of the points, one in twenty may be lost besides; of those that are
-    found 98 in 100 lie within three standard deviations of the difference of two estimates, or 0.01 px: the rest was
-    found again where skin has moved on, by a template that is older than the clean run's. The median divergence
-    is known in the same frames, to the error that the README states.
+    Areas are the clean run's to the last digit. Of the points, as long as half of them are followed, one in twenty may
+    be lost besides; of those that are found 98 in 100 lie within three standard deviations of the difference of two
+    estimates, or 0.01 px: the rest was found again where skin has moved on, by a template that is older than the clean
+    run's. The median divergence is known in the same frames, but for one in which fields cover hardly enough of the
+    contact, to the error that the README states. As more skin leaves the view, which points are found again turns on
+    little.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records
     for name in ("real_contact_area", "gross_contact_area", "contact_threshold", "ellipse_center", "ellipse_angle"):
         np.testing.assert_array_equal(records[name][good], clean[name][good], err_msg=name)
+    good = good[(clean["status"][good] == 0).mean(1) > 0.5]
+    assert len(good) > 30
     lost = (clean["status"][good] == 0) & (records["status"][good] != 0)
     assert lost.mean() < 0.05 * (clean["status"][good] == 0).mean()
     off = np.linalg.norm(records["position_px"][good] - clean["position_px"][good], axis=-1)
@@ -131,7 +136,9 @@ def _assert_slide_as_before(small: Small, records: Frames, places: list[int]) ->
     deviation = np.hypot(clean["position_std_px"][good], records["position_std_px"][good])
     assert np.quantile(off[both] / np.maximum(3 * deviation[both], 0.01), 0.98) < 1
     before, after = clean["median_divergence"][good], records["median_divergence"][good]
-    np.testing.assert_allclose(after, before, rtol=0, atol=1.7e-3)
+    assert (np.isnan(after) != np.isnan(before)).sum() <= 1
+    known = np.isfinite(before + after)
+    np.testing.assert_allclose(after[known], before[known], rtol=0, atol=1.7e-3)
 
 
 def _divergence_tolerance(clean: Frames) -> Frames:
@@ -278,105 +285,3 @@ def test_nothing_found_is_said(small: Small, capsys: pytest.CaptureFixture[str])
     small.play(np.broadcast_to(glass.reshape(-1, *glass.shape[-2:])[0], (8, HEIGHT, 2 * WIDTH)).astype(np.uint8))
     said = capsys.readouterr().out
     assert "no frame showed a contact" in said
-
-
-@pytest.mark.parametrize("shape", [(192, 240), (512, 640), (50, 47), (23, 300)])
-def test_block_means_are_those_of_the_recorded_form(shape: tuple[int, int]) -> None:
-    view = np.random.default_rng(5).integers(0, 256, shape, np.uint8)
-    check = FrameCheck(view, np.zeros(shape), 8)
-    blocks, _ = check.look({"contact_view": view[None, None]})
-    expected = block_means(torch.from_numpy(view)[None, None])[0].numpy()
-    np.testing.assert_allclose(blocks["contact_view"], expected, rtol=1e-5)  # single precision
-    assert LONGEST == LONGEST_RECORDED
-
-
-def test_skin_that_moves_is_no_jump() -> None:
-    """Blocks that change by up to three times as much as before, with points lost, are motion; so is any step that is
-    not taken back."""
-    generator = np.random.default_rng(2)
-    glass = np.full((192, 240), 200.0)
-    check = FrameCheck(glass, 0 * glass, 8)
-    place, step = 150 + 5 * generator.standard_normal((8, 10)), generator.standard_normal((8, 10))
-    for number in range(20):
-        place = place + 2 * step
-        assert check.see(number, {"contact_view": place}, USABLE, 100, False) == USABLE
-    assert check.see(20, {"contact_view": place + 5 * step}, USABLE, 10, False) == USABLE
-    assert check.see(21, {"contact_view": place + 60 * step}, USABLE, 10, False) is None
-    assert check.settle({"contact_view": place + 61 * step}) == USABLE
-    assert check.see(22, {"contact_view": place + 61 * step}, USABLE, 10, False) == USABLE
-
-
-def test_a_frame_there_and_back_is_told_unless_a_finger_vibrates() -> None:
-    """The third of sixteen frames that come back is motion; so is one behind which nothing is known."""
-    generator = np.random.default_rng(2)
-    glass = np.full((192, 240), 200.0)
-    check = FrameCheck(glass, 0 * glass, 8)
-    place, away = 150 + 20 * generator.standard_normal((2, 8, 10))
-    status = []
-    for number in range(40):
-        blocks = {"contact_view": away if number in (10, 14, 18) else place}
-        found = check.see(number, blocks, USABLE, 100, False)
-        status.append(check.settle({"contact_view": place}) if found is None else found)
-    assert [FRAME_STATUS[status[k]] for k in (10, 14, 18)] == ["jumps_and_returns"] * 2 + ["usable"]
-    assert sum(one != USABLE for one in status) == 2
-    assert check.see(40, {"contact_view": away}, USABLE, 100, False) is None
-    assert check.settle(None) == USABLE
-
-
-@pytest.mark.parametrize("share", [0.1, 0.2])
-def test_a_lamp_that_flickers_is_none(share: float) -> None:
-    """By a fifth, at 115 Hz under 300 frames/s: some frames are lost until it is known for what it is."""
-    glass = np.full((192, 240), 200.0)
-    check = FrameCheck(glass, 0 * glass, 8)
-    place = np.random.default_rng(2).uniform(60, 160, (8, 10))
-    light = 1 + share * np.sin(2.4 * np.arange(60))
-    status = [check.see(number, {"contact_view": place * light[number]}, USABLE, 100, False) for number in range(60)]
-    assert np.count_nonzero(status) <= 9
-    assert not np.any(status[14:])
-
-
-def test_lines_without_light_are_lost_ones() -> None:
-    """Whatever is found of points; lines that stay without light are the camera's, after three frames."""
-    view = np.full((1, 1, 512, 640), 180, np.uint8)
-    check = FrameCheck(view[0, 0], np.zeros(view.shape[2:]), 8)
-    lines = view.copy()
-    lines[..., 90:100, :] = 0
-
-    def status(number: int, frame: Frames) -> int:
-        return check.see(number, *check.look({"contact_view": frame}), 100, False)
-
-    assert [FRAME_STATUS[status(k, lines if k in (3, 6) else view)] for k in range(9)] == [
-        "jumps_and_returns" if k in (3, 6) else "usable" for k in range(9)
-    ]
-    assert [status(9 + k, lines) == USABLE for k in range(6)] == [False, False, False, True, True, True]
-    half = view.copy()
-    half[..., 90:100, :320] = 0  # a contact does not reach from side to side
-    assert check.look({"contact_view": half})[1] == USABLE
-
-
-@pytest.mark.parametrize(("every", "told"), [(12, 4), (2, 0), (1, 0)])
-def test_a_repeated_frame_is_told_where_others_differ(every: int, told: int) -> None:
-    """A camera that gives each picture twice, or a still picture, is no fault of single frames."""
-    glass = np.full((192, 240), 200.0)
-    check = FrameCheck(glass, 0 * glass, 8)
-    blocks = 150 + np.random.default_rng(2).standard_normal((60, 8, 10))
-    repeats = [k for k in range(1, 60) if k % every == 0]
-    for k in repeats:
-        blocks[k] = blocks[k - 1]
-    status = [FRAME_STATUS[check.see(k, {"contact_view": blocks[k]}, USABLE, 100, False)] for k in range(60)]
-    assert [k for k in range(60) if status[k] == "repeated"] == (repeats if told else [])
-    assert len(repeats) == told or not told
-
-
-def test_a_threshold_is_measured_later_where_its_frame_does_not_count() -> None:
-    search = ThresholdSearch(2)
-    assert search.see(0, 1.0, 0.3)
-    assert search.due(2) == 0.3
-    search.used()
-    search.see(2, 10.0, None)
-    search.see(3, 20.0, None)
-    assert search.wants(5)
-    search.passed_over()  # frame 5 was black
-    assert not search.wants(6)
-    search.see(6, 20.0, None)
-    assert search.wants(8)

@@ -27,12 +27,12 @@ CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 
         ("[views.contact]", "[views.contct]", "views.contct is not a key; did you mean 'contact'?"),
         ("[contact]", "[contakt]", "contakt is not a key; did you mean 'contact'?"),
         ("threshold", "treshold", "contact.treshold is not a key; did you mean 'threshold'?"),
-        ("rows = [0, 24]", "rows = [0.0, 24]", "rows is [0.0, 24]"),
-        ("rows = [0, 24]", "rows = [24, 0]", "rows is [24, 0]"),
+        ("rows = [0, 64]", "rows = [0.0, 64]", "rows is [0.0, 64]"),
+        ("rows = [0, 64]", "rows = [64, 0]", "rows is [64, 0]"),
         (
-            "rows = [0, 24]",
-            "rows = [0, 23]",
-            "scene.toml: views.contact of the scene is 23 x 32 px, the bundle was exported for 24 x 32",
+            "rows = [0, 64]",
+            "rows = [0, 63]",
+            "scene.toml: views.contact of the scene is 63 x 96 px, the bundle was exported for 64 x 96",
         ),
         ("mm_per_px = 0.5", "mm_per_px = -1", "calibration.mm_per_px is -1"),
         ("mm_per_px = 0.5", "", "calibration.mm_per_px is missing"),
@@ -60,18 +60,6 @@ def test_a_wrong_scene_is_named(stream: Stream, old: str, new: str, said: str) -
     assert ended.code == 2
     assert said in ended.said
     assert ended.results is None
-
-
-def test_a_threshold_that_nothing_gives_is_named(stream: Stream, tmp_path: Path) -> None:
-    stream.bundle = write_bundle(tmp_path / "poor", without="contact")
-    text = write_scene(stream.bundle / "scene.toml").read_text()
-    for setting in ("", 'threshold = "reference_frame"'):
-        (stream.bundle / "scene.toml").write_text(text.replace("threshold = 0.5", setting))
-        ended = stream.run(*stream.frames([frame()]))
-        assert ended.code == 2
-        assert "background.onnx: takes a threshold" in ended.said
-        assert "add [contact] threshold" in ended.said
-        assert ended.results is None
 
 
 def test_a_threshold_of_each_frame_is_refused(stream: Stream) -> None:
@@ -112,15 +100,16 @@ def test_a_calibration_file_is_read(stream: Stream) -> None:
     text = stream.scene.read_text().split("mm_per_px")
     rest = text[1].split("\n", 2)[2]
     stream.scene.write_text(f'{text[0]}file = "rig.toml"\n{rest}')
-    records = stream.run(*stream.frames([frame(contact_px=16)])).results.records
+    records, header, _ = stream.run(*stream.frames([frame(contact_px=16)])).results
     assert records["real_contact_area"][0] == 1.0
-    np.testing.assert_array_equal(records["ellipse_center"][0], np.multiply((WIDTH / 2 + 2, HEIGHT / 2 + 3), 0.25))
+    assert (header["mm_per_px"], header["topography_to_contact"]) == (0.25, [[1.0, 0.0, 2.0], [0.0, 1.0, 3.0]])
 
 
 def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
-    """In floating point, as `fingerflow process` has it; 0.5 of the light is lost below half of 200.25 counts."""
+    """In floating point, as `fingerflow process` has it: 0.5 of the light is lost below half of the 200.25 counts of a
+    line, whose lamp is as bright as that of all others."""
     pictures = np.full((70, HEIGHT, 2 * WIDTH), 200, np.uint8)
-    pictures[:16] += 1
+    pictures[:16, 5] += 1
     pictures[64:] = 0  # beyond the first 64
     np.save(stream.bundle / "empty.npy", pictures)
     picture = frame()
@@ -135,14 +124,16 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
         "",
     )
     assert mean.dtype == np.float32
-    np.testing.assert_array_equal(mean, np.full((HEIGHT, WIDTH), 200.25))
+    expected = np.full((HEIGHT, WIDTH), 200.0)
+    expected[5] += 0.25
+    np.testing.assert_array_equal(mean, expected)
 
 
 @pytest.mark.parametrize(
     ("pictures", "said"),
     [
         (np.full((HEIGHT, 2 * WIDTH), 200, np.uint16), "empty.npy: a frame is uint16, the bundle takes uint8"),
-        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "needs (H, W) of at least (24, 64)"),
+        (np.full((HEIGHT, 2 * WIDTH - 1), 200, np.uint8), "needs (H, W) of at least (64, 192)"),
         (np.zeros((0, HEIGHT, WIDTH), np.uint8), "frames are (N, H, W), or (H, W) for one"),
     ],
 )
@@ -174,26 +165,19 @@ def test_the_frames_that_count(stream: Stream) -> None:
 
 def test_settings_that_the_bundle_has_decided_otherwise_are_said(stream: Stream) -> None:
     """In the log and in the results, one sentence each; what agrees is not."""
-    recipe = {
-        "tracking": {"points": 10, "window_px": 21},
-        "contact": {"median_px": 3},
-        "fields": {"gauge_length_mm": 1.6},
-    }
-    views = {"views": {"height": HEIGHT, "width": WIDTH, "bit_depth": 8}}
-    _rewritten(stream.bundle, recipe=views | recipe)
     text = stream.scene.read_text()
     scene_text = """[tracking]
 points = 700
-window_px = 21
+window_px = 9
 template = "previous"
 [fields]
-gauge_length_mm = 1.6
+gauge_length_mm = 24.0
 strain = "as_printed"
 """
     stream.scene.write_text(text + "median_px = 9\n" + scene_text)
     ended = stream.run(*stream.frames([frame()]))
     said = [
-        "contact.median_px of the scene is 9; the bundle plays with 3",
+        "contact.median_px of the scene is 9; the bundle plays with 1",
         "tracking.points of the scene is 700; the bundle plays with 10",
         "tracking.template of the scene is 'previous'; the bundle plays with 'keyframe'",
         "fields.strain of the scene is 'as_printed'; the bundle plays with 'green_lagrange'",
@@ -204,7 +188,7 @@ strain = "as_printed"
     stream.scene.write_text(text.replace("threshold = 0.5", "") + "[fields]\ngauge_length_mm = 4.1\n")
     (stream.folder / "results").rename(stream.folder / "first")
     assert stream.run(*stream.frames([frame()])).results.header["warnings"] == [
-        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 1.6",
+        "fields.gauge_length_mm of the scene is 4.1; the bundle plays with 24.0",
     ]
 
 
@@ -214,53 +198,72 @@ def _rewritten(folder: Path, **changes: Any) -> None:
 
 
 def test_wrong_bundles_are_named(stream: Stream) -> None:
-    file = stream.bundle / "frame.onnx"
+    file = stream.bundle / "track.onnx"
     whole = file.read_bytes()
 
-    def said() -> str:
-        ended = stream.run("--source", "synthetic")
+    def said(*arguments: str) -> str:
+        ended = stream.run("--source", "synthetic", *arguments)
         assert ended.code == 2
         assert ended.results is None
         return ended.said
 
-    file.write_bytes(whole[:-7])
-    assert "frame.onnx: its SHA-256 is" in said()
+    file.write_bytes(whole[:-3])
+    assert "track.onnx: its SHA-256 is" in said()
     facts = json.loads((stream.bundle / "bundle.json").read_text())
-    facts["graphs"]["frame"]["sha256"] = hashlib.sha256(whole[:-7]).hexdigest()
+    facts["graphs"]["track"]["sha256"] = hashlib.sha256(whole[:-3]).hexdigest()
     _rewritten(stream.bundle, graphs=facts["graphs"])
-    assert "frame.onnx: onnxruntime cannot load it" in said()
-
-    foreign = (stream.bundle / "key.onnx").read_bytes()
-    file.write_bytes(foreign)
-    facts["graphs"]["frame"]["sha256"] = hashlib.sha256(foreign).hexdigest()
-    _rewritten(stream.bundle, graphs=facts["graphs"])
-    assert "holds 'key' where the graph 'frame' is expected" in said()
-
+    assert "track.onnx: onnxruntime cannot load it" in said("--engine", "onnx")
     file.unlink()
-    assert "frame.onnx: cannot be read" in said()
+    assert "track.onnx: cannot be read" in said()
     _rewritten(stream.bundle, graphs={})
-    assert "has no proper entry 'frame'" in said()
+    assert "has no proper entry 'light'" in said()
     _rewritten(stream.bundle, format=1)
-    assert "its format is 1, this player reads 4; use the player of the same bundle, or export it again" in said()
+    assert "its format is 1, this player reads 5; use the player of the same bundle, or export it again" in said()
     (stream.bundle / "bundle.json").write_text("{")
     assert "is no JSON" in said()
     (stream.bundle / "bundle.json").unlink()
     assert "name the folder that `fingerflow export` wrote" in said()
 
 
-def test_graphs_of_another_recipe_are_named(stream: Stream) -> None:
-    recipe = {"views": {"height": HEIGHT + 1, "width": WIDTH, "bit_depth": 8}, "tracking": {"window_px": 15}}
-    _rewritten(stream.bundle, recipe=recipe)
-    ended = stream.run("--source", "synthetic")
-    assert "a foreign model file" in ended.said
+def test_an_engine_that_does_not_serve_is_named(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled library, where it is asked for; and where it is not, ONNX Runtime is tried, and may not be here."""
+    monkeypatch.setattr("fingerflow.engines.choice.is_present", lambda: False)
+    ended = stream.run("--source", "synthetic", "--engine", "native")
     assert ended.code == 2
+    assert "--engine native: the compiled library is not there, is turned off, or is of another version" in ended.said
+    assert "onnxruntime cannot load it" in stream.run("--source", "synthetic").said
+    monkeypatch.setitem(sys.modules, "fingerflow.engines.onnx", None)
+    ended = stream.run("--source", "synthetic")
+    assert ended.code == 2
+    assert "no engine serves here: native does not (the compiled library is not there" in ended.said
+    assert "pip install onnxruntime" in ended.said
+    assert ended.results is None
+
+
+def test_numbers_that_are_not_those_of_the_bundle_are_refused(stream: Stream) -> None:
+    """A library that computes wrongly on this computer gives no results."""
+    expected = json.loads((stream.bundle / "bundle.json").read_text())["expected"]
+    expected["numbers"]["real_area_px"] *= 1.01
+    _rewritten(stream.bundle, expected=expected)
+    ended = stream.run("--source", "synthetic", "--engine", "native")
+    assert ended.code == 2
+    assert "its numbers of the built-in frame are not those of the bundle (real_area_px is off by 0.0099" in ended.said
+    assert ended.results is None
+
+
+@pytest.mark.parametrize("option", [("--parallel-frames", "2"), ("--provider", "cpu")])
+def test_options_of_the_runtime_are_not_of_the_library(stream: Stream, option: tuple[str, str]) -> None:
+    ended = stream.run("--source", "synthetic", *option)
+    assert ended.code == 2
+    assert "--parallel-frames and --provider are of ONNX Runtime" in ended.said
+    assert ended.results is None
 
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (frame()[:-1], "a frame is (23, 64), the views of the scene need (H, W) of at least (24, 64)"),
-        (frame()[..., None], "a frame is (24, 64, 1)"),
+        (frame()[:-1], "a frame is (63, 192), the views of the scene need (H, W) of at least (64, 192)"),
+        (frame()[..., None], "a frame is (64, 192, 1)"),
         (frame().astype(np.uint16), "a frame is uint16, the bundle takes uint8 (bit_depth 8)"),
         (frame().astype(np.float32), "a frame is float32"),
     ],
@@ -291,7 +294,7 @@ def test_more_bits_than_the_bundle_are_named(stream: Stream, tmp_path: Path) -> 
         (("--camera", "json:no_such_factory"), "no_such_factory"),
         (("--camera", "json"), "give MODULE:FACTORY"),
         (("--camera", "time:time"), "gave float; it must return a callable"),
-        (("--source", "synthetic", "--provider", "tensorrt"), "'tensorrt' is not installed here; there are: "),
+        (("--source", "synthetic", "--engine", "onnx", "--provider", "tensorrt"), "'tensorrt' is not installed here; "),
         (("--source", "synthetic", "--frames", "1", "--page", "999.1.1.1:80"), "cannot be served"),
     ],
 )
@@ -300,20 +303,6 @@ def test_wrong_options_are_named(stream: Stream, arguments: tuple[str, ...], sai
     assert ended.code == 2
     assert said in ended.said
     assert ended.results is None
-
-
-def test_compiled_kernels_need_the_package(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "fingerflow.export.compiled", None)
-    ended = stream.run("--source", "synthetic", "--provider", "compiled")
-    assert ended.code == 2
-    assert "is the package fingerflow-engine, which is not installed here" in ended.said
-    assert ended.results is None
-
-
-def test_compiled_kernels_need_a_bundle_of_the_package(stream: Stream) -> None:
-    ended = stream.run("--source", "synthetic", "--provider", "compiled")
-    assert ended.code == 2
-    assert "provider 'compiled': the recipe of bundle.json is not valid" in ended.said
 
 
 def test_files_that_hold_no_frames_are_named(stream: Stream) -> None:

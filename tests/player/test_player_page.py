@@ -117,8 +117,9 @@ def test_what_is_served(served: Served) -> None:
         facts["scalars"]["real_contact_area"]
     )
     assert arrays["position_px"].shape == (POINTS, 2)
-    assert (facts["tracked"], facts["found"], facts["dropped"]) == (POINTS, POINTS, 0)
-    assert facts["provider"] == "CPUExecutionProvider"
+    assert (facts["found"], facts["dropped"]) == (POINTS, 0)
+    assert POINTS - 3 <= facts["tracked"] <= POINTS  # of a finger of a hundred pixels
+    assert facts["computed_by"] == "native"
     assert facts["state"] == "running"
     # At first contact of some fifty pixels 2 % is one of them.
     expected_area = pytest.approx(facts["expected"]["real_contact_area"], rel=0.02, abs=4 * facts["mm_per_px"] ** 2)
@@ -189,14 +190,16 @@ def test_the_page_in_a_browser(served: Served, running: list[Player], browser: A
     assert page.is_hidden("#forcesCard")  # of frames without any
     assert page.evaluate(COLOURS, "contact") > 2  # grey, and what touches in another colour
     assert page.evaluate(COLOURS, "areas") > 5
-    assert page.evaluate(NUMBER, "Points tracked") == f"{POINTS} of {POINTS}"
+    assert re.fullmatch(rf"\d+ of {POINTS}", page.evaluate(NUMBER, "Points tracked"))
     assert page.evaluate(NUMBER, "Dropped") == "0 frames"
     page.wait_for_function(f"/^[1-9][0-9]* [1-9][0-9]* dark$/.test(({NUMBER})('Not counted'))")
     before = page.evaluate(NUMBER, "Frames")
     page.wait_for_function(f"({NUMBER})('Frames') != {before!r}")
-    assert page.inner_text("#contactLegend") == "real contact"  # this bundle gives no ellipse
-    assert re.fullmatch(rf"{POINTS} points with divergence: \u2212(\S+ %)\1", page.inner_text("#pointLegend"))
-    assert page.is_hidden("#divergenceCard")  # nor a median of divergence
+    legend = " ".join(page.inner_text("#contactLegend").split())
+    assert re.fullmatch("real contact (ellipse of the gross contact|no gross contact)", legend)
+    legend = " ".join(page.inner_text("#pointLegend").split())
+    assert re.match(r"(\d+ points with divergence: \u2212(\S+ %) ?\2|0 points with divergence) \d+ not in", legend)
+    assert page.is_visible("#divergenceCard")
     assert "Real contact area, mm\u00b2" in page.inner_text("#truth")
     page.click("#restart")
     page.wait_for_timeout(300)

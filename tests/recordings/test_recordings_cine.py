@@ -8,11 +8,9 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames.cine_companding import LINEAR_OF_COMPANDED
 
-RNG = np.random.default_rng(7)
-
 
 def frames_of(bits: int, count: int = 5, shape: tuple[int, int] = (6, 10)) -> np.ndarray:
-    frames = RNG.integers(0, 2**bits, (count, *shape))
+    frames = np.random.default_rng(7).integers(0, 2**bits, (count, *shape))
     frames[0].flat[:4] = [0, 2**bits - 1, 1, 2 ** (bits - 1)]
     return frames.astype(np.uint8 if bits == 8 else np.uint16)
 

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.ops.tracking_limits import TrackStatus
-from fingerflow.pipeline import _pass
+from fingerflow.engines.together import run_alone
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.pipeline import _pass, _Way
 from fingerflow.plan import VARIABLES
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.frame_check import FrameCheckStage
@@ -46,7 +47,7 @@ def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDAr
 def run(trial: Trial, *stages: Stage) -> None:
     """All parts of these stages, which share a pass."""
     trial.stages = {**trial.stages, **{type(stage): stage for stage in stages}}
-    _pass(stages, trial, {}, progress=False)
+    run_alone(_pass(stages, trial, {}, _Way(progress=False)))
 
 
 def values_of(trial: Trial, name: str) -> NDArray[Any]:

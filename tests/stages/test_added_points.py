@@ -9,7 +9,7 @@ import xarray as xr
 
 from bench.contact_grid import skin_in_contact
 from fingerflow import load_scene, process
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS
 from fingerflow.result import load_result
 from fingerflow.stages.new_skin import Known, NewSkin

@@ -7,6 +7,8 @@ import numpy as np
 import torch
 from stages_alone import run, trial_of, values_of
 
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.stages.displacement import DisplacementStage
 from fingerflow.stages.fields import FieldsStage
 from fingerflow.stages.inputs import Inputs
@@ -25,10 +27,21 @@ def inputs() -> Inputs:
         fields=fields,
         forces=None,
         recording=SimpleNamespace(first_frame=0),
-        tracking=SimpleNamespace(template="keyframe", direction="forward", window_px=25),
+        contact=SimpleNamespace(median_px=3, gross_radius_px=8),
+        tracking=SimpleNamespace(
+            template="keyframe",
+            direction="forward",
+            window_px=25,
+            gain_offset=True,
+            forward_backward_limit_px=1.0,
+            search_px=8,
+            min_distance_px=6.0,
+        ),
         calibration=SimpleNamespace(mm_per_px=SCALE, topography_to_contact=np.eye(2, 3)),
     )
-    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])
+    settings = EngineSettings(gauge_length_mm=scene.fields.gauge_length_mm, strain=scene.fields.strain)
+    engine = engine_for("auto", settings, torch.device("cpu"))
+    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [], engine)
 
 
 def measured(gradient: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,6 +1,7 @@
 """Skin that moves into a contact whose border rests: a synthetic slide, whose rear rim draws skin in."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -9,16 +10,17 @@ import xarray as xr
 
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import load_scene, process
-from fingerflow.graphs.frame import SinceOnset, SinceOnsetGraph
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import Ellipse, EngineSettings, Entered
 from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.player.contract.variables import ENTRY
-from fingerflow.stages.border import Border
-from fingerflow.stages.entered_skin import moved_in, with_neighbours
 from fingerflow.synthetic import Slide, write_recording
+from fingerflow.tracker.entry import Border, Entries
+from fingerflow.tracker.onset import Touches
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
-STEP_MM = 0.1
+STEP_MM, GAUGE_MM = 0.1, 1.6
 MOVED_IN, LAST = ENTRY.index("moved_in"), SLIDE.n_frames - 1
 
 
@@ -29,23 +31,38 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
     return process(load_scene(folder / "scene.toml"))
 
 
+class Streamed(NamedTuple):
+    """What a stream says of points in a frame: which have moved in, their divergence, and its median."""
+
+    moved_in: np.ndarray
+    divergence: np.ndarray
+    median_divergence: float
+
+
 @pytest.fixture(scope="module")
-def streamed(result: xr.Dataset) -> list[SinceOnset]:
+def streamed(result: xr.Dataset) -> list[Streamed]:
     """What a stream says of the same positions and onsets, frame by frame; of points that were chosen at first."""
-    places = torch.from_numpy(result["position_px"].values.astype(np.float32))
-    onset, scene = torch.from_numpy(result["onset_frame"].values), SLIDE.topography_to_contact
-    glass = torch.tensor(scene, dtype=torch.float32), torch.tensor([SLIDE.mm_per_px])
+    position, onset = result["position"].values, result["onset_frame"].values
     names = ("ellipse_center", "ellipse_semi_axes", "ellipse_angle")
-    ellipse = [torch.from_numpy(result[name].values.astype(np.float32)) for name in names]
-    graph, found, none = SinceOnsetGraph(1.6), [], torch.zeros(1, places.shape[1], dtype=torch.uint8)
-    state = torch.full_like(places[:1], torch.nan), none, none, torch.full((*none.shape, 2, 2), torch.nan)
+    border = Border(*(result[name].values.astype(np.float64) for name in names))
+    chosen = result["position"].values[0]
+    engine = engine_for("auto", EngineSettings(gauge_length_mm=GAUGE_MM), torch.device("cpu"))
+    entries, touches, found = Entries(engine, chosen, GAUGE_MM), Touches(len(onset)), []
+    unknown = np.full((1, len(onset)), np.nan, np.float32)
     for k in range(SLIDE.n_frames):
         now = slice(k, k + 1)
-        center, axes, angle = (one[now] for one in ellipse)
-        covered = ((onset >= 0) & (onset <= k)).to(torch.uint8)[None]
-        of_ellipse = center / SLIDE.mm_per_px, axes / SLIDE.mm_per_px, angle
-        found.append(graph(places[now], covered, *state, places[:1], *glass, *of_ellipse))
-        state = found[-1][:4]
+        covered = ((onset >= 0) & (onset <= k))[None]
+        touch = touches.go_on(np.array([k]), covered, position[now], unknown)
+        since = entries.see(position[k], touch.begins[0], touch.touching[0], border.at(now))
+        among = entries.entered[None] & touch.touching
+        gradient = (
+            np.full((1, len(onset), 2, 2), np.nan) if since is None else np.where(among[..., None, None], since, np.nan)
+        )
+        ellipse = Ellipse(*(one.astype(np.float32) for one in border.at(now)))
+        moved = (position[now] - touch.place).astype(np.float32)
+        entered = Entered(among, gradient.astype(np.float32), None)
+        fields = engine.fields(touch.place[0].astype(np.float32), moved, ellipse, None, entered)
+        found.append(Streamed(among[0], fields.divergence[0], float(fields.median[0, 0])))
     return found
 
 
@@ -68,54 +85,6 @@ def test_which_skin_moved_in(result: xr.Dataset, material: np.ndarray) -> None:
     assert (found & ~after_start).sum() <= 0.15 * found.sum()
 
 
-Row = tuple[float, ...]
-
-
-@pytest.mark.parametrize(
-    ("grows", "slides", "drifts", "expected"),
-    [
-        pytest.param(0.0, (0.3, 0.0), (0.0, 0.0), True, id="slides in over a border at rest"),
-        pytest.param(0.3, (0.0, 0.0), (0.0, 0.0), False, id="at rest under a contact that grows"),
-        pytest.param(0.3, (0.1, 0.0), (0.0, 0.0), False, id="border three times as fast"),
-        pytest.param(0.1, (0.3, 0.0), (0.0, 0.0), True, id="skin three times as fast"),
-        pytest.param(0.0, (0.01, 0.0), (0.0, 0.0), False, id="hardly moves"),
-        pytest.param(0.05, (0.3, 0.0), (0.3, 0.0), True, id="a contact that grows as it carries skin along"),
-    ],
-)
-def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bool) -> None:
-    """Of 0.3 mm of skin on the left of an ellipse that tilts; mm in 10 frames, of border and skin. By how far
-    neighbours had moved alone, skin was told from 0.2 mm on, whatever the border did.
-    """
-    frames, tilt = np.arange(11), 0.4
-    share = frames[:, None] / 10
-    center = share * drifts
-    border = Border(center, np.stack((5 + grows * share[:, 0], 4 + grows * share[:, 0]), axis=-1), np.full(11, tilt))
-    rim = np.linspace(np.pi - 0.5, np.pi + 0.5, 12)
-    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
-    rows = [np.stack((scale * 5 * np.cos(rim), scale * 4 * np.sin(rim)), axis=-1) @ turn.T for scale in (0.97, 1.01)]
-    places = np.concatenate([*rows, rows[1] - (0.05, 0.0)])
-    position = places + share[:, None] * slides
-    depth = border.inside(position)
-    onset = np.where((depth > 0).any(0), (depth > 0).argmax(0), -1)
-    if not (onset > 0).any():  # moves too little: by the border's error
-        onset[onset < 0] = 10
-    reference = position[np.maximum(onset, 0), np.arange(len(places))]
-    reference[onset < 0] = np.nan
-    found = moved_in(position, places, onset, reference, 1.6, border)
-    assert not found[onset <= 0].any()
-    assert (onset > 0).sum() > 5
-    assert (found[onset > 0] == expected).all()
-
-
-def test_distance_inside_a_border() -> None:
-    """Exact in the middle of a side, along the normal."""
-    border = Border(np.array([[1.0, 2.0]]), np.array([[5.0, 4.0]]), np.array([np.pi / 6]))
-    along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
-    across = np.array([-along[1], along[0]])
-    places = np.stack([4.9 * along, 5.1 * along, -3.9 * across, 4.1 * across])[None] + (1.0, 2.0)
-    assert border.inside(places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)
-
-
 def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
     """Truth counts each skin from its own entry; without what moved in it is another, 17.0 for 24.7 um/mm. Divergence
     is -160 to 240 there, so that 1 % of area more or less of one skin moves the median by 2.7: 4 um/mm, within two
@@ -133,35 +102,24 @@ def test_median_of_old_and_new_skin(result: xr.Dataset) -> None:
     assert stated.max() < 7e-3
 
 
-def test_a_stream_has_the_median_of_a_recording(result: xr.Dataset, streamed: list[SinceOnset]) -> None:
+def test_a_stream_has_the_median_of_a_recording(result: xr.Dataset, streamed: list[Streamed]) -> None:
     """The divergence since entry of the points that both say have moved in is the same, to rounding. They are nearly
     the same points, but a stream tells some of them later, when their neighbours have moved: the median is up to 1.9
     um/mm off while skin is drawn in and a little after, 0.3 when that is over. And it is as far from truth as a
     recording's; without these points it is 10 below.
     """
-    points, expected = streamed[LAST].divergence[0].numpy(), result["divergence"].values[LAST]
-    told, recorded = streamed[LAST].moved_in[0].numpy() == 1, result["entry"].values == MOVED_IN
+    points, expected = streamed[LAST].divergence, result["divergence"].values[LAST]
+    told, recorded = streamed[LAST].moved_in, result["entry"].values == MOVED_IN
     assert told.sum() > 30
     assert (told != recorded).sum() <= 0.1 * told.sum()
     np.testing.assert_allclose(points[told & recorded], expected[told & recorded], rtol=0, atol=1e-5)
-    live = np.array([one.median_divergence.item() for one in streamed])
+    live = np.array([one.median_divergence for one in streamed])
     off = np.abs(live - result["median_divergence"].values)
     assert off.max() < 2.5e-3
     assert np.median(off[70:]) < 1e-3
     for k in range(62, LAST + 1, 9):
         gradient = SLIDE.truth.entry_gradient(skin_in_contact(SLIDE, k, STEP_MM), k)
         assert abs(live[k] - np.median(gradient.trace(axis1=1, axis2=2))) < 4e-3
-
-
-def test_one_point_among_those_that_moved_in() -> None:
-    """Of a band that moved in, with one point that is not found; and of single ones that are."""
-    places = np.stack(np.meshgrid(np.arange(8) * 0.3, np.arange(2) * 0.3), axis=-1).reshape(-1, 2)
-    band, every = np.ones(16, dtype=bool), np.ones(16, dtype=bool)
-    band[5] = False
-    assert with_neighbours(band, places, every, 0.8).all()
-    assert not with_neighbours(band, places, band, 0.8)[5]  # touched in the first frame: not among them
-    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all are far away
-    assert (with_neighbours(~band, places, every, 0.8) == ~band).all()
 
 
 def test_divergence_of_new_skin_since_its_own_entry(result: xr.Dataset, material: np.ndarray) -> None:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import FRAME_STATUS, LOADING
 from fingerflow.scene import Scene
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import load_scene, process
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
 from fingerflow.result import open_result
 from fingerflow.stages.common_frame import common_frame

@@ -2,7 +2,8 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.region import ellipse_runs, polygon_runs
 from fingerflow.player.errors import PlayerError
 from fingerflow.player.scene import load_scene as load_stream
-from fingerflow.player.stepper import _region_mask
+from fingerflow.player.scene import stream_settings
 from fingerflow.scene import Scene
 from fingerflow.stages import plausibility
 from fingerflow.stages.regions import region_mask
@@ -107,7 +108,8 @@ def test_points_are_chosen_in_the_region_by_process_and_stream_alike(drawn: Any)
     scene = load_scene(path)
     mask = region_mask(scene, "topography")
     assert mask is not None
-    np.testing.assert_array_equal(_region_mask(load_stream(path), (1, 1, *mask.shape))[0, 0], mask)
+    bundle = SimpleNamespace(height=mask.shape[0], width=mask.shape[1], points=60, bit_depth=8)
+    np.testing.assert_array_equal(stream_settings(load_stream(path), cast(Any, bundle)).region, mask)
     result = process(scene, ["position_px"])
     x, y = result["position_px"].values[0].round().astype(int).T
     assert len(x) > 20

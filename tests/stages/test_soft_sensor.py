@@ -15,7 +15,7 @@ from bench.suites.tactile import dark_spots
 from fingerflow import load_scene, process
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
-from fingerflow.ops.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.player.contract.scene_file import SceneError, read_scene
 from fingerflow.report import write_report
 from fingerflow.scene import gel_scene_text

@@ -15,9 +15,10 @@ import torch
 from numpy.typing import NDArray
 from stages_alone import run, trial_of, values_of
 
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import EngineSettings
 from fingerflow.graphs.fields import Fields
 from fingerflow.stages import strain
-from fingerflow.stages.border import BORDER_MM, Border
 from fingerflow.stages.contact import ContactStage
 from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.fields import FieldsStage
@@ -25,6 +26,7 @@ from fingerflow.stages.inputs import Inputs
 from fingerflow.stages.median_bias import MedianBias, of_ranks
 from fingerflow.stages.stage import Batch, Trial
 from fingerflow.stages.strain import StrainStage
+from fingerflow.tracker.entry import BORDER_MM, Border
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # of the border, mm a frame
 WINDOW_PX, COPIES = 25, 40
@@ -57,10 +59,21 @@ def inputs(template: str = "keyframe") -> Inputs:
         ),
         forces=None,
         recording=SimpleNamespace(first_frame=0),
-        tracking=SimpleNamespace(template=template, direction="forward", window_px=WINDOW_PX),
+        contact=SimpleNamespace(median_px=3, gross_radius_px=8),
+        tracking=SimpleNamespace(
+            template=template,
+            direction="forward",
+            window_px=WINDOW_PX,
+            gain_offset=True,
+            forward_backward_limit_px=1.0,
+            search_px=8,
+            min_distance_px=6.0,
+        ),
         calibration=SimpleNamespace(mm_per_px=MM_PER_PX, topography_to_contact=np.eye(2, 3)),
     )
-    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [])
+    settings = EngineSettings(gauge_length_mm=scene.fields.gauge_length_mm, strain=scene.fields.strain)
+    engine = engine_for("auto", settings, torch.device("cpu"))
+    return Inputs(cast(Any, scene), cast(Any, None), np.arange(FRAMES) / 300, torch.device("cpu"), [], engine)
 
 
 def contact() -> dict[str, NDArray[np.float64]]:

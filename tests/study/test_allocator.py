@@ -33,5 +33,6 @@ def test_arrays_take_pages_that_are_there() -> None:
     done = subprocess.run([sys.executable, "-c", _FAULTS], env=environment, capture_output=True, text=True, check=True)
     first, then = map(int, done.stdout.split())
     pages = _BYTES // resource.getpagesize()
-    assert first >= _TIMES * pages  # else this shows nothing
+    if first < _TIMES * pages:  # huge pages, or a kernel that does not count faults
+        pytest.skip(f"this system counts {first} page faults for {_TIMES * pages} new pages, which shows nothing")
     assert then <= 4 * pages  # once, where the heap has to grow

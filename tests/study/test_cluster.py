@@ -122,7 +122,9 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
         for asked in range(1, 21):
             yield f"task-{asked}", asked
 
-    with LocalCluster(n_workers=0, processes=False, dashboard_address=None, protocol="tcp://") as empty:
+    with LocalCluster(  # whose workers have a thread each, on any number of cores
+        n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
+    ) as empty:
 
         def come() -> None:
             nonlocal said
@@ -131,12 +133,24 @@ def test_a_cluster_without_workers_is_waited_for_and_all_that_come_have_work(
                 said += capfd.readouterr().err
             empty.scale(4)
 
+        looks: list[int] = []
+        nthreads = Client.nthreads
+
+        def noted(client: Client) -> Any:
+            found = nthreads(client)
+            looks.append(sum(found.values()))
+            return found
+
+        monkeypatch.setattr(Client, "nthreads", noted)
         coming = Thread(target=come, daemon=True)
         coming.start()
         results = over_workers(_waits, tasks(), 20, _raise, str(empty.scheduler_address), progress=False)
         first = next(results)
         assert asked <= 3
-        time.sleep(0.5)  # ten looks
+        deadline = time.monotonic() + 60
+        while looks.count(4) < 2:  # the result of the first is in use by the second
+            assert time.monotonic() < deadline, looks
+            time.sleep(0.05)
         second = next(results)
         assert asked >= 13
         found = [first, second, *results]

@@ -13,6 +13,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.view.server import Served
 
 Answer = tuple[int, dict[str, str], bytes]
+SLOW = 300  # s, of a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def served(processed: Path) -> Iterator[Served]:
 
 
 def ask(served: Served, path: str, method: str = "GET", body: str | None = None, **headers: str) -> Answer:
-    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=SLOW)
     connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     found = answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
@@ -93,7 +94,7 @@ def test_files_beside_the_page_are_not_served(served: Served, cookie: str) -> No
 
 
 def test_two_names_in_one_request_are_refused(served: Served, cookie: str) -> None:
-    with socket.create_connection(("127.0.0.1", served.port), timeout=20) as line:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=SLOW) as line:
         text = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\nHost: example.org\r\nCookie: {cookie}\r\n\r\n"
         line.sendall(text.encode())
         assert line.recv(200).split()[1] in (b"400", b"421")

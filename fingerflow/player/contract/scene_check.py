@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
-from .scene_keys import (
+from fingerflow.player.contract.calibration_file import CalibrationError, CalibrationFile, Pixels, read_calibration
+from fingerflow.player.contract.scene_keys import (
     RULES,
     SCENE,
     File,
@@ -26,8 +26,8 @@ from .scene_keys import (
     optional,
     views_of,
 )
-from .scene_kinds import KINDS, default_kind
-from .scene_values import WrongValue, either, value_of
+from fingerflow.player.contract.scene_kinds import KINDS, default_kind
+from fingerflow.player.contract.scene_values import WrongValue, either, value_of
 
 Keys = tuple[str, ...]
 MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle show how"

@@ -4,8 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
-from .scene_check import Checked, Keys, check_scene
-from .scene_keys import Reader
+from fingerflow.player.contract.scene_check import Checked, Keys, check_scene
+from fingerflow.player.contract.scene_keys import Reader
 
 
 class SceneError(Exception):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from .scene_kinds import Kind
+from fingerflow.player.contract.scene_kinds import Kind
 
 Reader = Literal["process", "stream"]
 PROCESS, STREAM = frozenset[Reader](("process",)), frozenset[Reader](("stream",))

@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from .calibration_file import can_be_undone
-from .scene_keys import (
+from fingerflow.player.contract.calibration_file import can_be_undone
+from fingerflow.player.contract.scene_keys import (
     Choice,
     Column,
     Corners,

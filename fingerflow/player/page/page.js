@@ -250,7 +250,7 @@ async function refresh() {
     const answer = await fetch("live");
     if (!answer.ok) throw new Error(answer.status);
     const live = unpack(await answer.arrayBuffer());
-    $("about").textContent = `${live.bundle} \u00b7 ${live.provider} \u00b7 ${live.source}`;
+    $("about").textContent = `${live.bundle} \u00b7 ${live.computed_by} \u00b7 ${live.source}`;
     numbers(live);
     truth(live);
     if (live.data.topography_view) { drawTopography(live); drawContact(live); }

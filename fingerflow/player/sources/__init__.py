@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from ..errors import PlayerError, first_line
-from . import video
-from .source import Asked, Source
+from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.player.sources import video
+from fingerflow.player.sources.source import Asked, Source
 
 
 class Reader(Protocol):

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Array
-from ..errors import PlayerError
-from .source import Source
+from fingerflow.player.arrays import Array
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.sources.source import Source
 
 
 class Camera:

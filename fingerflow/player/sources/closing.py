@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 
-from ..errors import first_line
-from .source import Source
+from fingerflow.player.errors import first_line
+from fingerflow.player.sources.source import Source
 
 log = logging.getLogger("fingerflow.player")
 

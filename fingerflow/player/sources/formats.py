@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from importlib import import_module
-from typing import Any
 
-from ..arrays import Array
-from ..errors import PlayerError
-from .source import Asked, Source
+from fingerflow.errors import FingerflowError
+from fingerflow.player.arrays import Array
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.sources.source import Asked, Source
+from fingerflow.recordings.frames.opening import open_recording
+from fingerflow.recordings.frames.recording import Recording
 
 READS = "a recording (.cine, .mraw or .npy; .tif where tifffile is installed)"
 _SUFFIXES = (".cih", ".cihx", ".cine", ".mraw", ".npy", ".tif", ".tiff")
@@ -22,10 +23,9 @@ def reads(asked: Asked) -> bool:
 
 def open_frames(asked: Asked) -> Source:
     """Raises PlayerError with what the reader says, or with the library that it lacks."""
-    opening = _opening()
     try:
-        recording = opening.open_recording(asked.path)
-    except opening.FingerflowError as error:
+        recording = open_recording(asked.path)
+    except FingerflowError as error:
         raise PlayerError(str(error)) from None
     except ImportError as error:
         raise PlayerError(
@@ -34,15 +34,7 @@ def open_frames(asked: Asked) -> Source:
         ) from None
     for sentence in recording.warnings:
         log.warning("%s: %s", asked.path, sentence)
-    return Recorded(recording, asked.first, opening.FingerflowError)
-
-
-def _opening() -> Any:
-    """The package has its readers in a room of their own, a bundle carries copies in the player."""
-    home = __name__.removesuffix(".sources.formats")
-    if home == "fingerflow.player":
-        return import_module("fingerflow.recordings.frames.opening")
-    return import_module(f"{home}.readers.recordings.frames.opening")
+    return Recorded(recording, asked.first)
 
 
 class Recorded:
@@ -50,8 +42,8 @@ class Recorded:
 
     live = False
 
-    def __init__(self, recording: Any, first: int, wrong: type[Exception]) -> None:
-        self._recording, self._next, self._wrong = recording, first, wrong
+    def __init__(self, recording: Recording, first: int) -> None:
+        self._recording, self._next = recording, first
 
     def read(self) -> Array | None:
         """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named.
@@ -62,7 +54,7 @@ class Recorded:
             return None
         try:
             frame: Array = self._recording[self._next]
-        except self._wrong as error:  # nothing that a second try would mend
+        except FingerflowError as error:  # nothing that a second try would mend
             raise PlayerError(str(error)) from None
         damage = self._recording.unreadable.get(self._next)
         if damage:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Array
-from ..contract.claimed_sizes import impossible_picture
-from ..errors import PlayerError
-from .source import Asked, Source
+from fingerflow.player.arrays import Array
+from fingerflow.player.contract.claimed_sizes import impossible_picture
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.sources.source import Asked, Source
 
 READS = "a folder of pictures"
 _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..errors import PlayerError
-from .source import Asked, Recording, Source
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.sources.source import Asked, Recording, Source
 
 READS = "a raw file"
 

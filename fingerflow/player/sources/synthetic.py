@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Array
-from ..scene import Scene, View
-from .synthetic_truth import Pose, expected, median_divergence
+from fingerflow.player.arrays import Array
+from fingerflow.player.scene import Scene, View
+from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 
 
 def side_by_side(height: int, width: int) -> Scene:

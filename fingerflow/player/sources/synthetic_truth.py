@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from fingerflow.player.arrays import Array
 
 _SKIN, _QUERIES = 500, 200  # places, at least; twice as many of both move the median by less than 2e-3
 _IN_A_FIT, _MOST_SKIN = 20, 2000  # places

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-from ..arrays import Array
-from ..errors import PlayerError
+from fingerflow.player.arrays import Array
+from fingerflow.player.errors import PlayerError
 
 
 class Video:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.preamble import separator_of, without_preamble
 from fingerflow.recordings.forces.table import Table, split_unit
-from fingerflow.untrusted import first_line
+from fingerflow.untrusted.files import first_line
 
 COMMENTS = ("#", "%", "//")
 

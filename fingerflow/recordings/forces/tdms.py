@@ -10,7 +10,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted import check_by_walking, reading
+from fingerflow.untrusted.files import reading
+from fingerflow.untrusted.walker import check_by_walking
 
 
 def read_table(path: Path) -> Table:

@@ -17,7 +17,8 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
-from fingerflow.untrusted import first_line, open_hdf5, reading, stored_whole
+from fingerflow.untrusted.files import first_line, reading
+from fingerflow.untrusted.hdf5 import open_hdf5, stored_whole
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames; it should be unpacked once, not once a frame
 NEVER_WRITTEN = "was never written"

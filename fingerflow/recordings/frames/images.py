@@ -13,7 +13,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.player.contract.claimed_sizes import impossible_picture
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
-from fingerflow.untrusted import check_file, first_line
+from fingerflow.untrusted.files import check_file, first_line
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
-from fingerflow.untrusted import check_by_walking, first_line, reading
+from fingerflow.untrusted.files import first_line, reading
+from fingerflow.untrusted.walker import check_by_walking
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}

@@ -1,0 +1,77 @@
+"""Start-up and memory of the player as a lab PC runs it: `python -m fingerflow.player` of an exported bundle, where
+numpy and onnxruntime are installed and torch is not.
+
+Each recipe of `export/` plays the synthetic source, two 512 x 640 views. `start_s` runs from the start of the process
+to the first record on the disk; pages of libraries are in the system's cache after the first of `starts` runs, whose
+time is `first_start_s`. The others give the median. `peak_mib` is the most that was resident at once, libraries among
+it (VmHWM), over all frames of a run.
+"""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from bench.bare_environment import ONNX, make_environment, variables
+from bench.rows import Row, Skipped
+from bench.streams import exported
+
+RECIPES = Path(__file__).parents[2] / "export"
+
+
+def run(quick: bool) -> list[Row]:
+    """One row a recipe and engine."""
+    if not sys.platform.startswith("linux"):
+        raise Skipped("peak memory is read from /proc")
+    starts, frames = (2, 20) if quick else (5, 1000)
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        python = make_environment(Path(folder) / "env", ONNX)
+        for path in sorted(RECIPES.glob("*.toml")):
+            with exported(path.read_text(encoding="utf-8")) as bundle:
+                for engine in ("native", "onnx"):
+                    homes = [Path(folder) / f"{path.stem}-{engine}-{n}" for n in range(starts)]
+                    played = [_played(python, bundle, engine, home, frames) for home in homes]
+                    rows.append(
+                        {
+                            "recipe": path.stem,
+                            "engine": engine,
+                            "first_start_s": played[0][0],
+                            "start_s": statistics.median(seconds for seconds, _ in played[1:]),
+                            "peak_mib": max(mib for _, mib in played),
+                            "starts": starts,
+                            "frames": frames,
+                        }
+                    )
+    return rows
+
+
+def _played(python: Path, bundle: Path, engine: str, results: Path, frames: int) -> tuple[float, float]:
+    """Return seconds until the first record of a stream is on the disk, and the peak memory in MiB."""
+    command = [str(python), "-m", "fingerflow.player", "--source", "synthetic", "--frames", str(frames)]
+    command += ["--engine", engine, "--page", "off", "--output", str(results)]
+    records = results / "records.bin"
+    seconds, mib = 0.0, 0.0
+    begin = time.perf_counter()
+    with subprocess.Popen(
+        command, cwd=bundle, env=variables(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as running:
+        while running.poll() is None:
+            if not seconds and records.exists() and records.stat().st_size:
+                seconds = time.perf_counter() - begin
+            mib = max(mib, _peak_mib(running.pid))
+            time.sleep(0.005)
+    if running.returncode or not seconds:
+        raise RuntimeError(f"the player ended with {running.returncode}, and its first record came after {seconds} s")
+    return seconds, mib
+
+
+def _peak_mib(process: int) -> float:
+    """Return the most that has been resident so far; 0 of a process that has just ended."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return max((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), default=0.0)

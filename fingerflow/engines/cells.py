@@ -1,0 +1,50 @@
+"""Values read between cells of a picture, in NumPy: as `ops.cells` does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+_NOWHERE = np.float32(-1e4)
+
+
+def covered(density_margin: Array, points: Array, topography_to_contact: Array, cell: int) -> Array:
+    """Return whether the apparent contact covers points, (K, N) bool; False beyond the view and where a point is NaN.
+
+    Args:
+        density_margin: (K, 1, h, w) of `Contact`, cells of `cell` px.
+        points: (K, N, 2) px of the topography view.
+        topography_to_contact: (2, 3) px to px.
+        cell: px.
+    """
+    matrix = np.asarray(topography_to_contact, np.float32)
+    across, down = np.moveaxis(np.asarray(points, np.float32), -1, 0)
+    x, y = (row[0] * across + row[1] * down + row[2] for row in matrix)
+    height, width = density_margin.shape[-2:]
+    known = np.isfinite(x) & np.isfinite(y)
+    column, row = (
+        (np.where(known, place, _NOWHERE) - np.float32((cell - 1) / 2)) / np.float32(cell) for place in (x, y)
+    )
+    inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
+    result: Array = (_at_places(density_margin, column, row) > 0) & inside
+    return result
+
+
+def _at_places(cells: Array, x: Array, y: Array) -> Array:
+    """Bilinear values (K, N) of cells (K, 1, h, w) at places (K, N) in cells; the nearest cell's beyond the middle of
+    the outermost.
+    """
+    height, width = cells.shape[-2:]
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    left, top = (np.clip(np.floor(at), 0, max(size - 2, 0)) for at, size in ((x, width), (y, height)))
+    first = (top * width + left).astype(np.intp)
+    right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
+    flat = cells.reshape(len(cells), -1)
+    a, b, c, d = (np.take_along_axis(flat, first + step, 1) for step in (0, right, down, down + right))
+    across, along = x - left, y - top
+    result: Array = (a * (1 - across) + b * across) * (1 - along) + (c * (1 - across) + d * across) * along
+    return result

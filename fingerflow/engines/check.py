@@ -1,0 +1,165 @@
+"""A built-in frame whose numbers a bundle states: an engine that gives others computes wrongly on this computer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fingerflow.engines.engine import Array, Engine
+from fingerflow.errors import FingerflowError
+
+THRESHOLD = 0.4875  # of the light of the glass: between two grey levels, whatever the lamp does by half a per cent
+_GLASS, _RIDGE, _VALLEY = 200.0, 40.0, 180.0  # grey levels of 255
+_WAVES = 24
+_STRETCH = np.array([[1.01, 0.004], [-0.003, 0.995]])
+_SHIFT = np.array([0.3, -0.2])
+_BESIDE = 0.2  # px by which points are expected beside where they are
+_MARGIN = 8  # px from a window to the border
+_UNKNOWN = 7  # of so many points one is none
+_FLIPS = 0.01  # share of the points that may be found by one alone
+
+
+class Tolerance(NamedTuple):
+    """The largest difference that rounding explains, as a share of the number where it is `relative`, and its unit."""
+
+    most: float
+    unit: str
+    relative: bool = False
+
+
+#: Two engines differ by up to 2e-5 px; 1e-3 px is what is promised. A cell at the border may count for one alone.
+TOLERANCES = {
+    "real_area_px": Tolerance(1e-3, "of itself", relative=True),
+    "gross_area_px": Tolerance(1e-3, "of itself", relative=True),
+    "center": Tolerance(0.1, "px"),
+    "semi_axes": Tolerance(0.1, "px"),
+    "found": Tolerance(1e-3, "px"),
+    "corrected": Tolerance(1e-3, "px"),
+    "deviation": Tolerance(0.02, "of itself", relative=True),
+}
+
+
+class BuiltIn(NamedTuple):
+    """Views (H, W) of the built-in frame, and N points of it.
+
+    Attributes:
+        empty, contact: of the glass, without and with something that touches.
+        key, topography: of a texture, and of the same texture shifted and stretched by a per cent.
+        points: (N, 2) px in `key`, NaN for none.
+        expected: (N, 2) px near which they lie in `topography`.
+    """
+
+    empty: Array
+    contact: Array
+    key: Array
+    topography: Array
+    points: Array
+    expected: Array
+
+
+def check_engine(engine: Engine, expected: Mapping[str, Any]) -> None:
+    """Compare what an engine computes of the built-in frame with the numbers of a bundle.
+
+    Args:
+        engine: for the views and the number of points of the bundle.
+        expected: "expected" of bundle.json: height, width, bit_depth and points of the frame, and its numbers.
+
+    Raises:
+        FingerflowError: they differ by more than rounding explains.
+    """
+    try:
+        height, width, bit_depth, points = (int(expected[name]) for name in ("height", "width", "bit_depth", "points"))
+        of_bundle = {name: np.array(expected["numbers"][name], np.float64) for name in TOLERANCES}
+    except (KeyError, TypeError, ValueError) as error:
+        raise FingerflowError(
+            f"bundle.json: the numbers of the built-in frame ('expected') are damaged ({error!r}); export it again"
+        ) from None
+    frame = built_in(height, width, bit_depth, points, engine.settings.window_px)
+    for name, ours in numbers_of(engine, frame).items():
+        theirs, tolerance = of_bundle[name], TOLERANCES[name]
+        known = np.isfinite(ours), np.isfinite(theirs)
+        if ours.shape != theirs.shape or np.mean(known[0] != known[1]) > _FLIPS:
+            raise FingerflowError(
+                _sentence(engine, f"{name} is known elsewhere, {known[0].sum()} for {known[1].sum()} times")
+            )
+        apart, both = np.abs(ours - theirs), known[0] & known[1]
+        if tolerance.relative:
+            apart = apart / np.maximum(np.abs(theirs), 1e-6)
+        worst = float(np.max(apart[both], initial=0.0))
+        if not worst <= tolerance.most:
+            found = f"{name} is off by {worst:.2g} {tolerance.unit}, where rounding explains {tolerance.most:g}"
+            raise FingerflowError(_sentence(engine, found))
+
+
+def _sentence(engine: Engine, found: str) -> str:
+    return (
+        f"engine {engine.described}: its numbers of the built-in frame are not those of the bundle ({found}), so that "
+        "none of its numbers can be trusted here; choose another engine or another provider"
+    )
+
+
+def numbers_of(engine: Engine, frame: BuiltIn) -> dict[str, Array]:
+    """Return what an engine computes of the built-in frame: keys of `TOLERANCES`."""
+    light = engine.light(frame.empty.astype(np.float32), None)
+    contact = engine.contact(engine.images(frame.contact[None]), light, np.array([THRESHOLD], np.float32))
+    templates = engine.prepare(engine.key(engine.images(frame.key[None])), frame.points)
+    nowhere = np.zeros_like(frame.expected)
+    found = engine.follow(templates, engine.images(frame.topography[None]), frame.expected, nowhere).found
+    straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(frame.points), 2, 2)).copy()
+    corrected = engine.correct(frame.points, found, templates.numbers, straight).found
+    return {
+        **{name: getattr(contact, name)[0] for name in ("real_area_px", "gross_area_px", "center", "semi_axes")},
+        "found": found.points[0],
+        "corrected": corrected.points[0],
+        "deviation": np.sqrt(corrected.variance[0]),
+    }
+
+
+def built_in(height: int, width: int, bit_depth: int, points: int, window_px: int) -> BuiltIn:
+    """Return the built-in frame of this size, and so many points of it."""
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    middle = np.array([width / 2, height / 2])
+    along, across = (x - middle[0]) / (0.36 * width), (y - middle[1]) / (0.3 * height)
+    ridges = np.where(np.sin(0.75 * x + 0.1 * y) > -0.2, _RIDGE, _VALLEY)
+    places = np.stack((x, y), -1) - _SHIFT - middle
+    material = places @ np.linalg.inv(_STRETCH).T + middle
+    start = _spread(height, width, points, window_px // 2 + _MARGIN)
+    moved = (start - middle) @ _STRETCH.T + middle + _SHIFT + _BESIDE
+    start[::_UNKNOWN] = np.nan
+
+    def view(values: Array) -> Array:
+        levels: Array = np.round(values * ((2**bit_depth - 1) / 255)).astype(np.uint8 if bit_depth == 8 else np.uint16)
+        return levels
+
+    return BuiltIn(
+        view(np.full((height, width), _GLASS)),
+        view(np.where(along**2 + across**2 < 1, ridges, _GLASS)),
+        view(_texture(x, y)),
+        view(_texture(material[..., 0], material[..., 1])),
+        start.astype(np.float32),
+        moved.astype(np.float32),
+    )
+
+
+def _texture(x: Array, y: Array) -> Array:
+    """Grey levels of waves 7 to 20 px long in all directions, so that no place looks like another."""
+    total = np.zeros_like(x)
+    for wave in range(_WAVES):
+        turn, length = 2.399963 * wave, 7 + 13 * (0.618034 * wave % 1)  # golden angle and section: nothing repeats
+        total += np.sin(2 * math.pi / length * (math.cos(turn) * x + math.sin(turn) * y) + wave * wave)
+    levels: Array = 120 + 80 / math.sqrt(2 * _WAVES) * total
+    return np.clip(levels, 0, 255)
+
+
+def _spread(height: int, width: int, count: int, margin: int) -> Array:
+    """(count, 2) px all over a view, but for its margin."""
+    columns = math.ceil(math.sqrt(count * width / height))
+    number, rows = np.arange(count), -(-count // columns)
+    places = []
+    for size, place in ((width, (number % columns + 0.5) / columns), (height, (number // columns + 0.5) / rows)):
+        inside = min(margin, size // 2 - 1)
+        places.append(inside + place * (size - 1 - 2 * inside))
+    return np.stack(places, -1)

@@ -1,0 +1,197 @@
+"""The engine that calls the compiled library with NumPy arrays: no torch, a few large calls a frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fingerflow.engines.engine import (
+    Array,
+    Contact,
+    Corrected,
+    Ellipse,
+    EngineSettings,
+    Entered,
+    Fields,
+    Fit,
+    Followed,
+    Found,
+    Key,
+    Light,
+)
+from fingerflow.engines.native_fields import fields_of_frames
+from fingerflow.kernels import contact_frames, tracked_points, tracking
+from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, cell_of
+from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.kernels.fields import local_gradients
+from fingerflow.kernels.tracked_points import Neighbours
+from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
+
+
+@dataclass
+class _Held:
+    """Templates of N points: start (1, N, 2), samples, table and numbers as `kernels.prepare_templates` gives them."""
+
+    arrays: tuple[Array, Array, Array, Array]
+
+    @property
+    def numbers(self) -> Array:
+        numbers: Array = self.arrays[3][0]
+        return numbers
+
+    def of(self, rows: Array) -> tuple[Array, ...]:
+        """Those of some rows (L,)."""
+        return tuple(one[:, rows] for one in self.arrays)
+
+
+class NativeEngine:
+    """Computes by the compiled library (`engine.Engine`).
+
+    Raises:
+        RuntimeError: the library does not serve here.
+    """
+
+    name = described = "native"
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+        self.cell_px = settings.cell_px or cell_of(settings.gross_radius_px)
+
+    def images(self, frames: Array) -> Array:
+        if frames.dtype == np.float64:
+            frames = frames.astype(np.float32)
+        return frames[:, None]
+
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> Light:
+        light, black = _glass_light(empty.astype(np.float32), dark)
+        if inside is not None:
+            light = np.where(inside, light, np.float32(0))
+        return Light(light[None, None], black[None, None])
+
+    def contact(self, images: Array, light: Light, threshold: Array) -> Contact:
+        own = self.settings
+        limits = (1 - threshold).astype(np.float32)
+        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "cell": self.cell_px}
+        found = contact_frames.contact_of_frames(images, light.light, light.black, limits, **sizes)
+        numbers = found.numbers
+        real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
+        return Contact(found.real_contact_mask, real, gross, center, axes, angle, found.density_margin, found.gains)
+
+    def threshold(self, images: Array, light: Light) -> Array:
+        own = self.settings
+        sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "stride_px": own.stride_px}
+        unknown = np.full(len(images), np.nan, np.float32)
+        gains = self.contact(images, light, unknown).light_gain
+        return contact_frames.contact_threshold(images, light.light, light.black, gains, **sizes)
+
+    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
+        transform = topography_to_contact.astype(np.float32)
+        return contact_frames.covered(density_margin, points, transform, self.cell_px)
+
+    def detect(self, image: Array, mask: Array, count: int) -> Array:
+        own = self.settings
+        found = tracked_points.detect_points(
+            image, mask, count, min_distance_px=own.min_distance_px, window=own.window_px
+        )
+        return found.points[np.isfinite(found.points[:, 0])]
+
+    def key(self, image: Array) -> Key:
+        return Key(image.copy(), self.noise(image))
+
+    def noise(self, image: Array) -> float:
+        return float(np.float32(math.sqrt(math.pi / 2) / 6 * tracking.mean_response(image)[0]))
+
+    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> _Held:
+        own = self.settings
+        variance = np.square(np.array([key.noise], np.float32))
+        inverse = None if warp is None else inverse_2x2(warp.astype(np.float32))[None]
+        rounding = ROUNDING if key.image.dtype.kind in "iu" else 0.0
+        given = (key.image, np.ascontiguousarray(points, np.float32)[None], inverse, variance)
+        return _Held(tracking.prepare_templates(*given, own.window_px, own.gain_offset, rounding))
+
+    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+        for old, new in zip(templates.arrays, updated.arrays, strict=True):
+            old[:, rows] = new
+
+    def follow(
+        self, templates: _Held, images: Array, place: Array, speed: Array, rows: Array | None = None
+    ) -> Followed:
+        some = templates.arrays if rows is None else templates.of(rows)
+        rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
+        limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
+        found = tracking.find_templates(some, images, place[None], speed[None], None, ROUNDS, *limits)
+        return Followed(Found(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
+
+    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+        corrected = tracked_points.correct_points(
+            *(start, found.points, found.covariance, numbers, inverse_warp),
+            window=self.settings.window_px,
+            gauge_px=WARP_GAUGE_PX,
+        )
+        better = found._replace(points=corrected.points, covariance=corrected.covariance)
+        return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
+
+    def neighbours(self, start: Array) -> Neighbours:
+        return tracked_points.find_neighbours(start, WARP_GAUGE_PX)
+
+    def outliers(self, neighbours: Neighbours, start: Array, found: Found) -> tuple[Array, Array]:
+        moved, deviation = found.points - start, np.sqrt(found.variance)
+        judged = tracked_points.find_outliers(neighbours, moved, deviation)
+        return judged.off_neighbours, judged.uncertain
+
+    def search(self, key: Key, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+        own = self.settings
+        return tracked_points.search_and_return(
+            *(key.image, image, points, guess),
+            window=own.window_px,
+            radius=own.search_px,
+            forward_backward_limit=own.forward_backward_limit_px,
+        )
+
+    def windows(self, images: Array, number: Array, places: Array, warp: Array, step: int) -> Array:
+        given = (places.astype(np.float32), np.ascontiguousarray(warp, np.float32))
+        return tracking.sample_windows(images, number, *given, self.settings.window_px, step)
+
+    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+        places, moved, asked = (np.ascontiguousarray(one, np.float64) for one in (points[None], values, queries[None]))
+        noise = None if variance is None else variance.astype(np.float64)[..., None]
+        radius = gauge / 2
+        found = local_gradients(
+            *(places, moved, asked, noise),
+            radius=radius,
+            least_spread=MINIMUM_SPREAD * radius,
+            minimum_points=MINIMUM_POINTS,
+        )
+        return Fit(found.gradient, found.covariance)
+
+    def fields(
+        self,
+        reference: Array,
+        displacement: Array,
+        ellipse: Ellipse,
+        covariance: Array | None = None,
+        entered: Entered | None = None,
+    ) -> Fields:
+        return fields_of_frames(
+            *(reference[None], displacement),
+            gauge_length=self.settings.gauge_length_mm,
+            measure=self.settings.strain,
+            ellipse=ellipse,
+            covariance=covariance,
+            entered=entered,
+        )
+
+
+def _glass_light(empty: Array, dark: Array | None) -> tuple[Array, Array]:
+    """`ops.glass_light` of pictures (H, W): light, 0 where the glass is not lit, and black."""
+    black = np.zeros_like(empty) if dark is None else dark.astype(np.float32)
+    light = empty - black
+    step = max(1, min(light.shape) // PIXELS_OF_LIGHT)
+    some = np.sort(light[::step, ::step], axis=None)
+    some = some[np.isfinite(some)]
+    full = some[max(math.ceil(len(some) * FULL_LIGHT), 1) - 1] if len(some) else math.nan
+    lit = np.isfinite(light) & (light > 0) & (light > LEAST_LIGHT * full)
+    return np.where(lit, light, np.float32(0)), np.where(np.isfinite(black), black, np.float32(0))

@@ -1,0 +1,194 @@
+"""Fields of the points of frames and medians over their contact, by the compiled library: NumPy arrays in and out."""
+
+import numpy as np
+
+from fingerflow.engines.engine import Array, Ellipse, Entered, Fields
+from fingerflow.kernels import field_limits as limits
+from fingerflow.kernels.arrays import in_one_piece
+from fingerflow.kernels.checks import check_like
+from fingerflow.kernels.fields import area_medians, local_gradients
+
+_UNKNOWN = np.float32(np.nan)
+
+
+def fields_of_frames(
+    reference: Array,
+    displacement: Array,
+    *,
+    gauge_length: float,
+    measure: str,
+    ellipse: Ellipse,
+    covariance: Array | None = None,
+    entered: Entered | None = None,
+) -> Fields:
+    """Return the fields of K frames and medians over the apparent contact, as `graphs.FieldsGraph` has them.
+
+    Args:
+        reference: (1 or K, N, 2) float32 reference positions.
+        displacement: (K, N, 2) float32 in the same unit; NaN where a point is not known.
+        gauge_length: diameter of the support of a fit, in that unit.
+        measure: of strain, one of `field_limits.STRAIN_MEASURES`.
+        ellipse: of the apparent contact.
+        covariance: (K, N, 2, 2) float32 of the displacements: asks for standard deviations.
+        entered: points that count from their own entry, and are no part of the fits of others.
+
+    Raises:
+        ValueError: another dtype, shapes that do not belong together, or another measure.
+    """
+    batch, count = _check(reference, displacement, covariance, entered)
+    if measure not in limits.STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(limits.STRAIN_MEASURES)}")
+    if not 0 < gauge_length < np.inf:
+        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    reference, displacement = in_one_piece(reference), in_one_piece(displacement)
+    covariance = None if covariance is None else in_one_piece(covariance)
+    rest = displacement
+    if entered is not None:
+        rest = np.where(entered.among[..., None], _UNKNOWN, displacement)
+    gradient, spread = _point_gradients(reference, rest, gauge_length, covariance)
+    if entered is not None:
+        # Where a point is lost nothing is known of it.
+        own = entered.among & np.isfinite(displacement[..., 0] + displacement[..., 1])
+        gradient[own] = entered.gradient[own]
+        if spread is not None and entered.covariance is not None:
+            spread[own] = entered.covariance[own]
+    median, median_std, known_share = _area_medians(
+        reference, displacement, covariance, ellipse, gauge_length, measure, entered
+    )
+    parts = np.ascontiguousarray(gradient.reshape(-1, 4).T)
+    fields = _fields(parts, measure)
+    shear = np.empty((batch, count, 2), np.float32)
+    flat = shear.reshape(-1, 2)
+    np.subtract(parts[0], parts[3], out=flat[:, 0])
+    np.add(parts[1], parts[2], out=flat[:, 1])
+    divergence_std = curl_std = None
+    if spread is not None:
+        divergence_std, curl_std = (one.reshape(batch, count) for one in _deviations(spread.reshape(-1, 4, 4)))
+    return Fields(
+        fields[0].reshape(batch, count),
+        fields[1].reshape(batch, count),
+        np.ascontiguousarray(fields[2:].T).reshape(batch, count, 3),
+        shear,
+        divergence_std,
+        curl_std,
+        median,
+        median_std,
+        known_share,
+    )
+
+
+def _point_gradients(
+    reference: Array, displacement: Array, gauge_length: float, covariance: Array | None
+) -> tuple[Array, Array | None]:
+    """Return gradients (K, N, 2, 2) and their covariance, as `ops.point_gradients` has them."""
+    radius, noise = gauge_length / 2, None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
+    fit = local_gradients(
+        *(reference, displacement, reference, noise),
+        radius=radius,
+        least_spread=limits.MINIMUM_SPREAD * radius,
+        minimum_points=limits.MINIMUM_POINTS,
+    )
+    gradient, spread = fit.gradient, fit.covariance
+    lost = ~np.isfinite(displacement[..., 0] + displacement[..., 1])
+    gradient[lost] = _UNKNOWN
+    if spread is not None:
+        spread[lost] = _UNKNOWN
+    return gradient, spread
+
+
+def _area_medians(
+    reference: Array,
+    displacement: Array,
+    covariance: Array | None,
+    ellipse: Ellipse,
+    gauge_length: float,
+    measure: str,
+    entered: Entered | None,
+) -> tuple[Array, Array | None, Array]:
+    """Return medians, their deviations and the share of the ellipse, as `ops.area_medians` has them."""
+    batch = len(displacement)
+    for name, array, shape in zip(ellipse._fields, ellipse, ((batch, 2), (batch, 2), (batch,)), strict=True):
+        check_like(name, array, "float32", shape)
+    ellipses = np.empty((batch, 6), np.float32)
+    ellipses[:, :2], ellipses[:, 2:4] = ellipse.center, ellipse.semi_axes
+    np.cos(ellipse.angle, out=ellipses[:, 4])
+    np.sin(ellipse.angle, out=ellipses[:, 5])
+    among = fields = deviations = None
+    if entered is not None:
+        among, parts = entered.among, entered.gradient.reshape(-1, 4).T
+        fields = _fields(parts, measure).T.reshape(*among.shape, 5)
+        if covariance is not None:
+            if entered.covariance is None:
+                raise ValueError("points that entered have gradients without covariance, displacements have one")
+            spread = entered.covariance.reshape(-1, 4, 4)
+            deviations = _field_deviations(parts, spread, measure).reshape(*among.shape, 5)
+    return area_medians(
+        *(reference, displacement, ellipses, covariance),
+        *(among, fields, deviations),
+        measure=limits.STRAIN_MEASURES.index(measure),
+        radius=gauge_length / 2,
+    )
+
+
+def _fields(parts: Array, measure: str) -> Array:
+    """Return divergence, curl, exx, eyy and exy (5, P) of gradients (4, P) as du/dx, du/dy, dv/dx, dv/dy."""
+    ux, uy, vx, vy = parts
+    fields = np.empty((5, parts.shape[1]), np.float32)
+    np.add(ux, vy, out=fields[0])
+    np.subtract(vx, uy, out=fields[1])
+    fields[2], fields[3] = ux, vy
+    exy = np.add(uy, vx, out=fields[4])
+    if measure == "green_lagrange":
+        exy += ux * uy + vx * vy
+    exy /= 2
+    if measure != "infinitesimal":
+        fields[2] += (ux * ux + vx * vx) / 2
+        fields[3] += (uy * uy + vy * vy) / 2
+    return fields
+
+
+def _deviations(spread: Array) -> tuple[Array, Array]:
+    """Return standard deviations (P,) of divergence and curl from covariances (P, 4, 4) of gradients."""
+    return (
+        _root(spread[:, 0, 0] + spread[:, 0, 3] + spread[:, 3, 0] + spread[:, 3, 3]),
+        _root(spread[:, 2, 2] - spread[:, 2, 1] - spread[:, 1, 2] + spread[:, 1, 1]),
+    )
+
+
+def _field_deviations(parts: Array, spread: Array, measure: str) -> Array:
+    """Return standard deviations (P, 5) of the fields of gradients (4, P), to first order (`ops.field_std`)."""
+    ux, uy, vx, vy = parts
+    direct = 0 if measure == "infinitesimal" else 1
+    mixed = 1 if measure == "green_lagrange" else 0
+    sensitivity = np.zeros((5, 4, parts.shape[1]), np.float32)
+    sensitivity[0, 0] = sensitivity[0, 3] = sensitivity[1, 2] = 1
+    sensitivity[1, 1] = -1
+    sensitivity[2, 0], sensitivity[2, 2] = 1 + direct * ux, direct * vx
+    sensitivity[3, 1], sensitivity[3, 3] = direct * uy, 1 + direct * vy
+    sensitivity[4, 0], sensitivity[4, 1] = mixed * uy, 1 + mixed * ux
+    sensitivity[4, 2], sensitivity[4, 3] = 1 + mixed * vy, mixed * vx
+    sensitivity[4] /= 2
+    return _root(np.einsum("fip,pij,fjp->pf", sensitivity, spread, sensitivity))
+
+
+def _root(variance: Array) -> Array:
+    """Rounding below zero counts as zero."""
+    result: Array = np.sqrt(np.maximum(variance, 0))
+    return result
+
+
+def _check(reference: Array, displacement: Array, covariance: Array | None, entered: Entered | None) -> tuple[int, int]:
+    """Return the numbers of frames and points."""
+    if displacement.ndim != 3:
+        raise ValueError(f"displacement has shape {displacement.shape}: give (K, N, 2)")
+    batch, count = displacement.shape[:2]
+    check_like("displacement", displacement, "float32", (batch, count, 2))
+    check_like("reference", reference, "float32", (1 if len(reference) == 1 else batch, count, 2))
+    if covariance is not None:
+        check_like("covariance", covariance, "float32", (batch, count, 2, 2))
+    if entered is not None:
+        check_like("among", entered.among, "bool", (batch, count))
+        check_like("gradient", entered.gradient, "float32", (batch, count, 2, 2))
+        if entered.covariance is not None:
+            check_like("covariance of the gradient", entered.covariance, "float32", (batch, count, 2, 2, 2, 2))
+    return batch, count

@@ -1,0 +1,341 @@
+"""The engine that runs the graphs of a bundle by ONNX Runtime: one frame a call, as many points as were exported."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fingerflow.engines.cells import covered
+from fingerflow.engines.engine import (
+    Array,
+    Contact,
+    Corrected,
+    Ellipse,
+    EngineSettings,
+    Entered,
+    Fields,
+    Fit,
+    Followed,
+    Found,
+    Images,
+    Key,
+    Light,
+)
+from fingerflow.engines.names import PROVIDERS
+from fingerflow.engines.prediction import Course
+from fingerflow.engines.sessions import Session, Sessions
+from fingerflow.errors import FingerflowError
+from fingerflow.kernels.tracked_points import find_neighbours
+from fingerflow.kernels.tracking_limits import REACH, ROUNDS, WARP_GAUGE_PX, TrackStatus
+
+_TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "table", "numbers", "pixels"))
+_SUPPORTS = 4  # sets of points whose neighbours are remembered
+
+
+class _KeyImage:
+    """A key frame (1, 1, H, W), and its spline once a template is updated."""
+
+    def __init__(self, view: Array) -> None:
+        self.view, self.spline = view, None
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+
+class _Held:
+    """Templates of n points: arrays (1, n or more, ...) by name, and what `track` is given of them."""
+
+    def __init__(self, arrays: dict[str, Array]) -> None:
+        self.arrays = arrays
+        self._count = arrays["template_start"].shape[1]
+        self._values: dict[str, Any] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def numbers(self) -> Array:
+        """(n, 34) template statistics."""
+        return self.arrays["template_numbers"][0, : self._count]
+
+    def of(self, rows: Array) -> dict[str, Array]:
+        """Those of some rows."""
+        return {name: array[:, rows] for name, array in self.arrays.items()}
+
+    def kept(self, track: Session, points: int) -> dict[str, Any]:
+        """As `track` takes them, for so many points."""
+        with self._lock:
+            if not self._values:
+                self.arrays = {name: _filled(array, points) for name, array in self.arrays.items()}
+                self._values = {name: track.kept(name, array) for name, array in self.arrays.items()}
+            return self._values
+
+    def update(self, rows: Array, updated: _Held, track: Session) -> None:
+        """Replaces some rows, in the memory of the provider too."""
+        for name, array in self.arrays.items():
+            array[:, rows] = updated.arrays[name][:, : len(rows)]
+        if not track.shares_memory:
+            for name in self._values:
+                self._values[name] = track.kept(name, self.arrays[name])
+
+
+class OnnxEngine:
+    """Computes by the graphs of a bundle (`engine.Engine`), K = 1 and up to N points.
+
+    Args:
+        files: of the graphs, by name.
+        settings: of the recipe that the bundle was exported from (`bundle_settings`).
+        provider, threads, spin: as for `sessions.Sessions`.
+
+    Attributes:
+        points: N.
+        provider: by which it computes, a key of `names.PROVIDERS`.
+
+    Raises:
+        FingerflowError: as for `sessions.Sessions`.
+    """
+
+    name = "onnx"
+
+    def __init__(
+        self,
+        files: Mapping[str, Path],
+        settings: EngineSettings,
+        provider: str | None = None,
+        threads: int = 0,
+        spin: bool = True,
+    ) -> None:
+        self.settings = settings
+        self._sessions = Sessions(files, provider, threads, spin)
+        self.provider = self._sessions.provider
+        self.described = f"onnx ({PROVIDERS[self.provider]})"
+        inputs = self._sessions["track"].inputs
+        self.points = inputs["prediction"].shape[1]
+        self._few = self._sessions["track_few"].inputs["prediction"].shape[1]
+        self._view = inputs["topography_view"]
+        self.cell_px = _cell_px(self._view.shape, self._sessions["contact"].outputs["density_margin"])
+        self._supports: dict[bytes, dict[str, Any]] = {}
+
+    def images(self, frames: Array) -> Array:
+        shape, dtype = self._view
+        if len(frames) != 1:
+            raise ValueError(f"{len(frames)} frames: this engine computes one a call")
+        if frames.shape[1:] != shape[2:]:
+            raise ValueError(f"a view is {frames.shape[1:]} px, the bundle was exported for {shape[2:]}")
+        if not np.can_cast(frames.dtype, dtype, "safe"):
+            raise ValueError(f"a view is {frames.dtype}, the bundle was exported for {dtype}")
+        images: Array = np.ascontiguousarray(frames, dtype)[:, None]
+        return images
+
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> Light:
+        nothing = np.zeros_like(empty, np.float32) if dark is None else dark
+        found = self._sessions["light"]({"empty": empty[None, None], "dark": nothing[None, None]})
+        if inside is not None:
+            found["light"] = np.where(inside, found["light"], np.float32(0))
+        contact = self._sessions["contact"]
+        return Light(*(contact.kept(name, found[name]) for name in Light._fields))
+
+    def contact(self, images: Images, light: Light, threshold: Array) -> Contact:
+        given = {"contact_view": images, **light._asdict(), "threshold": threshold}
+        found = self._sessions["contact"](given)
+        return Contact(**{name: found.get(name) for name in Contact._fields})  # type: ignore[arg-type]
+
+    def threshold(self, images: Images, light: Light) -> Array:
+        return self._sessions["threshold"]({"contact_view": images, **light._asdict()})["threshold"]
+
+    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
+        return covered(density_margin, points, topography_to_contact, self.cell_px)
+
+    def detect(self, image: Images, mask: Array, count: int) -> Array:
+        if count != self.points:
+            raise ValueError(f"{count} points are to be seeded: the bundle was exported for {self.points}")
+        points = self._sessions["detect"]({"topography_view": image, "mask": mask[None, None]})["points"][0]
+        found: Array = points[np.isfinite(points).all(1)]
+        return found
+
+    def key(self, image: Images) -> Key:
+        return Key(_KeyImage(image.copy()), self.noise(image))
+
+    def noise(self, image: Images) -> float:
+        return float(self._sessions["noise"]({"topography_view": image})["noise"][0])
+
+    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> _Held:
+        noise = np.array([key.noise], np.float32)
+        if warp is None:
+            given = {"topography_view": key.image.view, "noise": noise, "points": self._all("points", points[None])}
+            found = self._sessions["prepare"](given)
+            return _Held({name: found[name][:, : len(points)] for name in _TEMPLATES})
+        if key.image.spline is None:
+            spline = self._sessions["spline"]({"topography_view": key.image.view})["spline"]
+            key.image.spline = self._sessions["renew"].kept("spline", spline)
+        parts = []
+        for some in self._pieces(len(points)):
+            given = {name: _filled(one[None, some], self._few) for name, one in (("points", points), ("warp", warp))}
+            found = self._sessions["renew"]({"spline": key.image.spline, "noise": noise, **given})
+            parts.append({name: found[name][:, : some.stop - some.start] for name in _TEMPLATES})
+        return _Held({name: np.concatenate([part[name] for part in parts], axis=1) for name in _TEMPLATES})
+
+    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+        templates.update(rows, updated, self._sessions["track"])
+
+    def follow(
+        self, templates: _Held, images: Images, place: Array, speed: Array, rows: Array | None = None
+    ) -> Followed:
+        course = Course.begin(place, speed)
+        guess = course.expect()
+        every = np.arange(len(guess)) if rows is None else rows
+        found = self._look(templates, images, guess, every, whole=rows is None)
+        near = guess.copy()
+        for _ in range(ROUNDS - 1):
+            beyond = (np.abs(found.estimate[0] - np.round(near)) >= REACH).any(1)
+            lost = np.flatnonzero((found.status[0] == TrackStatus.NOT_CONVERGED) & beyond)
+            if not len(lost):
+                break
+            near[lost] = found.estimate[0, lost]
+            again = self._look(templates, images, near[lost], every[lost])
+            for whole, part in zip(found, again, strict=True):
+                whole[:, lost] = part
+        after = course.see(found)
+        return Followed(found, after.place, after.speed)
+
+    def _look(self, templates: _Held, images: Images, guess: Array, rows: Array, whole: bool = False) -> Found:
+        """What a frame shows of some rows of templates, near guesses (L, 2)."""
+        if whole or 2 * len(rows) > self.points:
+            near = np.full((1, self.points, 2), np.nan, np.float32)
+            near[0, rows] = guess
+            given = {
+                **templates.kept(self._sessions["track"], self.points),
+                "topography_view": images,
+                "prediction": near,
+            }
+            found = self._sessions["track"](given)
+            every = Found(*(found[name] for name in Found._fields))
+            return every.of(slice(None), slice(0, len(rows)) if whole else rows)
+        parts = []
+        for some in self._pieces(len(rows)):
+            held = {name: _filled(array, self._few) for name, array in templates.of(rows[some]).items()}
+            near = _filled(guess[None, some], self._few)
+            found = self._sessions["track_few"]({**held, "topography_view": images, "prediction": near})
+            parts.append([found[name][:, : some.stop - some.start] for name in Found._fields])
+        return Found(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
+
+    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+        count = len(start)
+        given = {
+            "start": start[None],
+            "found": found.points,
+            "found_covariance": found.covariance,
+            "template_numbers": numbers[None],
+            "inverse_warp": inverse_warp[None],
+        }
+        given = {name: self._all(name, array) for name, array in given.items()}
+        got = self._sessions["correct"]({**given, **self._support(given["start"])})
+        points, covariance, *others = (one[:, :count] for one in got.values())
+        return Corrected(found._replace(points=points, covariance=covariance), *others)
+
+    def _support(self, start: Array) -> dict[str, Any]:
+        """Which points (1, N, 2) are neighbours, as `correct` takes it."""
+        name = start.tobytes()
+        if name not in self._supports:
+            correct = self._sessions["correct"]
+            found = self._sessions["support"]({"start": start})
+            kept = {key: correct.kept(key, array) for key, array in found.items()}
+            latest = list(self._supports.items())[1 - _SUPPORTS :]
+            self._supports = {**dict(latest), name: kept}
+        return self._supports[name]
+
+    def neighbours(self, start: Array) -> dict[str, Array]:
+        near = find_neighbours(self._all("start", start[None])[0], WARP_GAUGE_PX)
+        number, x, y, within = (one[None, :, : self.points] for one in near)
+        offset = np.stack((x, y), axis=-1)
+        return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
+
+    def outliers(self, neighbours: dict[str, Array], start: Array, found: Found) -> tuple[Array, Array]:
+        given = {"start": start[None], "found": found.points, "position_std": np.sqrt(found.variance)}
+        given = {name: self._all(name, array) for name, array in given.items()}
+        judged = self._sessions["outliers"]({**neighbours, **given})
+        return judged["off_neighbours"][:, : len(start)], judged["uncertain"][:, : len(start)]
+
+    def search(self, key: Key, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
+        views = {"key_view": key.image.view, "topography_view": image}
+        places, returns = [np.zeros((0, 2), np.float32)], [np.zeros(0, bool)]
+        for some in self._pieces(len(points)):
+            given = {
+                name: _filled(one[None, some], self._few) for name, one in (("points", points), ("prediction", guess))
+            }
+            found = self._sessions["search"]({**views, **given})
+            places.append(found["places"][0, : some.stop - some.start])
+            returns.append(found["returns"][0, : some.stop - some.start])
+        return np.concatenate(places), np.concatenate(returns)
+
+    def windows(self, images: Images, number: Array, places: Array, warp: Array, step: int) -> Array:
+        parts = []
+        for some in self._pieces(len(places)):
+            given = {name: _filled(one[None, some], self._few) for name, one in (("points", places), ("warp", warp))}
+            found = self._sessions["windows"]({"topography_view": images, **given})["samples"]
+            parts.append(found[0, : some.stop - some.start])
+        samples = (2 * (self.settings.window_px // 2) // step + 1) ** 2
+        result = np.concatenate(parts) if parts else np.zeros((0, samples), np.float32)
+        if result.shape[1] != samples:
+            raise ValueError(f"a grid of {step} px has {samples} samples: the bundle's has {result.shape[1]}")
+        return result
+
+    def fit(self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None) -> Fit:
+        if variance is not None:
+            raise ValueError("the graphs of a bundle fit without variances")
+        given = {"reference": points[None], "displacement": values, "queries": queries[None]}
+        given = {name: self._all(name, array) for name, array in given.items()}
+        given["gauge_length"] = np.array([gauge], np.float32)
+        return Fit(self._sessions["fit"](given)["gradient"][:, : len(queries)], None)
+
+    def fields(
+        self,
+        reference: Array,
+        displacement: Array,
+        ellipse: Ellipse,
+        covariance: Array | None = None,
+        entered: Entered | None = None,
+    ) -> Fields:
+        if covariance is not None:
+            raise ValueError("the graphs of a bundle give fields without deviations")
+        count = len(reference)
+        given = {"reference": reference[None], "displacement": displacement}
+        if entered is not None:
+            given |= {"among": entered.among, "gradient": entered.gradient}
+        given = {name: self._all(name, array) for name, array in given.items()}
+        given |= {f"ellipse_{name}": one for name, one in ellipse._asdict().items()}
+        found = self._sessions["fields" if entered is None else "fields_entered"](given)
+        of_points = {name: found[name][:, :count] for name in ("divergence", "curl", "strain", "shear")}
+        of_frame = {name: found[name] for name in ("median", "known_share")}
+        return Fields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
+
+    def _pieces(self, count: int) -> Iterator[slice]:
+        """Of so many rows, as many at a time as graphs of few points take."""
+        for first in range(0, count, self._few):
+            yield slice(first, min(first + self._few, count))
+
+    def _all(self, name: str, array: Array) -> Array:
+        """An array (1, n, ...) of as many points as graphs take, NaN or 0 beyond its own."""
+        if array.shape[1] > self.points:
+            raise FingerflowError(
+                f"{name}: {array.shape[1]} points are given, the bundle was exported for {self.points}; export it again"
+            )
+        return _filled(array, self.points)
+
+
+def _cell_px(view: tuple[int, ...], cells: tuple[int, ...]) -> int:
+    """Side of the cells that a view of this size has so many of."""
+    return next(
+        side for side in (1, 2, 4, 8) if all(-(-a // side) == b for a, b in zip(view[2:], cells[2:], strict=True))
+    )
+
+
+def _filled(array: Array, count: int) -> Array:
+    """An array (1, n, ...) as (1, count, ...), NaN or 0 beyond its own."""
+    missing = count - array.shape[1]
+    if not missing:
+        return array
+    nothing = np.nan if array.dtype.kind == "f" else 0
+    return np.concatenate((array, np.full((1, missing, *array.shape[2:]), nothing, array.dtype)), axis=1)

@@ -1,0 +1,394 @@
+"""The engine that runs the modules of `graphs` by torch: on any device, and where the kernels are not compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from fingerflow.engines import engine as arrays
+from fingerflow.engines.engine import Array, EngineSettings
+from fingerflow.engines.padding import filled, parts, stacked
+from fingerflow.engines.prediction import Course
+from fingerflow.graphs import (
+    ContactGraph,
+    DeformationGraph,
+    Entered,
+    FieldsGraph,
+    GrossEllipse,
+    KeyGraph,
+    LightGraph,
+    TrackGraph,
+)
+from fingerflow.graphs.detect import DetectGraph
+from fingerflow.graphs.track import AgreementGraph
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX
+from fingerflow.ops.cells import covered
+from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.outliers import Neighbours, find_neighbours
+from fingerflow.ops.search import search_and_return
+from fingerflow.ops.templates import Found, Templates, further_rounds
+from fingerflow.ops.window_correlation import sample_windows
+
+M = TypeVar("M", bound=nn.Module)
+Modules = Callable[[Any], Any]  # gives the module to call in place of one
+_Many = Sequence[tuple[Any, ...]]  # arguments of a method, by recording
+
+
+def as_it_is(module: M) -> M:
+    """The module itself."""
+    return module
+
+
+@dataclass
+class _Held:
+    """`ops.Templates` (1, N, ...)."""
+
+    templates: Templates
+
+    @property
+    def numbers(self) -> Array:
+        return _array(self.templates.numbers[0])
+
+
+class TorchEngine:
+    """Computes by torch on a device (`engine.Engine`).
+
+    Args:
+        settings: of the scene.
+        device: of the tensors.
+        modules: gives the module to call in place of one: itself, or one that computes the same elsewhere.
+    """
+
+    name = "torch"
+
+    def __init__(self, settings: EngineSettings, device: torch.device, modules: Modules = as_it_is) -> None:
+        self.settings, self._device, self._modules = settings, device, modules
+        own = settings
+        self._contact = modules(ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px))
+        self._key = modules(KeyGraph(own.window_px, own.gain_offset))
+        self._track = modules(TrackGraph(own.forward_backward_limit_px))
+        self._deformation = modules(DeformationGraph(own.window_px))
+        self._agreement = modules(AgreementGraph())
+        self._fields = modules(FieldsGraph(own.gauge_length_mm, own.strain))
+        self._light = modules(LightGraph())
+        self.cell_px: int = self._contact.cell_px
+        self.described = f"torch ({device})"
+
+    def _tensor(self, array: Array, dtype: torch.dtype | None = None) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(self._device, dtype)
+
+    def images(self, frames: Array) -> Tensor:
+        return images_on(self._device, frames)
+
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> arrays.Light:
+        unknown = torch.full((1,), torch.nan, device=self._device)
+        given = (
+            self._tensor(empty, torch.float32)[None, None],
+            None if dark is None else self._tensor(dark)[None, None],
+        )
+        light, black, _ = self._light(*given, unknown)
+        if inside is not None:
+            light = torch.where(self._tensor(inside), light, 0.0)
+        return arrays.Light(light, black)
+
+    def contact(self, images: Tensor, light: arrays.Light, threshold: Array) -> arrays.Contact:
+        return self._contact_of([(images, light, threshold)])[0]
+
+    def threshold(self, images: Tensor, light: arrays.Light) -> Array:
+        return self._threshold_of([(images, light)])[0]
+
+    def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
+        matrix = self._tensor(topography_to_contact, torch.float32)
+        # Components before points: torch is slow where the last axis is short.
+        x, y = (matrix[:, :2] @ self._tensor(points).mT + matrix[:, 2:]).unbind(1)
+        return _array(covered(self._tensor(density_margin), x, y, self.cell_px))
+
+    def detect(self, image: Tensor, mask: Array, count: int) -> Array:
+        own = self.settings
+        # Not by `modules`: another number of points would be another graph, and most are asked for once.
+        detect = DetectGraph(count, own.min_distance_px, own.window_px)
+        points, _ = detect(image, self._tensor(mask)[None, None])
+        return _array(points[0][points[0].isfinite().all(-1)])
+
+    def key(self, image: Tensor) -> arrays.Key:
+        return arrays.Key(image.clone(), self.noise(image))
+
+    def noise(self, image: Tensor) -> float:
+        return self._noise_of([(image,)])[0]
+
+    def prepare(self, key: arrays.Key, points: Array, warp: Array | None = None) -> _Held:
+        return self._prepare_of([(key, points, warp)])[0]
+
+    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+        chosen = self._tensor(rows)
+        for old, new in zip(templates.templates, updated.templates, strict=True):
+            if old is not None and new is not None:
+                old.index_copy_(1, chosen, new)  # in place: a few are updated, and all are megabytes
+
+    def follow(
+        self, templates: _Held, images: Tensor, place: Array, speed: Array, rows: Array | None = None
+    ) -> arrays.Followed:
+        return self._follow_of([(templates, images, place, speed, rows)])[0]
+
+    def correct(self, start: Array, found: arrays.Found, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
+        return self._correct_of([(start, found, numbers, inverse_warp)])[0]
+
+    def neighbours(self, start: Array) -> Neighbours:
+        return find_neighbours(self._tensor(start)[None], WARP_GAUGE_PX)
+
+    def outliers(self, neighbours: Neighbours, start: Array, found: arrays.Found) -> tuple[Array, Array]:
+        return self._outliers_of([(neighbours, start, found)])[0]
+
+    def search(self, key: arrays.Key, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:
+        own = self.settings
+        given = (
+            torch.zeros(len(points), dtype=torch.int64, device=self._device),
+            self._tensor(points),
+            self._tensor(guess),
+        )
+        reach = (own.window_px, own.search_px, own.forward_backward_limit_px)
+        places, returns = search_and_return(key.image, image, *given, *reach)
+        return _array(places), _array(returns)
+
+    def windows(self, images: Tensor, number: Array, places: Array, warp: Array, step: int) -> Array:
+        return self._windows_of([(images, number, places, warp, step)])[0]
+
+    def fit(
+        self, points: Array, values: Array, queries: Array, gauge: float, variance: Array | None = None
+    ) -> arrays.Fit:
+        wide = partial(self._tensor, dtype=torch.float64)
+        noise = None if variance is None else wide(variance)
+        found = local_gradients(
+            wide(points)[None], wide(values), wide(queries)[None], gauge_length=gauge, variance=noise
+        )
+        return arrays.Fit(_array(found.gradient), None if found.covariance is None else _array(found.covariance))
+
+    def fields(
+        self,
+        reference: Array,
+        displacement: Array,
+        ellipse: arrays.Ellipse,
+        covariance: Array | None = None,
+        entered: arrays.Entered | None = None,
+    ) -> arrays.Fields:
+        real = partial(self._tensor, dtype=torch.float32)
+        own = None
+        if entered is not None:
+            of_own = None if entered.covariance is None else real(entered.covariance)
+            own = Entered(self._tensor(entered.among), real(entered.gradient), of_own)
+        found = self._fields(
+            real(reference)[None],
+            real(displacement),
+            None if covariance is None else real(covariance),
+            GrossEllipse(*map(real, ellipse)),
+            own,
+        )
+        known = {name: None if one is None else _array(one) for name, one in found._asdict().items()}
+        return arrays.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
+
+    def kind(self) -> object:
+        """What engines have in common whose calls can be joined (`together.Joining`).
+
+        Where compiled kernels serve it is nothing: they gain nothing by it, and each recording has its own numbers.
+        """
+        compiled = self._device.type == "cpu" and kernels.serve()
+        return id(self) if compiled else (type(self), self.settings, self._device, id(self._modules))
+
+    def joined(self, method: str, many: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """Results of a method for the arguments of several recordings, one call of those in pictures of one size."""
+        alike: dict[Any, list[int]] = {}
+        for place, one in enumerate(many):
+            alike.setdefault(tuple(map(_size, one)), []).append(place)
+        results: dict[int, Any] = {}
+        for places in alike.values():
+            results |= zip(places, getattr(self, f"_{method}_of")([many[place] for place in places]), strict=True)
+        return [results[place] for place in range(len(many))]
+
+    def _contact_of(self, many: _Many) -> list[arrays.Contact]:
+        images, light, black = self._lit([(images, light) for images, light, _ in many])
+        limit = 1 - self._tensor(np.concatenate([threshold for *_, threshold in many]), torch.float32)
+        found = [_array(one) for one in self._contact(images, light, black, limit)]
+        return [arrays.Contact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
+
+    def _threshold_of(self, many: _Many) -> list[Array]:
+        found = _array(self._contact.threshold(*self._lit(many)))
+        return [found[frames] for frames in parts(len(images) for images, _ in many)]
+
+    def _lit(self, many: _Many) -> tuple[Tensor, Tensor, Tensor]:
+        """Frames of all recordings, and of each the light and the black that belong to it."""
+        if len(many) == 1:
+            images, light = many[0]
+            return images, light.light, light.black
+        both = [[one.expand(len(images), -1, -1, -1) for one in light] for images, light in many]
+        light, black = (torch.cat(one) for one in zip(*both, strict=True))
+        return _in_a_row([images for images, _ in many]), light, black
+
+    def _noise_of(self, many: _Many) -> list[float]:
+        found: list[float] = estimate_noise(_in_a_row([image for (image,) in many])).tolist()
+        return found
+
+    def _prepare_of(self, many: _Many) -> list[_Held]:
+        keys, points, warps = zip(*many, strict=True)
+        warp = None if warps[0] is None else self._tensor(stacked(warps))
+        noise = self._tensor(np.array([key.noise for key in keys], np.float32))
+        images = _in_a_row([key.image for key in keys])
+        templates = self._key(images, self._tensor(stacked(points)), noise, warp)
+        return [
+            _Held(Templates._make(None if one is None else one[k : k + 1, : len(own)] for one in templates))
+            for k, own in enumerate(points)
+        ]
+
+    def _follow_of(self, many: _Many) -> list[arrays.Followed]:
+        held, images, places, speeds, rows = zip(*many, strict=True)
+        counts, frames = [len(one) for one in places], [len(one) for one in images]
+        size = len(many), max(counts)
+        templates = self._stacked_templates(held, rows)
+        # Points of all recordings in a row; one of fewer frames stays at its last one until the others end.
+        courses = [Course.begin(*(stacked(one).reshape(-1, 2) for one in (places, speeds)))]
+        every = []
+        for k in range(max(frames)):
+            image = _in_a_row([one[min(k, len(one) - 1)][None] for one in images])
+            guess = self._tensor(courses[k].expect().reshape(*size, 2))
+            look = partial(self._look, image)
+            found = [_array(one) for one in further_rounds(look, templates, look(templates, guess), guess, ROUNDS)]
+            courses.append(courses[k].see(arrays.Found(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
+            every.append(found)
+        joined = [np.stack(one) for one in zip(*every, strict=True)]  # (K, B, N, ...)
+        results = []
+        for place, (last, count) in enumerate(zip(frames, counts, strict=True)):
+            own = arrays.Found(*(one[:last, place, :count] for one in joined))
+            after = (one.reshape(*size, 2)[place, :count] for one in courses[last][:2])
+            results.append(arrays.Followed(own, *after))
+        return results
+
+    def _stacked_templates(self, held: Sequence[_Held], rows: Sequence[Array | None]) -> Templates:
+        """Templates of B recordings, or some rows of them, as those of B x N points."""
+        every = [
+            one.templates if some is None else one.templates.of(self._tensor(some)[None])
+            for one, some in zip(held, rows, strict=True)
+        ]
+        if len(every) == 1:
+            return every[0]
+        return Templates._make(
+            None if some[0] is None else nn.utils.rnn.pad_sequence([one[0] for one in some], True, torch.nan)
+            for some in zip(*every, strict=True)
+        )
+
+    def _look(self, image: Tensor, templates: Templates, near: Tensor) -> Found:
+        found: Found = self._track(templates, image, near)
+        return found
+
+    def _correct_of(self, many: _Many) -> list[arrays.Corrected]:
+        starts, founds, numbers, inverses = zip(*many, strict=True)
+        counts = [len(one) for one in starts]
+        own, found = self._frame_by_frame(founds)
+        known = [self._of_frames(one, own) for one in (starts, numbers, inverses)]
+        corrected, *others = self._deformation(known[0], Found(*map(self._tensor, found)), *known[1:])
+        every = [*map(_array, corrected)], [*map(_array, others)]
+        return [
+            arrays.Corrected(arrays.Found(*(one[k, :count] for one in every[0])), *(one[k, :count] for one in every[1]))
+            for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
+        ]
+
+    def _outliers_of(self, many: _Many) -> list[tuple[Array, Array]]:
+        neighbours, starts, founds = zip(*many, strict=True)
+        counts = [len(one) for one in starts]
+        own, found = self._frame_by_frame(founds)
+        if own is None:
+            near = neighbours[0]
+        else:
+            most = max(counts)
+            filled_up = [
+                (
+                    functional.pad(one.number, (0, most - count)),
+                    functional.pad(one.offset, (0, 0, 0, most - count)),
+                    functional.pad(one.within, (0, most - count)),
+                )
+                for one, count in zip(neighbours, counts, strict=True)
+            ]
+            near = Neighbours(*(torch.cat(one)[own] for one in zip(*filled_up, strict=True)))
+        deviation = self._tensor(np.sqrt(found.variance))
+        judged = self._agreement(near, self._of_frames(starts, own), self._tensor(found.points), deviation)
+        off, uncertain = map(_array, judged)
+        return [
+            (off[k, :count], uncertain[k, :count])
+            for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
+        ]
+
+    def _frame_by_frame(self, founds: Sequence[arrays.Found]) -> tuple[Tensor | None, arrays.Found]:
+        """The frames of all recordings, and the recording of each; None for a single one."""
+        if len(founds) == 1:
+            return None, founds[0]
+        most = max(one.status.shape[1] for one in founds)
+        given = zip(*founds, strict=True)
+        found = arrays.Found(*(np.concatenate([filled(one, most, axis=1) for one in some]) for some in given))
+        frames = [len(one.status) for one in founds]
+        return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
+
+    def _of_frames(self, values: Sequence[Array], own: Tensor | None) -> Tensor:
+        """Values (N, ...) of recordings for each frame; (1, N, ...) of a single recording."""
+        given = self._tensor(stacked(values))
+        return given if own is None else given[own]
+
+    def _windows_of(self, many: _Many) -> list[Array]:
+        images, numbers, places, warps, steps = zip(*many, strict=True)
+        frames = parts(len(one) for one in images)
+        number = np.concatenate([one + some.start for one, some in zip(numbers, frames, strict=True)])
+        place, warp = (self._tensor(np.concatenate(one)) for one in (places, warps))
+        window = self.settings.window_px
+        found = _array(sample_windows(_in_a_row(images), self._tensor(number), place, warp, window, steps[0]))
+        return [found[some] for some in parts(len(one) for one in places)]
+
+
+def images_on(device: torch.device, frames: Array) -> Tensor:
+    """Frames (K, H, W) as a tensor (K, 1, H, W) on a device, not to be written to: 8 bits on a processor are the memory
+    of the frames. uint16 becomes int32, which torch can compute with.
+    """
+    if frames.dtype == np.uint16:
+        frames = frames.astype(np.int32)
+    elif frames.dtype == np.float64:
+        frames = frames.astype(np.float32)
+    elif not frames.flags.writeable:
+        frames = np.asarray(_Lent(frames))
+    return torch.from_numpy(frames)[:, None].to(device)
+
+
+class _Lent:
+    """An array of a memory map that says it may be written to: torch warns of others, and engines only read."""
+
+    def __init__(self, array: Array) -> None:
+        self._array = array  # alive as long as what is made of this
+        address = array.__array_interface__["data"][0]
+        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
+
+
+def _in_a_row(images: Sequence[Tensor]) -> Tensor:
+    """Frames of several recordings, one after the other."""
+    return images[0] if len(images) == 1 else torch.cat(list(images))
+
+
+def _size(argument: Any) -> object:
+    """What an argument must have in common with that of another recording to be joined with it."""
+    if isinstance(argument, Tensor):
+        return argument.dtype, argument.shape[1:]
+    if isinstance(argument, arrays.Light):
+        return _size(argument.light)
+    if isinstance(argument, arrays.Key):
+        return _size(argument.image)
+    if isinstance(argument, Neighbours):
+        return argument.number.shape[1]
+    return argument if isinstance(argument, int) else argument is None
+
+
+def _array(tensor: Tensor) -> Array:
+    result: Array = tensor.detach().cpu().numpy()
+    return result

@@ -1,0 +1,69 @@
+"""The numbers of the built-in frame that a bundle states, by torch in float64."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fingerflow.engines.check import THRESHOLD, built_in
+from fingerflow.export.build import build
+from fingerflow.export.portable import Portable
+from fingerflow.export.recipe import GRAPHS, Recipe
+
+_DIGITS = 6
+
+
+def expected_numbers(recipe: Recipe) -> dict[str, Any]:
+    """Return what `engines.check.check_engine` compares with: size and numbers of the built-in frame."""
+    views, own = recipe.views, recipe.tracking
+    size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
+    frame = built_in(**size, window_px=own.window_px)
+    every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
+    graphs = build(every, torch.float64)
+    known: dict[str, Tensor] = {
+        "empty": _picture(frame.empty).double(),
+        "dark": torch.zeros(1, 1, views.height, views.width, dtype=torch.float64),
+        "contact_view": _picture(frame.contact),
+        "threshold": torch.tensor([THRESHOLD], dtype=torch.float64),
+        "topography_view": _picture(frame.key),
+        "points": torch.from_numpy(frame.points).double()[None],
+        "prediction": torch.from_numpy(frame.expected).double()[None],
+        "inverse_warp": torch.eye(2, dtype=torch.float64).expand(1, own.points, 2, 2),
+    }
+
+    def run(name: str) -> dict[str, Tensor]:
+        graph = graphs[name]  # type: ignore[index]
+        given = [known[one] for one in graph.inputs]
+        with torch.inference_mode(), Portable():
+            found = graph.module(*(one.double() if one.is_floating_point() else one for one in given))
+        return dict(zip(graph.outputs, found, strict=True))
+
+    known |= run("light")
+    contact = run("contact")
+    known |= run("noise")
+    known |= run("prepare")
+    known["topography_view"] = _picture(frame.topography)
+    found = run("track")
+    known |= {"start": known["template_start"], "found": found["points"], "found_covariance": found["covariance"]}
+    known |= run("support")
+    corrected = run("correct")
+    variance = corrected["covariance"].diagonal(dim1=-2, dim2=-1).mean(-1)
+    numbers = {
+        **{name: contact[name] for name in ("real_area_px", "gross_area_px", "center", "semi_axes")},
+        "found": found["points"],
+        "corrected": corrected["points"],
+        "deviation": variance.sqrt(),
+    }
+    return {**size, "numbers": {name: rounded(value[0].numpy()) for name, value in numbers.items()}}
+
+
+def _picture(view: np.ndarray[Any, Any]) -> Tensor:
+    return torch.from_numpy(view)[None, None]
+
+
+def rounded(values: np.ndarray[Any, Any]) -> Any:
+    """Return values as nested lists, None for NaN, which JSON has not."""
+    if values.ndim:
+        return [rounded(one) for one in values]
+    return round(float(values), _DIGITS) if np.isfinite(values) else None

@@ -1,0 +1,42 @@
+"""Means of blocks and of lines of frames: NumPy arrays in and out."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.kernels.arrays import kind, rows_in_one_piece
+from fingerflow.kernels.checks import FRAME_KINDS, check_frames, extent
+from fingerflow.kernels.library import entry, threads
+
+Array = NDArray[Any]
+
+
+def block_means(frames: Array, steps: tuple[int, int], blocks: tuple[int, int]) -> tuple[Array, Array]:
+    """Return means over blocks (K, rows, columns) and over the lines that are read (K, lines), float32.
+
+    As `tracker.block_means` has them, of frames (K, 1, H, W) of FRAME_KINDS: one line of `steps[0]` and one pixel of
+    `steps[1]` are read, and cut into `blocks` of them.
+
+    Raises:
+        TypeError, ValueError: another dtype, or more blocks than are read.
+    """
+    check_frames(frames)
+    read = [len(range(step // 2, side, step)) for side, step in zip(frames.shape[2:], steps, strict=True)]
+    if not all(1 <= count <= most for count, most in zip(blocks, read, strict=True)):
+        raise ValueError(f"{blocks} blocks of {read} lines and pixels that are read: give 1 to as many")
+    frames = rows_in_one_piece(frames)
+    means, lines = np.empty((len(frames), *blocks), np.float32), np.empty((len(frames), read[0]), np.float32)
+    entry("block_means")(
+        frames=frames,
+        **extent(frames),
+        kind=FRAME_KINDS[kind(frames)],
+        down=steps[0],
+        along=steps[1],
+        rows=blocks[0],
+        columns=blocks[1],
+        blocks=means,
+        lines=lines,
+        threads=threads(),
+    )
+    return means, lines

@@ -1,0 +1,112 @@
+"""Functions of kernels as ops of torch's own, which its compiler keeps whole."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels.library import shapes_only
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+_CPU = torch.device("cpu")  # of all results, whatever torch's default device is
+_OPS = torch.library.Library("fingerflow", "DEF")
+
+
+def torch_op(
+    *, changes: tuple[str, ...] = (), shapes: Callable[..., Any] | None = None
+) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Makes a function known to torch as `torch.ops.fingerflow.<name>`, which a compiler calls as a whole.
+
+    Where nobody compiles it is called as it is; so it is where torch exports, to standard operators, and where a
+    derivative is wanted. The shapes that a compiler asks for come from the function itself, if it is one of kernels: it
+    runs on tensors without values, and what it calls of the library computes nothing (`shapes_only`). Its annotations
+    are the signature, a type variable a tensor: tensors and numbers in, a tensor or a tuple of them out, of which those
+    with two axes and more may be None. No result shares memory with another or with an argument.
+
+    Args:
+        changes: names of the tensors that it writes to.
+        shapes: of a function of portable ops, on any device, whose course depends on data: what gives tensors like its
+            results from the same arguments.
+    """
+
+    def known(function: Callable[_P, _R]) -> Callable[_P, _R]:
+        name = getattr(function, "__name__", "")
+        kind = _of_tensors(get_type_hints(function)["return"])
+        parts = (kind,) if kind is Tensor else _parts(kind)
+        named = _named(kind)
+        may_be_none = [type(None) in get_args(part) for part in parts]
+
+        def whole(result: Any) -> Any:
+            """None is no result of an op: an empty tensor stands for it."""
+            if kind is Tensor:
+                return cast(_R, result)
+            return tuple(torch.empty(0, device=_CPU) if part is None else part for part in result)
+
+        def computed(*args: Any, **kwargs: Any) -> Any:
+            return whole(function(*args, **kwargs))
+
+        def shaped(*args: Any, **kwargs: Any) -> Any:
+            if shapes is not None:
+                return whole(shapes(*args, **kwargs))
+            with shapes_only():
+                return whole(function(*args, **kwargs))
+
+        _OPS.define(name + _schema(function, len(parts), changes), tags=(torch.Tag.pt2_compliant_tag,))
+        _OPS.impl(name, computed, "CPU" if shapes is None else "CompositeExplicitAutograd")
+        torch.library.register_fake(f"fingerflow::{name}", shaped, lib=_OPS)
+        op = getattr(torch.ops.fingerflow, name).default
+
+        @functools.wraps(function)
+        def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+            if not torch.compiler.is_compiling() or torch.compiler.is_exporting() or _derived(args):
+                return function(*args, **kwargs)
+            result = op(*args, **kwargs)
+            if kind is Tensor:
+                return cast(_R, result)
+            given = [None if none and part.ndim == 1 else part for none, part in zip(may_be_none, result, strict=True)]
+            return named(*given) if named is not None else tuple(given)  # type: ignore[return-value]
+
+        return called
+
+    return known
+
+
+def _derived(arguments: tuple[Any, ...]) -> bool:
+    """Whether somebody wants a derivative by one of them, which an op that is kept whole does not give."""
+    tensors = (one for one in arguments if isinstance(one, Tensor))
+    return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+
+
+def _parts(kind: Any) -> tuple[Any, ...]:
+    """What a tuple holds, named or not."""
+    named = _named(kind)
+    return get_args(kind) if named is None else tuple(_of_tensors(part) for part in get_type_hints(named).values())
+
+
+def _named(kind: Any) -> Any:
+    """The class of named tuples, None for another kind."""
+    named = get_origin(kind) or kind
+    return named if hasattr(named, "_fields") else None
+
+
+def _of_tensors(annotation: Any) -> Any:
+    """The annotation with tensors for type variables."""
+    if isinstance(annotation, TypeVar):
+        return Tensor
+    return annotation[Tensor] if getattr(annotation, "__parameters__", ()) else annotation
+
+
+def _schema(function: Callable[..., Any], parts: int, changes: tuple[str, ...]) -> str:
+    def described(*args: Any, **kwargs: Any) -> Any:
+        raise NotImplementedError
+
+    signature = inspect.signature(function)
+    tensors: Any = Tensor if parts == 1 else tuple[(Tensor,) * parts]  # type: ignore[misc]
+    given = [one.replace(annotation=_of_tensors(one.annotation)) for one in signature.parameters.values()]
+    described.__signature__ = signature.replace(parameters=given, return_annotation=tensors)  # type: ignore[attr-defined]
+    return torch.library.infer_schema(described, mutates_args=changes)

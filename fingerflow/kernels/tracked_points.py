@@ -1,0 +1,338 @@
+"""Kernels of tracked points: seeded, searched there and back, corrected, judged by their neighbours.
+
+NumPy arrays in and out.
+
+Arrays are checked, and copied only where their numbers do not follow one another in memory.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.kernels import outlier_limits
+from fingerflow.kernels.arrays import kind, rows_in_one_piece, strides_of_rows
+from fingerflow.kernels.checks import FRAME_KINDS, check_frames, check_indices, checked, mask_of
+from fingerflow.kernels.detection_limits import LEAST_SIDE, NOISE, QUALITY
+from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.kernels.library import entry, threads
+from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
+from fingerflow.kernels.tracking import WIDEST_SEARCH
+from fingerflow.kernels.tracking_limits import NUMBERS
+
+__all__ = [
+    "CorrectedPoints",
+    "DetectedPoints",
+    "Neighbours",
+    "Outliers",
+    "correct_points",
+    "detect_points",
+    "find_neighbours",
+    "find_outliers",
+    "search_and_return",
+]
+
+Array = NDArray[Any]
+
+_LANES = 16  # points that the compiled kernel judges at a time
+_ROWS = 256  # points whose distances to all others are in memory at a time
+
+
+class CorrectedPoints(NamedTuple):
+    """N points of K frames, corrected for the deformation of the skin, all float32.
+
+    Attributes:
+        points: (K, N, 2) px.
+        covariance: (K, N, 2, 2) px^2, without what the residual owes to the deformation.
+        warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
+        shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
+        expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
+    """
+
+    points: Array
+    covariance: Array
+    warp: Array
+    shift: Array
+    expected: Array
+
+
+def correct_points(
+    start: Array,
+    points: Array,
+    covariance: Array,
+    numbers: Array,
+    inverse_warp: Array,
+    *,
+    window: int,
+    gauge_px: float,
+) -> CorrectedPoints:
+    """Correct positions of N points in K frames for the deformation, as `graphs.DeformationGraph` does, to rounding.
+
+    Args:
+        start: (N, 2) px in the key frame, float32 as all arrays.
+        points: (K, N, 2) px as they were found, NaN where they were not, and their covariance (K, N, 2, 2) px^2.
+        covariance: see `points`.
+        numbers: (N, 34) template statistics.
+        inverse_warp: (N, 2, 2) inverse of the deformation gradient with which the templates were prepared.
+        window: px, side of a template.
+        gauge_px: diameter of the local fits.
+
+    Raises:
+        ValueError: another dtype or shape.
+    """
+    frames, count = len(points), len(start)
+    start = checked("start", start, "float32", (count, 2))
+    points = checked("points", points, "float32", (frames, count, 2))
+    covariance = checked("covariance", covariance, "float32", (frames, count, 2, 2))
+    numbers = checked("numbers", numbers, "float32", (count, NUMBERS))
+    inverse_warp = checked("inverse_warp", inverse_warp, "float32", (count, 2, 2))
+    if window < 3 or not gauge_px > 0:
+        raise ValueError(
+            f"a window of {window} px and a gauge length of {gauge_px} px: give 3 px or more, and a length"
+        )
+    shapes = ((count, 2), (count, 2, 2), (count, 2, 2), (count,), (count, 2))
+    result = CorrectedPoints(*(np.empty((frames, *shape), np.float32) for shape in shapes))
+    entry("correct_points")(
+        start=start,
+        found=points,
+        covariance=covariance,
+        numbers=numbers,
+        inverse_warp=inverse_warp,
+        corrected=result.points,
+        remaining=result.covariance,
+        warp=result.warp,
+        shift=result.shift,
+        expected=result.expected,
+        frames=frames,
+        points=count,
+        window=window,
+        minimum_points=MINIMUM_POINTS,
+        radius=gauge_px / 2,
+        least_spread=MINIMUM_SPREAD * gauge_px / 2,
+        threads=threads(),
+    )
+    return result
+
+
+class Neighbours(NamedTuple):
+    """The k nearest neighbours of N points, nearest first: (k, P) each, P the next multiple of 16 from N on.
+
+    Attributes:
+        number: int32.
+        x, y: offset from the point, float32; 0 where the neighbour does not count.
+        within: 1 where it lies within the gauge length and is known, else 0, float32.
+    """
+
+    number: Array
+    x: Array
+    y: Array
+    within: Array
+
+
+class Outliers(NamedTuple):
+    """(K, N) bool each, as `ops.outliers.Outliers`."""
+
+    off_neighbours: Array
+    uncertain: Array
+
+
+def find_neighbours(positions: Array, gauge_length: float) -> Neighbours:
+    """Return the points to judge each point by, once for all frames of the same points.
+
+    Args:
+        positions: (N, 2) reference positions, float32, NaN where there is none. N is 2 or more.
+        gauge_length: diameter around a point in which neighbours count, in the unit of the positions.
+
+    Raises:
+        ValueError: fewer than 2 points, another dtype or shape.
+    """
+    count = len(positions)
+    if count < 2:
+        raise ValueError(f"{count} points have no neighbours: give 2 or more")
+    positions = checked("positions", positions, "float32", (count, 2))
+    most = min(outlier_limits.NEIGHBOURS, count - 1)
+    number = np.zeros((most, -(-count // _LANES) * _LANES), np.int32)
+    x, y, within = (np.zeros(number.shape, np.float32) for _ in range(3))
+    for first in range(0, count, _ROWS):
+        own = np.arange(first, min(first + _ROWS, count))
+        away = positions - positions[own, None]
+        distance = np.square(away).sum(2)
+        near = distance <= np.float32((gauge_length / 2) ** 2)  # NaN is nowhere near
+        distance = np.where(near & (own[:, None] != np.arange(count)), distance, np.float32(np.inf))
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, :most]
+        counts = np.take_along_axis(distance, nearest, 1) < np.inf
+        offset = np.where(counts[..., None], np.take_along_axis(away, nearest[..., None], 1), np.float32(0))
+        number[:, own], within[:, own] = nearest.T, counts.T
+        x[:, own], y[:, own] = offset[..., 0].T, offset[..., 1].T
+    return Neighbours(number, x, y, within)
+
+
+def find_outliers(neighbours: Neighbours, displacement: Array, position_std: Array) -> Outliers:
+    """Find points whose displacement or uncertainty stands out among their neighbours, as `ops.find_outliers` does.
+
+    A point that stands on a limit, to the rounding of float32, may be judged otherwise than there.
+
+    Args:
+        neighbours: from :func:`find_neighbours`, for all frames.
+        displacement: (K, N, 2) float32 in the unit of the positions; NaN where it is unknown.
+        position_std: (K, N) float32, standard deviation of a component.
+
+    Raises:
+        ValueError: another dtype or shape.
+    """
+    frames, count = displacement.shape[:2]
+    most, stride = neighbours.number.shape
+    displacement = checked("displacement", displacement, "float32", (frames, count, 2))
+    position_std = checked("position_std", position_std, "float32", (frames, count))
+    if stride != -(-count // _LANES) * _LANES:
+        raise ValueError(f"{count} points, and neighbours of {stride - _LANES + 1} to {stride}")
+    number = checked("number", neighbours.number, "int32", (most, stride))
+    x, y, within = (checked("neighbours", one, "float32", (most, stride)) for one in neighbours[1:])
+    if number.size and not 0 <= number.min() <= number.max() < count:
+        raise ValueError(f"neighbours go from {number.min()} to {number.max()}: there are {count} points")
+    result = Outliers(*(np.empty((frames, count), np.bool_) for _ in range(2)))
+    entry("find_outliers")(
+        number=number,
+        x=x,
+        y=y,
+        within=within,
+        displacement=displacement,
+        deviation=position_std,
+        off_neighbours=result.off_neighbours,
+        uncertain=result.uncertain,
+        frames=frames,
+        points=count,
+        stride=stride,
+        neighbours=most,
+        spread=outlier_limits.SPREAD,
+        ridge=outlier_limits.RIDGE,
+        least_deviation=outlier_limits.LEAST_DEVIATION,
+        most_disagreement=outlier_limits.MOST_DISAGREEMENT,
+        most_uncertainty=outlier_limits.MOST_UNCERTAINTY,
+        least_neighbours=outlier_limits.LEAST_NEIGHBOURS,
+        threads=threads(),
+    )
+    return result
+
+
+def search_and_return(
+    key: Array,
+    current: Array,
+    start: Array,
+    guess: Array,
+    *,
+    window: int,
+    radius: int,
+    forward_backward_limit: float,
+    image_index: Array | None = None,
+) -> tuple[Array, Array]:
+    """Search windows around guesses, and back from there, as `ops.search.search_and_return` does.
+
+    Args:
+        key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.
+        start: (n, 2) px in `key`, float32.
+        guess: (n, 2) px in `current`, float32.
+        window: px, side of the tracking window.
+        radius: px, around the guess in x and y.
+        forward_backward_limit: px.
+        image_index: (n,) int64, the image of each point; the first one by default.
+
+    Returns:
+        Positions (n, 2), `guess` where it is not finite or nothing correlates; and whether (n,) the way back returns.
+
+    Raises:
+        TypeError, ValueError: another dtype, shapes that do not belong together, a search wider than WIDEST_SEARCH.
+    """
+    check_frames(key)
+    check_frames(current)
+    count, (batch, _, height, width) = len(start), key.shape
+    if key.shape != current.shape or min(height, width) < 3:
+        raise ValueError(f"images of {key.shape} and {current.shape}: give two of one shape, at least 3 x 3 px")
+    start = checked("start", start, "float32", (count, 2))
+    guess = checked("guess", guess, "float32", (count, 2))
+    index = np.zeros(count, np.int64) if image_index is None else image_index
+    index = checked("image_index", index, "int64", (count,))
+    check_indices("image_index", index, batch, "images")
+    key, current = rows_in_one_piece(key), rows_in_one_piece(current)
+    (key_stride, key_row_stride), (current_stride, current_row_stride) = strides_of_rows(key), strides_of_rows(current)
+    size, reach = sizes_of(window, radius)
+    if window < 1 or radius < 0 or size + 2 * reach > WIDEST_SEARCH:
+        raise ValueError(f"a search of {window} px windows within {radius} px: 1 px or more, {WIDEST_SEARCH} px in all")
+    found, returns = np.empty((count, 2), np.float32), np.empty(count, np.bool_)
+    entry("search_and_return")(
+        key=key,
+        key_stride=key_stride,
+        key_row_stride=key_row_stride,
+        key_kind=FRAME_KINDS[kind(key)],
+        current=current,
+        current_stride=current_stride,
+        current_row_stride=current_row_stride,
+        current_kind=FRAME_KINDS[kind(current)],
+        image_index=index,
+        start=start,
+        guess=guess,
+        found=found,
+        returns=returns,
+        batch=batch,
+        height=height,
+        width=width,
+        count=count,
+        size=size,
+        reach=reach,
+        limit=forward_backward_limit + SEARCHED,
+        threads=threads(),
+    )
+    return found, returns
+
+
+class DetectedPoints(NamedTuple):
+    """Points (n, 2) px and their response (n,), float32, strongest first; NaN behind the last."""
+
+    points: Array
+    response: Array
+
+
+def detect_points(frame: Array, mask: Array, count: int, *, min_distance_px: float, window: int) -> DetectedPoints:
+    """Choose points worth tracking, as `graphs.DetectGraph` does, which chooses among equals otherwise.
+
+    Args:
+        frame: (1, 1, H, W) of FRAME_KINDS, at least 7 x 7 px.
+        mask: (H, W) bool, where they may lie.
+        count: of points, at most; n is the number of pixels where these are fewer.
+        min_distance_px: side of the square in which a point is the strongest at least.
+        window: px, side of the window with which the points are tracked: it stays in the frame.
+
+    Raises:
+        TypeError, ValueError: another dtype or shape, fewer than 1 point.
+    """
+    check_frames(frame)
+    (images, _, height, width) = frame.shape
+    if images != 1 or min(height, width) < LEAST_SIDE or height * width >= 1 << 31:
+        raise ValueError(f"a frame of {frame.shape}: give one of {LEAST_SIDE} x {LEAST_SIDE} px to 2^31 pixels")
+    if count < 1:
+        raise ValueError(f"{count} points: give 1 or more")
+    frame, mask = rows_in_one_piece(frame), mask_of(frame, mask[None, None])
+    count = min(count, height * width)
+    beside = max(1, round(min_distance_px / 2))
+    points, response = np.empty((count, 2), np.float32), np.empty(count, np.float32)
+    (_, row_stride), (_, mask_row_stride) = strides_of_rows(frame), strides_of_rows(mask)
+    entry("detect_points")(
+        frame=frame,
+        mask=mask,
+        points=points,
+        responses=response,
+        height=height,
+        width=width,
+        row_stride=row_stride,
+        kind=FRAME_KINDS[kind(frame)],
+        mask_row_stride=mask_row_stride,
+        border=min(window // 2 + 3, (min(height, width) - 1) // 2),
+        beside=beside,
+        farthest=max(beside + 1, math.isqrt(height * width // count)),
+        count=count,
+        quality=QUALITY,
+        noise=NOISE,
+        threads=threads(),
+    )
+    return DetectedPoints(points, response)

@@ -1,0 +1,244 @@
+"""How a point comes into contact: covered by a contact that grows, or advected over its border; its gradient since.
+
+Where a contact grows over skin, neighbours touch at places as far apart as they are, and the gradient of displacement
+by the places of onset is the usual one. Skin that moves in over a border at rest touches along one line: an area of it
+has places of onset without an area, and no gradient by them (`synthetic.Truth.gradient` is NaN there).
+What can be said of such skin is how it has deformed since its own entry, all neighbours counted from that moment:
+with F the gradient of its position by the place in a common frame, F(t) F(entry)^-1 - I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Engine
+from fingerflow.kernels.arrays import inverse_2x2
+
+Array = NDArray[Any]
+
+#: Gauge lengths over which the way of a point before its onset is compared with that of the border.
+MOVED = 1 / 8
+#: Gauge lengths within which points are neighbours.
+NEAR = 1 / 2
+LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
+_VOTERS = 3  # neighbours that a point is compared with
+_FRAMES = 64  # read at a time
+# Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
+# Measured on the shipped press, where the border is known.
+BORDER_MM = 0.06
+
+
+class Border(NamedTuple):
+    """Ellipses of the apparent (gross) contact, frame by frame; NaN where nothing touches."""
+
+    center: Array  # (frames, 2) mm
+    semi_axes: Array  # (frames, 2) mm
+    angle: Array  # (frames,) rad, of the first semi-axis, from x towards y
+
+    @classmethod
+    def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
+        """That of results by name, `ellipse_center` and so on."""
+        return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
+
+    def at(self, frames: slice | NDArray[np.intp]) -> Border:
+        """That of some frames."""
+        return Border(*(one[frames] for one in self))
+
+    def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(frames, P) mm, how far places (frames, P, 2) are inside the border, to first order: exact on it."""
+        # By components: NumPy takes several times as long for sums over an axis of two.
+        (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
+        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
+        right, down = places[..., 0] - center_x, places[..., 1] - center_y
+        along, across = (right * cosine + down * sine) / first, (down * cosine - right * sine) / second
+        radius = np.sqrt(along * along + across * across)
+        along, across = along / first, across / second
+        slope = np.sqrt(along * along + across * across)
+        distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
+        return distance
+
+
+class Values(Protocol):
+    """Values of frames that may lie in a file."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, frames: Any) -> Array: ...
+
+
+def advected(position: Values, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border) -> Array:
+    """Which points (N,) were advected into the contact: they moved into it over its border.
+
+    Those that have an onset after the first one, and before it moved over the glass by more than half of what border
+    and point approached each other. Neighbours enter one after the other as the border comes over them, and the places
+    of their onsets are off by what they move between: that is the strain which counting from there adds, and where it
+    is a half it is when points entered that shapes displacement more than the skin. It holds where a border rests over
+    skin that slides in, where skin runs along it, and where both move together and the onset of a point at the border
+    is found late.
+
+    It is judged over the last eighth of the gauge length that a point has moved before its onset, or all that is
+    known of it where that is less; below the uncertainty of the border's place nothing can be said.
+    A contact that was not there when the point began to move has grown over it.
+
+    And those of which most neighbours are found so, for points of which too little is known.
+
+    Args:
+        position: (frames, N, 2) mm.
+        places: (N, 2) mm, in a frame that is the same for all.
+        onset: (N,) frame, -1 for none.
+        reference: (N, 2) mm, places of onset.
+        gauge_mm: over which a fit is made.
+        border: of the gross contact in the same frames.
+    """
+    known = np.isfinite(places + reference).all(1) & (onset >= 0)
+    counts = known & (onset > onset[known].min(initial=np.iinfo(np.int32).max))
+    here = np.flatnonzero(counts)
+    found = np.zeros(len(onset), dtype=bool)
+    found[here] = _by_own_way(position, here, onset[here], reference[here], gauge_mm, border)
+    return with_neighbours(found, places, counts, NEAR * gauge_mm)
+
+
+def _by_own_way(
+    position: Values, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+) -> Array:
+    """(E,) bool, which of the points of these columns (E,) of positions moved into the contact, by their own ways."""
+    way, inside, then = np.full((3, len(here)), np.nan)
+    for first in range(0, position.shape[0] if len(here) else 0, _FRAMES):
+        frames = slice(first, min(first + _FRAMES, position.shape[0]))
+        rows = position[frames].take(here, axis=1)
+        way_x, way_y = (rows[..., k] - reference[:, k] for k in range(2))  # NumPy is slow over an axis of two
+        moved, depth = np.sqrt(way_x * way_x + way_y * way_y), border.at(frames).inside(rows)
+        number = np.arange(frames.start, frames.stop)[:, None]
+        before = (number < onset) & np.isfinite(moved)
+        far = before & (moved >= MOVED * gauge_mm)
+        row = np.where(far.any(0), len(far) - 1 - far[::-1].argmax(0), before.argmax(0))
+        some = np.flatnonzero(far.any(0) | (before.any(0) & np.isnan(way)))
+        way[some], inside[some] = moved[row[some], some], depth[row[some], some]
+        at = np.flatnonzero((onset >= frames.start) & (onset < frames.stop))
+        then[at] = depth[onset[at] - first, at]
+    result: Array = (way > BORDER_MM) & (LEAST_AREA * (then - inside) < way)
+    return result
+
+
+def with_neighbours(found: Array, places: Array, among: Array, reach_mm: float) -> Array:
+    """``found`` (N,), and those `among` the points of which most of the three nearest within ``reach_mm`` are found."""
+    some = np.flatnonzero(among)
+    if len(some) <= _VOTERS or not found.any():
+        return found
+    away = np.sum((places[some, None] - places[None, some]) ** 2, axis=-1)
+    np.fill_diagonal(away, np.inf)
+    near = np.argpartition(away, _VOTERS - 1, axis=1)[:, :_VOTERS]
+    within = np.take_along_axis(away, near, axis=1) < reach_mm**2
+    result = found.copy()
+    result[some[(found[some][near] & within).sum(1) > _VOTERS / 2]] = True
+    return result
+
+
+class SinceEntry(NamedTuple):
+    """Of n frames and E points that were advected; NaN before the entry and where too little is known."""
+
+    gradient: Array  # (n, E, 2, 2) of the displacement since the own entry, by the places then
+    covariance: Array | None  # (n, E, 2, 2, 2, 2), to first order, as if the skin had not deformed before
+
+
+class EntryGradients:
+    """Gradients of the displacement since each point's own entry; frames come in the order of time."""
+
+    def __init__(self, engine: Engine, entered: Array, places: Array, onset: Array, gauge_mm: float) -> None:
+        """``entered`` (E,) are numbers of points; the others as for `advected`."""
+        self._engine, self.entered, self._onset, self._gauge = engine, entered, onset[entered], gauge_mm
+        known = np.flatnonzero(np.isfinite(places).all(1))
+        apart = np.full(len(known), np.inf)
+        for one in places[entered]:
+            np.minimum(apart, np.hypot(*(places[known] - one).T), out=apart)
+        self._near = known[apart <= gauge_mm / 2]  # all that say something of their surroundings
+        self._places, self._queries = places[self._near], places[entered]
+        self._begun = np.full((len(entered), 2, 2), np.nan)
+        self._begun_covariance = np.full((len(entered), 2, 2, 2, 2), np.nan)
+
+    def at(self, frames: Array, position: Array, variance: Array) -> SinceEntry:
+        """In these frames (n,), from positions (n, N, 2) mm and the variance (n, N) mm^2 of a component against the
+        frame in which points were seeded. Half of it is that frame's, the same at all times.
+        """
+        moved = position[:, self._near] - self._places
+        noise = variance[:, self._near].astype(np.float64) / 2
+        fit = self._engine.fit(self._places, moved, self._queries, self._gauge, noise)
+        assert fit.covariance is not None
+        now = np.eye(2) + fit.gradient
+        for k, frame in enumerate(frames):
+            enter = np.flatnonzero(self._onset == frame)
+            self._begun[enter], self._begun_covariance[enter] = now[k, enter], fit.covariance[k, enter]
+        return SinceEntry(now @ inverse_2x2(self._begun) - np.eye(2), fit.covariance + self._begun_covariance)
+
+
+class Entries:
+    """How points come into contact while frames come: `advected` and `EntryGradients` of what is known so far.
+
+    Of each point the places in the last frames are kept, and how deep these lay inside the border.
+
+    Args:
+        places: (N, 2) mm, where points were seeded; NaN for none.
+        gauge_mm: over which a fit is made.
+
+    Attributes:
+        entered: (N,) bool, points that have been advected into the contact.
+    """
+
+    KEPT = 512  # frames: the way of a point before its onset that is known
+
+    def __init__(self, engine: Engine, places: Array, gauge_mm: float) -> None:
+        self._engine, self._places, self._gauge = engine, places, gauge_mm
+        self._position = np.full((self.KEPT, len(places), 2), np.nan)
+        self._border = Border(
+            np.full((self.KEPT, 2), np.nan), np.full((self.KEPT, 2), np.nan), np.full(self.KEPT, np.nan)
+        )
+        self._frames = 0  # that were seen
+        self._onset = np.full(len(places), -1)  # by the count of frames
+        self._reference = np.full((len(places), 2), np.nan)
+        self.entered = np.zeros(len(places), dtype=bool)
+        self._at_entry = np.full((len(places), 2, 2), np.nan)
+
+    def see(self, position: Array, begins: Array, touching: Array, border: Border) -> Array | None:
+        """A frame, in which points are at `position` (N, 2) mm, NaN where lost, a touch `begins` (N,) or lasts
+        (`touching`): the gradients (N, 2, 2) since the own entry, NaN but for points that have entered; None where
+        there are none.
+        """
+        row = self._frames % self.KEPT
+        self._position[row] = position
+        for kept, new in zip(self._border, border, strict=True):
+            kept[row] = new[0]
+        self._onset[~touching], self.entered[~touching] = -1, False
+        self._onset[begins], self._reference[begins] = self._frames, position[begins]
+        if begins.any():
+            self._judge(begins)
+        self._frames += 1
+        if not begins.any() and not self.entered.any():
+            return None
+        asked = np.flatnonzero((begins | self.entered) & np.isfinite(position).all(1))
+        known = np.isfinite(self._places).all(1)
+        if not len(asked) or not known.any():
+            return None
+        moved = (position - self._places)[None, known]
+        now = np.eye(2) + self._engine.fit(self._places[known], moved, self._places[asked], self._gauge).gradient[0]
+        self._at_entry[asked] = np.where(begins[asked, None, None], now, self._at_entry[asked])
+        since = np.full((len(position), 2, 2), np.nan)
+        since[asked] = now @ inverse_2x2(self._at_entry[asked]) - np.eye(2)
+        return since if self.entered.any() else None
+
+    def _judge(self, begins: Array) -> None:
+        """Finds out which of the points that begin to touch were advected, and what their neighbours make of it."""
+        first = max(self._frames + 1 - self.KEPT, 0)
+        order = np.arange(first, self._frames + 1) % self.KEPT
+        onset = np.where(begins & (self._onset > self._onset[self._onset >= 0].min()), self._onset - first, -1)
+        rows = np.flatnonzero(onset >= 0)
+        if len(rows):
+            past = self._position[:, rows][order]
+            given = (onset[rows], self._reference[rows], self._gauge, self._border.at(order))
+            self.entered[rows] |= _by_own_way(past, np.arange(len(rows)), *given)
+        later = (self._onset > self._onset[self._onset >= 0].min()) & np.isfinite(self._places).all(1)
+        self.entered = with_neighbours(self.entered, self._places, later, NEAR * self._gauge)

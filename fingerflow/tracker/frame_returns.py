@@ -1,0 +1,151 @@
+"""Frames that cannot be: the picture jumps and comes back, or comes twice."""
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.tracker.frame_distances import LONGEST
+
+FAR = 4.0  # times as far from both neighbours as these are from each other: a shift by 5 px is 5 to 30, noise 2
+_USUAL = 0.9  # quantile of that quotient over the recording: lamps flicker, fingers vibrate
+_FAR_AT_END = 5.0  # where there are neighbours on one side
+_MOST = 0.1  # share of the frames: more of them are a finger that vibrates, or a lamp
+REPEATED_SHARE = 0.2  # of the frames, beyond which they are the camera's way and not its fault
+Distances = NDArray[np.float32]
+
+
+def jumps_and_returns(distances: Distances, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Frames that are further from those before and after them than these are from each other.
+
+    What moves, moves on: skin, a lamp, a camera that is knocked. A frame of another moment, torn, shifted or of another
+    brightness, is far from both of its neighbours, and these are as near each other, and to the frames beyond them, as
+    ever: in some row of blocks, or in its light, it is four times as far, four times as far as frames mostly are from
+    the next ones, and four times what is usual where light flickers or a finger vibrates. Up to `LONGEST` such frames
+    in a row are found. The first and the last frame have neighbours on one side alone, and count where they are five
+    times as far from them as these from each other.
+
+    At 300 frames/s a vibration of 40 to 150 Hz comes and goes as fast; one that lasts is usual, or too much.
+
+    Args:
+        distances: (F, LONGEST + 1, rows) of `block_distances`.
+        usable: (F,) False for frames that are known to be no pictures: none is measured by them.
+
+    Returns:
+        (F,) bool; none where more than a tenth of the frames would be: that is how the skin or the light moves there.
+    """
+    frames = len(distances)
+    found = np.zeros(frames, dtype=bool)
+    # Distances of noise alone differ by as much as they are.
+    if frames > 1:
+        distances = (distances / np.fmax(np.nanmedian(distances[1:, 0], axis=0), 1)).astype(np.float32)
+    steps = _steps(distances)
+    quotients = [_quotients(distances, steps, length) for length in range(1, LONGEST + 1)]
+    limits = [FAR * _usual(one) for one in quotients]
+    # Frames with which a jump may begin, by what lies right before them.
+    likely = np.zeros(frames, dtype=bool)
+    for quotient, limit in zip(quotients, limits, strict=True):
+        likely[1 : 1 + len(quotient)] |= (quotient > limit).any(1)
+    for known, apart in ((usable, distances), (usable[::-1], _reversed(distances))):
+        far = _far_at_start(apart, np.flatnonzero(known))
+        found |= far if known is usable else far[::-1]
+    good = iter(np.flatnonzero(usable & ~found).tolist())
+    last = next(good, frames)
+    for frame in good:
+        if frame <= last:
+            continue
+        length = 0
+        if likely[frame] or last != frame - 1:
+            length = _length_of_jump(distances, steps, last, frame, usable, limits)
+            found[frame : frame + length] = True
+        last = frame + length
+    found &= usable
+    return found if found.mean() <= _MOST else np.zeros_like(found)
+
+
+def _length_of_jump(
+    distances: Distances,
+    steps: tuple[Distances, Distances],
+    last: int,
+    frame: int,
+    usable: NDArray[np.bool_],
+    limits: list[NDArray[np.float32]],
+) -> int:
+    """Frames from `frame` on after which the picture of the frame `last` is back; 0 where it never left."""
+    for length in range(1, LONGEST + 1):
+        back = frame + length
+        if back >= len(distances) or back - last > LONGEST + 1:
+            break
+        if not usable[back]:
+            continue
+        out = [np.minimum(distances[k, k - last - 1], distances[back, back - k - 1]) for k in range(frame, back)]
+        quotient = np.min(out, axis=0) / _near(distances[back, back - last - 1], steps[0][last], steps[1][back])
+        if (quotient > limits[length - 1]).any():
+            return length
+    return 0
+
+
+def _steps(distances: Distances) -> tuple[Distances, Distances]:
+    """(F, rows) twice: how far each frame is from the nearer of the two before it, and of the two after it; 0 where
+    there are none.
+    """
+    before = np.fmin(distances[:, 0], distances[:, 1])
+    after = np.zeros_like(before)
+    after[:-1] = distances[1:, 0]
+    after[:-2] = np.fmin(after[:-2], distances[2:, 1])
+    return np.nan_to_num(before), after
+
+
+def _near(pair: Distances, before: Distances, after: Distances) -> Distances:
+    """What frames may be apart that belong together."""
+    result: Distances = np.maximum(np.maximum(pair, 1), np.maximum(before, after))
+    return result
+
+
+def _quotients(distances: Distances, steps: tuple[Distances, Distances], length: int) -> Distances:
+    """(F - length - 1, rows) how much further the frames between two are from both than these from each other."""
+    back = np.arange(length + 1, len(distances))
+    last = back - length - 1
+    out = [np.minimum(distances[last + j, j - 1], distances[back, length - j]) for j in range(1, length + 1)]
+    result: Distances = np.min(out, axis=0) / _near(distances[back, length], steps[0][last], steps[1][back])
+    return result
+
+
+def _usual(quotients: Distances) -> Distances:
+    """(rows,) what they mostly are in the recording, at least 1."""
+    if not len(quotients):
+        return np.ones(quotients.shape[1], np.float32)
+    # The same of numbers, in one go; with NaN it goes column by column.
+    quantile = np.nanquantile if np.isnan(quotients).any() else np.quantile
+    result: Distances = np.maximum(quantile(quotients, _USUAL, axis=0), 1).astype(np.float32)
+    return result
+
+
+def _far_at_start(distances: Distances, known: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(F,) the first of the frames `known`, where it is far from the next three, which are near each other."""
+    result = np.zeros(len(distances), dtype=bool)
+    first, *after = known[:4].tolist() or [0]
+    if len(after) == 3 and after[-1] - first <= LONGEST + 1:
+        away = np.min([distances[k, k - first - 1] for k in after], axis=0)
+        among = np.max([distances[k, k - j - 1] for j, k in combinations(after, 2)], axis=0)
+        result[first] = (away > _FAR_AT_END * np.maximum(among, 1)).any()
+    return result
+
+
+def _reversed(distances: Distances) -> Distances:
+    """The same of the frames in reversed order."""
+    frames, gaps, _ = distances.shape
+    result = np.full_like(distances, np.nan)
+    for gap in range(1, min(gaps, frames - 1) + 1):
+        result[gap:, gap - 1] = distances[gap:, gap - 1][::-1]
+    return result
+
+
+def repeats(distances: Distances) -> NDArray[np.bool_]:
+    """(F,) frames that are the one before by all block means, where those before and after are not."""
+    same: NDArray[np.bool_] = (distances[:, 0] == 0).all(1)
+    result = same.copy()
+    result[1:-1] &= ~same[:-2] & ~same[2:]
+    if len(result) > 1:
+        result[-1] &= not same[-2]
+    return result

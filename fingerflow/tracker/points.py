@@ -1,0 +1,491 @@
+"""Points that were seeded in one picture, their key frame, followed through the frames after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Corrected, Engine, Followed, Found, Images, Templates, nothing_found
+from fingerflow.engines.together import Call, Steps, run_alone
+from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.kernels.tracking_limits import REACH, Number, TrackStatus
+from fingerflow.tracker.motion import TRUSTED, Motion, known_of
+from fingerflow.tracker.recovery import lost_points, recover
+from fingerflow.tracker.template_update import MOST_FRAMES, UPDATE_PX, update_interval
+from fingerflow.tracker.verification import Verification
+
+Array = NDArray[Any]
+
+_FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
+_ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and points, that are found elsewhere after a jump
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What may be known, and afforded, when a frame is tracked.
+
+    Attributes:
+        lag: frames that a prediction leads ahead: 1 where each frame begins when the one before has ended, more where
+            frames are computed beside each other.
+        ahead: frames to come are known: several may be followed in one call, and a point that fails the verification
+            is not trusted in the frames before, up to the check before that.
+        searched: points that are searched for in one round of a frame; None for all.
+        patience: frames for which a lost point is searched for; None for ever.
+    """
+
+    lag: int = 1
+    ahead: bool = True
+    searched: int | None = None
+    patience: int | None = None
+
+
+RECORDING = Knowledge()
+STREAM = Knowledge(ahead=False, searched=64, patience=TRUSTED)
+
+
+class _Pending(NamedTuple):
+    """Templates of some rows that are updated before frame number `due` is followed, for a deformation (L, 2, 2)."""
+
+    due: int
+    rows: Array
+    warp: Array
+    prepared: list[Templates]  # of the first rows, in pieces, ahead of time
+
+
+class Resolved(NamedTuple):
+    """What is found of the points in a frame, before anything is learnt from it.
+
+    Attributes:
+        corrected: of (1, N) points.
+        jolted: (N,) points that a search has found, or None.
+        elsewhere: whether many of the points that were lost were found far from where their motion leads.
+    """
+
+    corrected: Corrected
+    jolted: Array | None
+    elsewhere: bool
+
+
+class Points:
+    """N points with the picture in which they were seeded.
+
+    How the skin deforms around them is learnt from them and from A points that were seeded before, which are known in
+    the key frame too: those of a narrow band alone would say little.
+
+    With template "keyframe" every frame is compared with the key frame, the template deformed by the gradient of the
+    motion found so far: errors do not add up. With "previous", from frame to frame, they do.
+
+    Attributes:
+        motion: where points are, or are expected.
+        start: (N, 2) px where they were seeded.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        image: Images,
+        points: Array,
+        around: Array | None = None,
+        *,
+        motion: Motion | None = None,
+        template: str = "keyframe",
+        knowledge: Knowledge = RECORDING,
+        again: bool = False,
+    ) -> None:
+        """`image` (1, 1, h, w), `points` (N, 2) and `around` (A, 2) px in it, NaN for none; `motion` of the points, at
+        rest by default; `again` where the key frame is followed too.
+        """
+        self._engine, self._knowledge, self._by_key = engine, knowledge, template == "keyframe"
+        points = np.ascontiguousarray(points, np.float32)
+        around = np.zeros((0, 2), np.float32) if around is None else around
+        self._every = np.concatenate((points, around)).astype(np.float32)
+        self.motion = motion or Motion.at_rest(points)
+        self._verification = Verification(engine, image, points)
+        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
+        # Of the skin at the last check, and as templates have it.
+        self._warp, self._inverse_warp = unchanged, unchanged.copy()
+        self._last_warp: Array = unchanged  # in the last frame, NaN where it is not known
+        self._interval = MOST_FRAMES if self._by_key else 1  # frames to the next check of templates
+        self._pending: list[_Pending] = []
+        # Frames from the key frame on, when templates were checked, and passed over since the last frame.
+        self._followed = self._checked = 0 if again else 1
+        self._gap = 0
+        self._index = 1  # number of the next frame
+        self._neighbours: Any = None  # for `Engine.outliers`, once a point is to be judged
+        self._walked: Array | float = 0.0  # variance that has come together from frame to frame
+        self._key = engine.key(image)
+        self._templates = engine.prepare(self._key, points)
+
+    @property
+    def start(self) -> Array:
+        """(N, 2) px, where the points were seeded."""
+        return self._every[: len(self)]
+
+    def __len__(self) -> int:
+        return len(self.motion.place)
+
+    @property
+    def as_seeded(self) -> Found:
+        """What is found (1, N) of the points in their own key frame."""
+        points = self.start[None]
+        exact = np.zeros(points.shape[:2], np.float32)
+        status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
+        unknown = np.where(known_of(points), exact, np.float32(np.nan))
+        covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
+        return Found(points.copy(), unknown, covariance, status, points.copy())
+
+    def pass_over(self, frames: int) -> None:
+        """Frames that tell nothing: points are expected on where their speed leads."""
+        self._gap += frames
+
+    def expect(self, ahead: int = 1) -> Array:
+        """(N, 2) px so many frames after the last one that was followed or passed over."""
+        return self.motion.expect(self._gap + ahead)
+
+    def follow(self, images: Images, around: Found | None = None) -> Steps[Found]:
+        """Finds the points in the next images (n, 1, h, w): (n, N). What was found of the points around is (n, A).
+
+        Estimates are where points are or were last. Points of several recordings may be followed together
+        (`engines.together`).
+        """
+        around = nothing_found(len(images)) if around is None else around
+        steps: list[Found] = []
+        done = 0
+        while done < len(images):
+            until_check = MOST_FRAMES - self._followed % MOST_FRAMES
+            count = min(self._interval, until_check, len(images) - done) if self._knowledge.ahead else 1
+            now = slice(done, done + count)
+            step = yield from self._step(images[now], around.of(now))
+            if not self._knowledge.ahead:
+                step = yield from self._verified(images[now], step)
+            steps.append(step)
+            done += count
+        found = steps[0] if len(steps) == 1 else Found(*map(np.concatenate, zip(*steps, strict=True)))
+        return (yield from self._verified(images, found)) if self._knowledge.ahead else found
+
+    def look(self, image: Images, guess: Array) -> Found:
+        """What one image shows near guesses (N, 2); in any thread, while other frames are looked at."""
+        return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
+
+    def resolve(
+        self, image: Images, guess: Array, found: Found, frames: int = 1, around: Found | None = None
+    ) -> Resolved:
+        """What is found (1, N) of a frame after `look`, so many frames after the last one that was accepted: lost
+        points recovered, positions corrected. Frame after frame in their order; nothing is learnt yet.
+        """
+        return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
+
+    def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> Found:
+        """Learns from a frame (1, N) that counts, and verifies it. `index` is its number among all frames of a stream,
+        of which others may have begun.
+        """
+        if index is not None:
+            self._index = index
+        return run_alone(self._learnt(image, resolved, frames))
+
+    def changes(self, index: int) -> bool:
+        """Whether templates are updated before the frame of this number: all before it have to end first."""
+        return any(one.due <= index for one in self._pending)
+
+    def update_due(self, index: int) -> None:
+        """Updates the templates that are due before the frame of this number, in the order in which they were found."""
+        run_alone(self._updated(index))
+
+    def _updated(self, index: int) -> Steps[None]:
+        while self._pending and self._pending[0].due <= index:
+            one = self._pending.pop(0)
+            while (yield from self._prepare_piece(one, len(one.rows))):
+                pass
+            done = 0
+            for piece in one.prepared:
+                rows = one.rows[done : done + len(piece.numbers)]
+                self._engine.update(self._templates, rows, piece)
+                done += len(rows)
+            self._inverse_warp[one.rows] = inverse_2x2(one.warp)
+
+    def _prepare_piece(self, pending: _Pending, rows: int) -> Steps[bool]:
+        """Prepares so many more rows; False where none are left."""
+        done = sum(len(piece.numbers) for piece in pending.prepared)
+        some = slice(done, done + rows)
+        if done < len(pending.rows):
+            start = self.start[pending.rows[some]]
+            pending.prepared.append((yield Call(self._engine.prepare, (self._key, start, pending.warp[some]))))
+        return done + rows < len(pending.rows)
+
+    def _step(self, images: Images, around: Found) -> Steps[Found]:
+        yield from self._updated(self._index)
+        guess = self.expect()
+        if len(images) == 1:
+            frames = self._gap + 1
+            found = (yield from self._looked(images, guess)).found
+            resolved = yield from self._resolved(images, guess, found, frames, around)
+            return (yield from self._accepted(resolved, frames, images))
+        speed = self.motion.speed
+        followed: Followed = yield Call(self._engine.follow, (self._templates, images, guess - speed, speed, None))
+        return (yield from self._finished_all(images, followed, around))
+
+    def _looked(self, image: Images, guess: Array, rows: Array | None = None) -> Steps[Followed]:
+        """What one image shows of all points, or of some rows, near guesses."""
+        followed: Followed = yield Call(
+            self._engine.follow, (self._templates, image, guess, np.zeros_like(guess), rows)
+        )
+        return followed
+
+    def _resolved(self, image: Images, guess: Array, found: Found, frames: int, around: Found) -> Steps[Resolved]:
+        found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
+        return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
+
+    def _learnt(self, image: Images, resolved: Resolved, frames: int) -> Steps[Found]:
+        found = yield from self._accepted(resolved, frames, image)
+        return (yield from self._verified(image, found))
+
+    def _finished_all(self, images: Images, followed: Followed, around: Found) -> Steps[Found]:
+        """The same of several images that were followed in one call."""
+        lost = lost_points(followed.found.status).any(0)
+        if self._engine.settings.search_px and lost.any():
+            followed = yield from self._recover_all(images, followed, np.flatnonzero(lost))
+        before, frames = self.motion, self._gap + len(images)
+        corrected = yield from self._corrected(followed.found, around)
+        last, expected = corrected.found.points[-1], corrected.expected[-1]
+        self.motion = before.followed(followed.place, followed.speed, last, frames, expected)
+        return (yield from self._checked_templates(corrected, before.place, len(images)))
+
+    def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
+        """The points that get lost on the way, followed once more, one frame after the other, with a search."""
+        motion, every, gap = Motion(*(one[rows] for one in self.motion)), [], self._gap
+        for k in range(len(images)):
+            image = images[k : k + 1]
+            guess = motion.expect(gap + 1)
+            found = (yield from self._looked(image, guess, rows)).found
+            whole = _scattered(found, rows, len(self))
+            guesses = np.full((len(self), 2), np.nan, np.float32)
+            guesses[rows] = guess
+            wanted = np.zeros(len(self), dtype=bool)
+            wanted[rows] = True
+            known = yield from recover(
+                self._engine, self._templates, self._key, self.start, image, whole, guesses, wanted
+            )
+            one = known.found.of(slice(None), rows)
+            motion = motion.see(one.points[0], gap + 1, jolted=known.searched[rows])
+            every.append(one)
+            gap = 0
+        found = Found(*(one.copy() for one in followed.found))
+        for whole_, part in zip(found, map(np.concatenate, zip(*every, strict=True)), strict=True):
+            whole_[:, rows] = part
+        place, speed = followed.place.copy(), followed.speed.copy()
+        place[rows], speed[rows] = motion.place, motion.speed
+        return Followed(found, place, speed)
+
+    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> Steps[Found]:
+        before, corrected = self.motion, resolved.corrected
+        self.motion = before.see(corrected.found.points[0], frames, corrected.expected[0], resolved.jolted)
+        return (yield from self._checked_templates(corrected, before.place, 1, image))
+
+    def _recovered(
+        self, image: Images, guess: Array, found: Found, frames: int
+    ) -> Steps[tuple[Found, Array | None, bool]]:
+        """A frame with the points that a search has found, which these are, and whether many of the points that are not
+        where their motion leads were found elsewhere, by a search or where a look has led.
+        """
+        patience = self._knowledge.patience
+        wanted = self.motion.missing < (np.inf if patience is None else patience)
+        lost = lost_points(found.status[0]) & wanted
+        if not lost.any():
+            return found, None, False
+        if self._knowledge.lag > 1:
+            # By now the frames between are known: a guess from these is nearer.
+            guess = self.motion.expect(frames)
+            rows = np.flatnonzero(lost)
+            nearer = yield from self._looked(image, guess[rows], rows)
+            found = Found(*(one.copy() for one in found))
+            for whole, part in zip(found, nearer.found, strict=True):
+                whole[:, rows] = part
+            lost &= lost_points(found.status[0])
+        searched = None
+        led = wanted & (np.abs(found.points[0] - guess).max(-1) > REACH + 0.5)  # False where lost
+        missing = int((lost | led).sum())
+        if self._engine.settings.search_px and lost.any():
+            recovered = yield from recover(
+                *(self._engine, self._templates, self._key, self.start, image, found, guess, wanted),
+                self._knowledge.searched,
+                self._by_neighbours,
+            )
+            found, searched = recovered.found, recovered.searched
+        back = missing - int((lost & lost_points(found.status[0])).sum())
+        return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
+
+    def _by_neighbours(self, found: Found) -> Steps[Array]:
+        """(N, 2) px where neighbours expect points in a frame of which so much is found."""
+        places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
+        return places
+
+    def _corrected(self, found: Found, around: Found) -> Steps[Corrected]:
+        """Corrected for the deformation, points that are off their neighbours marked."""
+        if not self._by_key:
+            unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
+            nothing = np.zeros(found.status.shape, np.float32)
+            return Corrected(found, unchanged, nothing, np.full_like(found.points, np.nan))
+        count, others = len(self), around.status.shape[1]
+        if others:
+            found = Found(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
+        numbers, inverse_warp = self._known_of_templates(others)
+        corrected: Corrected = yield Call(self._engine.correct, (self._every, found, numbers, inverse_warp))
+        suspect = _may_disagree(found, corrected.expected)
+        if len(suspect):
+            judged = yield from self._judged(found.of(suspect))
+            if not np.array_equal(judged.status, found.status[suspect]):
+                found = Found(*(one.copy() for one in found))
+                for whole, part in zip(found, judged, strict=True):
+                    whole[suspect] = part
+                corrected = yield Call(self._engine.correct, (self._every, found, numbers, inverse_warp))
+        own = slice(count)
+        return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
+
+    def _judged(self, found: Found) -> Steps[Found]:
+        """Points that were found but not where their neighbours say, or far more uncertain than they, marked."""
+        status, tracked = found.status.copy(), found.status == TrackStatus.TRACKED
+        if self._neighbours is None:
+            self._neighbours = self._engine.neighbours(self._every)
+        off_neighbours, uncertain = yield Call(self._engine.outliers, (self._neighbours, self._every, found))
+        status[tracked & uncertain] = TrackStatus.UNCERTAIN
+        status[tracked & off_neighbours] = TrackStatus.OFF_NEIGHBOURS
+        gone = status != TrackStatus.TRACKED
+        points, covariance = found.points.copy(), found.covariance.copy()
+        points[gone] = covariance[gone] = np.nan
+        return found._replace(points=points, covariance=covariance, status=status)
+
+    def _known_of_templates(self, others: int) -> tuple[Array, Array]:
+        """Template statistics and F_0^-1 of (N + A) points; of those around nothing, with unit covariance."""
+        numbers = self._templates.numbers
+        if not others:
+            return numbers, self._inverse_warp
+        none = np.zeros((others, numbers.shape[1]), np.float32)
+        none[:, Number.COVARIANCE_XX] = 1.0
+        unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (others, 2, 2))
+        return np.concatenate((numbers, none)), np.concatenate((self._inverse_warp, unchanged))
+
+    def _checked_templates(
+        self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
+    ) -> Steps[Found]:
+        """What was found, estimates being the last places; templates that need an update are noted, or made from the
+        last image with template "previous".
+        """
+        self._gap = 0
+        self._followed += frames
+        self._index += frames
+        found = corrected.found
+        warp = corrected.warp[-1]
+        self._last_warp = np.where(known_of(corrected.expected[-1])[:, None, None], warp, np.float32(np.nan))
+        if not self._by_key:
+            assert image is not None
+            self._key = self._engine.key(image)
+            self._templates = yield Call(self._engine.prepare, (self._key, found.points[0], None))
+            self._last_warp = warp
+        elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
+            self._check_templates(warp, corrected.shift[-1])
+        else:
+            for pending in self._pending[:1]:
+                yield from self._prepare_piece(pending, -(-len(pending.rows) // (MOST_FRAMES - 1)))
+        return found._replace(estimate=_last_seen(found.points, before))
+
+    def _check_templates(self, warp: Array, shift: Array) -> None:
+        """Finds the templates whose windows have changed by more than a part of a pixel at their edge.
+
+        They are updated eight frames later, so that a stream has the time to prepare them; where the skin deforms so
+        fast that others would change by as much until then, as soon as may be, and the next check comes sooner.
+        """
+        window, frames = self._engine.settings.window_px, self._followed - self._checked
+        change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
+        change = change[np.isfinite(change)]
+        fastest = window // 2 * float(np.quantile(change, 0.95)) / frames if len(change) else 0.0
+        self._interval = update_interval(fastest)
+        self._warp, self._checked = warp, self._followed
+        much = shift > UPDATE_PX
+        for pending in self._pending:
+            much[pending.rows] = False
+        rows = np.flatnonzero(much)
+        if len(rows):
+            later = MOST_FRAMES if self._interval == MOST_FRAMES else self._knowledge.lag - 1
+            self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
+
+    def _verified(self, images: Images, found: Found) -> Steps[Found]:
+        """The same after the verification, with the variance since the key frame; all NaN of points that fail."""
+        if self._knowledge.ahead:
+            failed = yield from self._verification.check(images, found.points, found.status, self._last_warp)
+        else:
+            failed = self._verification.failed
+            if self._followed % MOST_FRAMES == 0:
+                yield from self._verification.check(images, found.points, found.status, self._last_warp)
+                failed = self._verification.failed
+        covariance = found.covariance
+        if not self._by_key:
+            covariance = self._since_start(found.variance)[..., None, None] * np.eye(2, dtype=np.float32)
+        differs = (found.status == TrackStatus.TRACKED) & failed
+        if not differs.any():
+            return found._replace(covariance=covariance)
+        points, covariance, status = found.points.copy(), covariance.copy(), found.status.copy()
+        points[differs] = covariance[differs] = np.nan
+        status[differs] = TrackStatus.WINDOW_DIFFERS
+        return found._replace(points=points, covariance=covariance, status=status)
+
+    def _since_start(self, variance: Array) -> Array:
+        """Variance (n, N) of positions relative to the skin that was seeded, from frame to frame that of all steps."""
+        walked = self._walked + np.nan_to_num(variance).cumsum(0)
+        self._walked = walked[-1:]
+        result: Array = walked + 0 * variance
+        return result
+
+
+def beside(parts: list[Found]) -> Found:
+    """What was found of other points in the same frames, side by side."""
+    some = [one for one in parts if one.status.shape[1]] or parts[:1]
+    return some[0] if len(some) == 1 else Found(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
+
+
+def _may_disagree(found: Found, expected: Array) -> Array:
+    """Numbers (k,) of the frames in which a point is far enough from where its neighbours expect it, or uncertain
+    enough, to be judged: what an engine's `outliers` marks is further off, and mostly there is nothing.
+    """
+    variance = found.variance
+    off = found.points - expected
+    off *= off
+    apart = (off[..., 0] + off[..., 1]) / variance
+    return np.flatnonzero([_stands_out(*one) for one in zip(apart, variance, strict=True)])
+
+
+def _stands_out(apart: Array, variance: Array) -> bool:
+    """True where the largest of either is far above the median of the known ones."""
+    for values, most in ((apart, _FAR), (variance, _UNSURE)):
+        known = values[np.isfinite(values)]
+        if len(known):
+            middle = (len(known) - 1) // 2
+            known.partition(middle)
+            if known[middle:].max() > most**2 * known[middle]:
+                return True
+    return False
+
+
+def _last_seen(points: Array, before: Array) -> Array:
+    """(n, N, 2): points, and where one is lost its last place, or that of ``before`` (N, 2)."""
+    places = points.copy()
+    for one in places:
+        gone = ~known_of(one)
+        if gone.any():
+            one[gone] = before[gone]
+        before = one
+    return places
+
+
+def _scattered(found: Found, rows: Array, count: int) -> Found:
+    """What was found (1, L) of some rows, as of all points (1, N); the others are not given."""
+    whole = []
+    for one in found:
+        filler = np.nan if one.dtype.kind == "f" else TrackStatus.NOT_FINITE
+        every = np.full((1, count, *one.shape[2:]), filler, one.dtype)
+        every[:, rows] = one
+        whole.append(every)
+    return Found(*whole)

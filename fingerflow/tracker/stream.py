@@ -1,0 +1,494 @@
+"""The tracker of a stream: from pictures to numbers, frame after frame, without those to come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Contact, Ellipse, Engine, Entered, Found, Images
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.tracker.entry import Border, Entries
+from fingerflow.tracker.frame_quality import MEASURED, USABLE, Blocks, FrameCheck
+from fingerflow.tracker.motion import Motion, known_of
+from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.points import STREAM, Points, Resolved
+from fingerflow.tracker.slip_flag import SlipFlag
+from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
+
+Array = NDArray[Any]
+
+#: Names of the results of a frame, variables of the data set.
+RESULTS = (
+    *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "ellipse_angle", "light_gain"),
+    *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
+    *("divergence", "curl", "point_strain", "median_divergence", "moved_in", "slip_residual", "slip_flag"),
+)
+CONTACT_VIEW, TOPOGRAPHY_VIEW = "contact_view", "topography_view"
+PAGE = "page"  # somebody asked for other points
+_REKEY_SHARE = 0.8
+_EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
+_PIXELS = 20_000  # that are read to find that out
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """What a stream needs to know of its scene.
+
+    Attributes:
+        points: N that are seeded at most, the size of all results of points.
+        bit_depth: of a pixel.
+        mm_per_px: of the contact view.
+        topography_to_contact: (2, 3) px to px.
+        region: (H, W) bool of the topography view, in which points are seeded.
+        threshold: relative intensity loss above which a pixel touches; None to measure it.
+        rekey_share, rekey_frames: a new key frame where less than this share of its points is tracked, or after so
+            many frames.
+    """
+
+    points: int
+    bit_depth: int
+    mm_per_px: float
+    topography_to_contact: Array
+    region: Array
+    threshold: float | None = None
+    rekey_share: float | None = None
+    rekey_frames: float | None = None
+
+
+class Frame:
+    """A frame of a stream.
+
+    Attributes:
+        number: of the frame, which grows; others may be missing.
+        views: both views (1, 1, H, W) by name.
+        blocks, status: what `StreamTracker.inspect` has found.
+    """
+
+    def __init__(self, views: Mapping[str, Array], number: int = 0) -> None:
+        self.number, self.views = number, views
+        self.blocks: Blocks | None = None
+        self.status = USABLE
+
+
+@dataclass
+class Work:
+    """A frame that is computed.
+
+    Attributes:
+        index: among all frames of the stream, from 0.
+        frame: that it is of.
+        images: of both views, as the engine holds them.
+        guess: (N, 2) px where points are expected; None before any were seeded.
+        measure: whether the threshold is to be found in it.
+        contact, found, measured: what was computed.
+    """
+
+    index: int
+    frame: Frame
+    images: dict[str, Images]
+    guess: Array | None
+    threshold: float
+    measure: bool
+    contact: Contact | None = None
+    found: Found | None = None
+    measured: float | None = None
+
+
+class Event(NamedTuple):
+    """Something that happened at a frame, with what there is to say of it."""
+
+    name: str
+    frame: int
+    facts: dict[str, Any]
+
+
+class Outcome(NamedTuple):
+    """What became of a frame.
+
+    Attributes:
+        frame: that it is of.
+        status: number of `FRAME_STATUS`.
+        results: by the names of variables, without the axis of frames; None where the frame does not count.
+        real_contact_mask: (H, W) bool where the engine has it.
+        slipping: whether skin in contact slips, as the last frame that counts said.
+        tracked: points that are found in it.
+        threshold: with which it was computed, NaN while unknown.
+        key_frame: number of the frame with which it was compared.
+        restart: how often points had been seeded.
+    """
+
+    frame: Frame
+    status: int
+    results: dict[str, Any] | None
+    real_contact_mask: Array | None
+    slipping: bool
+    tracked: int
+    threshold: float
+    key_frame: int
+    restart: int
+
+
+class _Known(NamedTuple):
+    """The motion of points after a frame, by its number."""
+
+    motion: Motion
+    number: int
+
+
+class _Change(NamedTuple):
+    """New points, or a new key frame for the same, from a frame of the past: its number and picture, and what was found
+    of the points in it. Decided after so many frames.
+    """
+
+    after: int
+    number: int
+    image: Array
+    points: Array
+    cause: str
+
+
+class _Doubtful(NamedTuple):
+    """A frame of which the next one says whether it counts."""
+
+    work: Work
+    resolved: Resolved
+
+
+class StreamTracker:
+    """State of a stream, and what leads from one frame to the next.
+
+    Of a frame `begin` predicts where points are, `compute` finds contact and points, in any thread, and `finish` does
+    what needs the frames before: it recovers lost points, decides whether the frame counts, and counts displacement and
+    fields from each point's onset. Frames begin and are finished in their order; up to `lag` of them may be under way.
+    What a frame gives depends on the frames before it and on nothing else, neither the clock nor which of them happened
+    to be done.
+
+    Where no threshold is given, nothing touches until one was measured.
+
+    Args:
+        engine: that computes.
+        settings: of the scene.
+        glass, dark: (H, W) contact view of the empty glass, and without light.
+        lag: frames that have begun and are not finished, at most; a prediction leads so many frames ahead.
+
+    Attributes:
+        threshold: relative intensity loss above which a pixel touches; NaN while unknown.
+        measures: whether it is found in frames.
+        found: points that were seeded at the last restart.
+        restarts, keys: how often points were seeded, and key frames were taken beside.
+        events: that are to be written, in their order; whoever reads them takes them away.
+    """
+
+    def __init__(self, engine: Engine, settings: StreamSettings, glass: Array, dark: Array, lag: int = 1) -> None:
+        self._engine, self._settings, self.lag = engine, settings, lag
+        self._knowledge = replace(STREAM, lag=lag)
+        self._light = engine.light(glass, dark)
+        self._glass, self._dark = glass, dark
+        self._matrix = settings.topography_to_contact.astype(np.float64)
+        self._to_glass = (self._matrix * settings.mm_per_px).tolist()  # mm a px
+        self._check = FrameCheck(glass, dark, settings.bit_depth)
+        self.threshold = math.nan if settings.threshold is None else settings.threshold
+        self.measures = settings.threshold is None
+        self._search = ThresholdSearch(lag)
+        self._upkeep = Upkeep(settings.rekey_share or _REKEY_SHARE, settings.rekey_frames or math.inf)
+        self._points: Points | None = None
+        self._latest: _Known | None = None
+        self._known: dict[int, _Known | None] = {}  # after each of the last frames, by their index
+        self._begun = self._finished = 0
+        self._change: _Change | None = None
+        self._asked = False
+        self._doubtful: _Doubtful | None = None
+        self._slip = SlipFlag()
+        self._per_px = settings.mm_per_px * math.sqrt(abs(np.linalg.det(self._matrix[:, :2])))
+        self.found = self.restarts = self.keys = 0
+        self.events: list[Event] = []
+
+    def warm_up(self, frame: Frame) -> None:
+        """Computes an empty frame: the first call of an engine takes longer than others."""
+        other = StreamTracker(self._engine, replace(self._settings, threshold=None), self._glass, self._dark, self.lag)
+        for number in range(2):
+            frame.number = number
+            other.inspect(frame)
+            frame.status = USABLE
+            work, _ = other.begin(frame)
+            other.compute(work)
+            other.finish(work)
+
+    def inspect(self, frame: Frame) -> None:
+        """Notes what a frame says of itself; in any thread."""
+        frame.blocks, frame.status = self._check.look(frame.views)
+
+    def reseed(self) -> None:
+        """Takes other points as soon as may be; from any thread."""
+        self._asked = True
+
+    @property
+    def under_way(self) -> int:
+        """Frames that have begun and are not finished."""
+        return self._begun - self._finished
+
+    def must_wait(self, frame: Frame) -> bool:
+        """Whether all frames before have to be finished before this one begins."""
+        return bool(
+            self._search.due(self._begun) is not None
+            or self._due_change() is not None
+            or (not self.restarts and frame.status == USABLE)
+            or (self._points is not None and self._points.changes(self._begun))
+        )
+
+    def begin(self, frame: Frame) -> tuple[Work, list[Outcome]]:
+        """Makes ready to compute a frame; and what became of one before it that was in doubt."""
+        outcomes: list[Outcome] = []
+        if self.must_wait(frame):
+            assert not self.under_way
+            outcomes = self.settle(frame)
+            self._make_changes(frame)
+        guess = self._guess(frame.number)
+        images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
+        measure = self.measures and self._search.wants(self._begun)
+        self._begun += 1
+        return Work(self._begun - 1, frame, images, guess, self.threshold, measure), outcomes
+
+    def compute(self, work: Work) -> None:
+        """Finds contact and points of a frame that has begun, in any thread."""
+        view, threshold = work.images[CONTACT_VIEW], np.array([work.threshold], np.float32)
+        work.contact = self._engine.contact(view, self._light, threshold)
+        if self._points is not None and work.guess is not None:
+            work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
+        if work.measure:
+            found = float(self._engine.threshold(view, self._light)[0])
+            # An empty glass has a threshold too, of noise or below none; and valleys of the skin do not touch.
+            physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
+            work.measured = found if physical else math.nan
+            if physical and math.isnan(work.threshold):
+                # A stream may begin in contact: nothing else is known for this frame.
+                work.threshold = found
+                work.contact = self._engine.contact(view, self._light, np.array([found], np.float32))
+
+    def finish(self, work: Work) -> list[Outcome]:
+        """What became of a frame that was computed, and before it of one that was in doubt; none where it is in doubt
+        itself.
+        """
+        outcomes = self.settle(work.frame)
+        self._finished += 1
+        frame, points = work.frame, self._points
+        resolved: Resolved | None = None
+        tracked, elsewhere = 0, False
+        if points is not None and work.found is not None and work.guess is not None and frame.status in MEASURED:
+            image = work.images[TOPOGRAPHY_VIEW]
+            resolved = points.resolve(image, work.guess, work.found, self._ahead(frame.number))
+            tracked, elsewhere = _tracked(resolved.corrected.found), resolved.elsewhere
+        assert frame.blocks is not None
+        status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
+        if status is None and resolved is not None:
+            self._doubtful = _Doubtful(work, resolved)
+        elif status != USABLE or resolved is None:
+            outcomes.append(self._skipped(work, int(USABLE if status is None else status)))
+        else:
+            outcomes.append(self._accepted(work, resolved))
+        self._known[work.index] = self._latest
+        self._known.pop(work.index - self.lag, None)
+        return outcomes
+
+    def settle(self, following: Frame | None = None) -> list[Outcome]:
+        """What became of the frame that was in doubt, now that the next one has come, None for none.
+
+        Nothing else is learnt from it: frames behind it may have begun, and what they are given is not to depend on how
+        far they have got.
+        """
+        if self._doubtful is None:
+            return []
+        (work, resolved), self._doubtful = self._doubtful, None
+        usable = following is not None and following.status == USABLE
+        status = self._check.settle(following.blocks if usable and following is not None else None)
+        if status != USABLE:
+            return [self._skipped(work, status)]
+        if work.measured is not None:
+            self._search.passed_over()
+        return [self._accepted(work, resolved, late=True)]
+
+    def _guess(self, number: int) -> Array | None:
+        """Where points are expected, by what was known `lag` frames before: whether or not newer frames have ended."""
+        known = self._known.get(self._begun - self.lag, self._latest)
+        return None if known is None else known.motion.expect(max(1, number - known.number))
+
+    def _know(self, motion: _Known) -> None:
+        """What is known before the next frames begin, as if it had been known all along."""
+        self._latest = motion
+        self._known = {self._begun - before: motion for before in range(1, self.lag + 1)}
+
+    def _ahead(self, number: int) -> int:
+        return max(1, number - self._latest.number) if self._latest is not None else 1
+
+    def _touching(self, frame: Frame, threshold: float) -> float:
+        """Share of the pixels that lose more of the light of the empty glass."""
+        view = frame.views[CONTACT_VIEW][0, 0]
+        every = max(1, round((view.size / _PIXELS) ** 0.5))
+        seen, empty, black = (one[::every, ::every].astype(np.float32) for one in (view, self._glass, self._dark))
+        return float((seen - black < (1 - threshold) * (empty - black)).mean())
+
+    # Changes before a frame begins.
+
+    def _due_change(self) -> _Change | None:
+        change = self._change
+        return None if change is None or self._begun < change.after + self.lag else change
+
+    def _make_changes(self, frame: Frame) -> None:
+        change, threshold = self._due_change(), self._search.due(self._begun)
+        if not self.restarts and frame.status == USABLE:
+            view = frame.views[TOPOGRAPHY_VIEW][0]
+            self._restart(frame.number, view, self._seed(view), "start")
+        if threshold is not None:
+            self.threshold = threshold
+            self._search.used()
+        if self._points is not None:
+            self._points.update_due(self._begun)
+        if change is not None:
+            self._change = None
+            if change.cause == REKEY:
+                self._rekey(change)
+            else:
+                self._reseed(change)
+
+    def _seed(self, view: Array) -> Array:
+        """Points (N, 2) px worth tracking in a view (1, H, W), NaN beyond those that are found."""
+        points = np.full((self._settings.points, 2), np.nan, np.float32)
+        found = self._engine.detect(self._engine.images(view), self._settings.region, len(points))
+        points[: len(found)] = found
+        return points
+
+    def _reseed(self, change: _Change) -> None:
+        """Takes new points where they are more than those that are followed."""
+        points = self._seed(change.image)
+        if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
+            self._slip.follow_others(change.points, points)
+            self._restart(change.number, change.image, points, change.cause)
+        else:
+            self._upkeep.kept(self._begun)
+
+    def _restart(self, number: int, view: Array, points: Array, cause: str) -> None:
+        """Follows these points (N, 2) px of a frame from now on; all that is counted from onsets begins again."""
+        motion = None if self._points is None else self._points.motion.seeded(points)
+        image, again = self._engine.images(view), self._points is None
+        self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
+        self.found = int(known_of(points).sum())
+        self._know(_Known(self._points.motion, number))
+        self._touches = Touches(len(points))
+        self._seeded = points.astype(np.float64)
+        self._entries = Entries(self._engine, self._on_glass(self._seeded), self._engine.settings.gauge_length_mm)
+        self._upkeep.restarted(self._begun, number, self.found)
+        self._search.begin()
+        self.restarts += 1
+        self.events.append(Event("restart", number, {"cause": cause, "points": self.found}))
+
+    def _rekey(self, change: _Change) -> None:
+        """Compares the next frames with a newer one, in which the points lay at `change.points`."""
+        assert self._points is not None
+        known, motion = known_of(change.points), self._points.motion
+        kept = motion._replace(place=np.where(known[:, None], motion.place, np.float32(np.nan)))
+        image = self._engine.images(change.image)
+        self._points = Points(self._engine, image, change.points, motion=kept, knowledge=self._knowledge)
+        assert self._latest is not None
+        self._know(self._latest._replace(motion=kept))
+        self._upkeep.keyed(change.number, int(known.sum()))
+        self.keys += 1
+        self.events.append(Event("key_frame", change.number, {"points": int(known.sum())}))
+
+    # What becomes of a frame.
+
+    def _skipped(self, work: Work, status: int) -> Outcome:
+        """A frame that is no picture of the trial: nothing is learnt from it."""
+        if work.measured is not None:
+            self._search.passed_over()
+        return self._outcome(work, status, None, 0)
+
+    def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> Outcome:
+        assert self._points is not None
+        assert work.contact is not None
+        frame, index = work.frame, work.index
+        found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index)
+        self._latest = _Known(self._points.motion, frame.number)
+        results = self._results(work.contact, found)
+        tracked = _tracked(found)
+        if self.measures and not late:
+            self._learn_threshold(frame, index, float(work.contact.real_area_px[0]), work.measured)
+        if self._change is None and not late:
+            cause = PAGE if self._asked else self._upkeep.see(index, frame.number, tracked)
+            if cause:
+                self._asked = False
+                image = frame.views[TOPOGRAPHY_VIEW][0].copy()
+                self._change = _Change(index, frame.number, image, found.points[0].copy(), cause)
+        return self._outcome(work, USABLE, results, tracked)
+
+    def _outcome(self, work: Work, status: int, results: dict[str, Any] | None, tracked: int) -> Outcome:
+        mask = None if work.contact is None or results is None else work.contact.real_contact_mask
+        threshold = work.threshold if status == USABLE else math.nan
+        drawn = None if mask is None else mask[0, 0]
+        of_points = (self._upkeep.key_frame, self.restarts)
+        return Outcome(work.frame, status, results, drawn, self._slip.slipping, tracked, threshold, *of_points)
+
+    def _learn_threshold(self, frame: Frame, index: int, area: float, measured: float | None) -> None:
+        if self._search.see(index, area, measured) and measured is not None:
+            self.events.append(Event("threshold", frame.number, {"threshold": measured}))
+
+    def _on_glass(self, pixels: Array) -> Array:
+        """(..., 2) px of the topography view to mm on the glass."""
+        # By components: a product with so small a matrix takes several times as long.
+        x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
+        result = np.empty(pixels.shape)
+        for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
+            result[..., axis] = by_x * x + by_y * y + shift
+        return result
+
+    def _results(self, contact: Contact, found: Found) -> dict[str, Any]:
+        size = self._settings.mm_per_px
+        covered = self._engine.covered(contact.density_margin, found.estimate, self._matrix.astype(np.float32))
+        deviation = np.sqrt(found.variance)
+        center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
+        ellipse = Ellipse(center, semi_axes, contact.angle.astype(np.float64))
+        slip = self._slip.see(found.points[0], deviation[0], covered[0])
+        return {
+            "real_contact_area": float(contact.real_area_px[0]) * size**2,
+            "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
+            "ellipse_center": ellipse.center[0],
+            "ellipse_semi_axes": ellipse.semi_axes[0],
+            "ellipse_angle": contact.angle[0],
+            "light_gain": contact.light_gain[0],
+            "position_px": found.points[0],
+            "forward_backward_error": found.error[0],
+            "position_std_px": deviation[0],
+            "status": found.status[0],
+            "in_contact": covered[0],
+            **self._since_onset(found, covered, ellipse),
+            "slip_residual": slip.residual * self._per_px,
+            "slip_flag": slip.slipping,
+        }
+
+    def _since_onset(self, found: Found, covered: Array, ellipse: Ellipse) -> dict[str, Any]:
+        """Fields of the displacement since each point's own onset of contact."""
+        position = self._on_glass(found.points)
+        touch = self._touches.go_on(np.array([self._finished]), covered, position, found.variance.astype(np.float32))
+        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], Border(*ellipse))
+        among = self._entries.entered[None] & touch.touching
+        entered = None
+        if since is not None and among.any():
+            entered = Entered(among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None)
+        moved = (position - touch.place).astype(np.float32)
+        around = Ellipse(*(one.astype(np.float32) for one in ellipse))
+        fields = self._engine.fields(touch.place[0].astype(np.float32), moved, around, None, entered)
+        return {
+            "divergence": fields.divergence[0],
+            "curl": fields.curl[0],
+            "point_strain": fields.strain[0],
+            "median_divergence": fields.median[0, 0],
+            "moved_in": among[0],
+        }
+
+
+def _tracked(found: Found) -> int:
+    return int((found.status[0] == TrackStatus.TRACKED).sum())

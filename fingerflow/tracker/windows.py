@@ -1,0 +1,66 @@
+"""How alike windows are in two pictures, and which deformation makes them more so: NumPy on samples of an engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.together import Steps
+
+Array = NDArray[Any]
+#: Of frames (N,), places (N, 2), warps (N, 2, 2): (N, m) grey levels.
+Sampler = Callable[[Array, Array, Array], Steps[Array]]
+
+_LEAST_VARIANCE = 1e-12
+_ROUNDS = 4
+_BESIDE = 0.5  # px, over which a slope is taken
+_FARTHEST = 0.15  # by which a round may change a number of a deformation
+
+
+def correlation(one: Array, other: Array) -> Array:
+    """Return the normalised correlation (N,) of windows (N, m): whatever gain and offset; NaN where one is blank."""
+    first, second = (part - part.mean(1, keepdims=True) for part in (one, other))
+    variances = np.square(first).mean(1) * np.square(second).mean(1)
+    found = (first * second).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
+    result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))
+    return result
+
+
+def deformed_alike(
+    first: Array, sample: Sampler, number: Array, places: Array, warp: Array, window: int, step: int
+) -> Steps[Array]:
+    """Return the deformation (N, 2, 2), near `warp`, by which windows come nearest to what they were, their middles
+    held.
+
+    Gauss-Newton for a T + b = I(place + F w) in gain, offset and the four numbers of F: what remains of a window whose
+    middle is elsewhere is not explained by it.
+
+    Args:
+        first: (N, m) the windows then.
+        sample: of the pictures now.
+        number: (N,) pictures of the windows; places (N, 2) px; warp (N, 2, 2).
+        window, step: px, side of a window and steps of its grid.
+    """
+    offsets = np.arange(-(window // 2), window // 2 + 1, step, dtype=np.float32)
+    steps = np.stack([one.ravel() for one in np.meshgrid(offsets, offsets)], axis=-1)
+    ones = np.ones_like(first)[..., None]
+    for _ in range(_ROUNDS):
+        here = yield from sample(number, places, warp)
+        slopes = []
+        for along in np.array([[_BESIDE, 0.0], [0.0, _BESIDE]], np.float32):
+            ahead = yield from sample(number, places + along, warp)
+            behind = yield from sample(number, places - along, warp)
+            slopes.append((ahead - behind) / (2 * _BESIDE))
+        by_warp = np.concatenate([slope[..., None] * steps for slope in slopes], -1)
+        unknown = np.concatenate((by_warp, -first[..., None], -ones), -1)
+        known = np.flatnonzero(np.isfinite(unknown).all((1, 2)) & np.isfinite(here).all(1))
+        if not len(known):
+            break
+        warp = warp.copy()
+        for k in known:
+            solved = np.linalg.lstsq(unknown[k], -here[k], rcond=None)[0][:4].reshape(2, 2)
+            warp[k] += np.clip(solved, -_FARTHEST, _FARTHEST)
+    return warp

@@ -1,0 +1,74 @@
+// Means over blocks and lines of the pixels that are read of a frame, as fingerflow/tracker/block_means.py has them.
+#include <numeric>
+#include <type_traits>
+#include <vector>
+
+#include "interface.h"
+#include "parallel.h"
+#include "pixels.h"
+
+namespace fingerflow {
+namespace {
+
+// Of some of `count` numbers, cut into `pieces` that cover them all: neighbours share one where they do not fit.
+struct Piece {
+    std::int64_t first, end;
+    std::int64_t size() const { return end - first; }
+};
+
+std::vector<Piece> cut(std::int64_t count, std::int64_t pieces) {
+    std::vector<Piece> result;
+    for (std::int64_t piece = 0; piece < pieces; ++piece)
+        result.push_back({piece * count / pieces, ((piece + 1) * count + pieces - 1) / pieces});
+    return result;
+}
+
+struct Sampled {
+    std::int64_t read, across, row_stride, down, along;
+    std::vector<Piece> rows, columns;
+};
+
+// Sums of integers are exact, those of floats double.
+template <class Pixel>
+void means_of(const Pixel* frame, const Sampled& given, float* blocks, float* lines) {
+    using Sum = std::conditional_t<std::is_integral_v<Pixel>, std::int64_t, double>;
+    const auto mean = [](Sum sum, std::int64_t count) {
+        return static_cast<float>(static_cast<double>(sum) / static_cast<double>(count));
+    };
+    std::vector<Sum> numbers(static_cast<std::size_t>(given.across)), sums;
+    sums.reserve(static_cast<std::size_t>(given.read) * given.columns.size());
+    for (std::int64_t line = 0; line < given.read; ++line) {
+        const Pixel* const row = frame + (given.down / 2 + line * given.down) * given.row_stride + given.along / 2;
+        for (std::int64_t x = 0; x < given.across; ++x) numbers[static_cast<std::size_t>(x)] = row[x * given.along];
+        lines[line] = mean(std::accumulate(numbers.begin(), numbers.end(), Sum(0)), given.across);
+        for (const Piece& piece : given.columns)
+            sums.push_back(std::accumulate(numbers.begin() + piece.first, numbers.begin() + piece.end, Sum(0)));
+    }
+    const std::size_t columns = given.columns.size();
+    for (const Piece& piece : given.rows)
+        for (std::size_t column = 0; column < columns; ++column) {
+            Sum sum = 0;
+            for (std::int64_t line = piece.first; line < piece.end; ++line)
+                sum += sums[static_cast<std::size_t>(line) * columns + column];
+            *blocks++ = mean(sum, piece.size() * given.columns[column].size());
+        }
+}
+
+}  // namespace
+}  // namespace fingerflow
+
+void fingerflow_block_means(const void* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
+                            std::int64_t frame_stride, std::int64_t row_stride, int kind, std::int64_t down,
+                            std::int64_t along, std::int64_t rows, std::int64_t columns, float* blocks, float* lines,
+                            int threads) {
+    using namespace fingerflow;
+    const auto read = [](std::int64_t side, std::int64_t step) { return (side - step / 2 + step - 1) / step; };
+    const std::int64_t lines_read = read(height, down), across = read(width, along);
+    const Sampled given{lines_read, across, row_stride, down, along, cut(lines_read, rows), cut(across, columns)};
+    parallel_for(batch, threads, [&](std::int64_t frame) {
+        const auto find = [&](const auto* data) {
+            means_of(data + frame * frame_stride, given, blocks + frame * rows * columns, lines + frame * given.read);
+        };
+        FINGERFLOW_FOR_PIXEL(kind, frames, find)
+    });
+}

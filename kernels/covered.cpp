@@ -1,0 +1,38 @@
+// Which points regions cover, as fingerflow/ops/cells.py has it: some hundred points a frame.
+#include <algorithm>
+#include <cmath>
+
+#include "interface.h"
+
+void fingerflow_covered(const float* density_margin, std::int64_t batch, std::int64_t down, std::int64_t across,
+                        std::int64_t side, const float* points, std::int64_t count, const float* transform,
+                        unsigned char* covered) {
+    const auto middle = static_cast<float>(side - 1) / 2, each = static_cast<float>(side);
+    const auto last_row = static_cast<float>(down), last_column = static_cast<float>(across);
+    const std::int64_t right = std::min<std::int64_t>(1, across - 1), below = across * std::min<std::int64_t>(1, down - 1);
+    // To the nearest cell, and the first of two.
+    const auto placed = [](float place, float cells, float& part) {
+        const float within = std::min(std::max(place, 0.0f), cells - 1);
+        const float first = std::min(std::floor(within), std::max(cells - 2, 0.0f));
+        part = within - first;
+        return static_cast<std::int64_t>(first);
+    };
+    for (std::int64_t frame = 0; frame < batch; ++frame) {
+        const float* const cells = density_margin + frame * down * across;
+        for (std::int64_t k = frame * count; k < (frame + 1) * count; ++k) {
+            const float px = points[2 * k], py = points[2 * k + 1];
+            const float x = transform[0] * px + transform[1] * py + transform[2];
+            const float y = transform[3] * px + transform[4] * py + transform[5];
+            const float column = (x - middle) / each, row = (y - middle) / each;
+            covered[k] = 0;
+            if (!(std::isfinite(x) && std::isfinite(y))) continue;
+            if (!(column >= -0.5f && column < last_column - 0.5f && row >= -0.5f && row < last_row - 0.5f)) continue;
+            float over, along;
+            const std::int64_t left = placed(column, last_column, over), top = placed(row, last_row, along);
+            const float* const first = cells + top * across + left;
+            const float upper = first[0] * (1 - over) + first[right] * over;
+            const float lower = first[below] * (1 - over) + first[below + right] * over;
+            covered[k] = upper * (1 - along) + lower * along > 0;
+        }
+    }
+}

@@ -1,0 +1,194 @@
+// Points in cells and queries in blocks of neighbours, for local fits: so that few points beyond the radius are visited.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "local_fit_block.h"
+
+namespace fingerflow {
+
+template <class Real>
+bool finite(const Real* numbers, std::int64_t count) {
+    return std::all_of(numbers, numbers + count, [](Real number) { return std::isfinite(number); });
+}
+
+inline std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+template <class Real>
+struct Place {
+    Real x, y;
+    std::int64_t number;
+};
+
+// The finite ones of places (count, 2).
+template <class Real>
+std::vector<Place<Real>> finite_of(const Real* places, std::int64_t count) {
+    std::vector<Place<Real>> result;
+    result.reserve(size(count));
+    for (std::int64_t k = 0; k < count; ++k)
+        if (finite(places + 2 * k, 2)) result.push_back({places[2 * k], places[2 * k + 1], k});
+    return result;
+}
+
+// Which of `count` equal intervals between two numbers another lies in; the first or the last one beyond them.
+class Intervals {
+public:
+    Intervals() = default;
+    Intervals(double low, double high, std::int64_t count)
+        : low_(low), scale_(high > low ? static_cast<double>(count) / (high - low) : 0), last_(count - 1) {}
+    std::int64_t of(double number) const {
+        const double place = (number - low_) * scale_;
+        return place < 1 ? 0 : place < static_cast<double>(last_) ? static_cast<std::int64_t>(place) : last_;
+    }
+
+private:
+    double low_ = 0, scale_ = 0;
+    std::int64_t last_ = 0;
+};
+
+// Orders what lies between two pointers by a number 0 ... bins - 1 of each; returns where each bin begins, and the end.
+template <class Item, class BinOf>
+std::vector<std::int64_t> order_by_bin(Item* begin, Item* end, std::int64_t bins, const BinOf& bin_of) {
+    std::vector<std::int64_t> bin(size(end - begin)), starts(size(bins + 1));
+    for (Item* item = begin; item != end; ++item) ++starts[size((bin[size(item - begin)] = bin_of(*item)) + 1)];
+    for (std::int64_t k = 0; k < bins; ++k) starts[size(k + 1)] += starts[size(k)];
+    const std::vector<Item> items(begin, end);
+    std::vector<std::int64_t> next(starts.begin(), starts.end() - 1);
+    for (std::size_t k = 0; k < items.size(); ++k) begin[next[size(bin[k])]++] = items[k];
+    return starts;
+}
+
+// Where all but a hundredth of places at either end lie along an axis: one that is far away must not leave the others in
+// one bin.
+struct Extent {
+    double low = 0, high = 0;
+    Intervals cut(std::int64_t count) const { return {low, high, count}; }
+};
+
+template <class Real>
+Extent extent_of(const std::vector<Place<Real>>& places, Real Place<Real>::*coordinate) {
+    if (places.empty()) return {};
+    std::vector<Real> numbers;
+    numbers.reserve(places.size());
+    for (const Place<Real>& place : places) numbers.push_back(place.*coordinate);
+    const auto few = static_cast<std::ptrdiff_t>(numbers.size() / 100);
+    std::nth_element(numbers.begin(), numbers.begin() + few, numbers.end());
+    const double low = numbers[size(few)];
+    std::nth_element(numbers.begin() + few, numbers.end() - 1 - few, numbers.end());
+    return {low, static_cast<double>(*(numbers.end() - 1 - few))};
+}
+
+struct Box {
+    double low_x = INFINITY, low_y = INFINITY, high_x = -INFINITY, high_y = -INFINITY;
+    void add(double x, double y) {
+        low_x = std::min(low_x, x);
+        low_y = std::min(low_y, y);
+        high_x = std::max(high_x, x);
+        high_y = std::max(high_y, y);
+    }
+};
+
+// Points of one geometry, in square cells; queries in bands by y, in a band by x.
+template <class Real>
+class Cloud {
+public:
+    Cloud(const Real* points_at, std::int64_t point_count, const Real* queries_at, std::int64_t query_count)
+        : points_(finite_of(points_at, point_count)),
+          queries_(points_at == queries_at && point_count == query_count ? points_ : finite_of(queries_at, query_count)),
+          side_(side(points_.size())) {
+        Extent across = extent_of(points_, &Place<Real>::x), down = extent_of(points_, &Place<Real>::y);
+        columns_ = across.cut(side_);
+        rows_ = down.cut(side_);
+        starts_ = order_by_bin(points_.data(), points_.data() + points_.size(), side_ * side_,
+                               [this](const Place<Real>& place) { return rows_.of(place.y) * side_ + columns_.of(place.x); });
+        if (points_at != queries_at || point_count != query_count) {
+            across = extent_of(queries_, &Place<Real>::x);
+            down = extent_of(queries_, &Place<Real>::y);
+        }
+        Place<Real>* const queries = queries_.data();
+        const auto end = static_cast<std::int64_t>(queries_.size());
+        const Intervals by_x = across.cut(kFine), by_y = down.cut(kFine);
+        order_by_bin(queries, queries + end, kFine, [&](const Place<Real>& place) { return by_y.of(place.y); });
+        // So many queries that a block of neighbours by x is about as wide as the band is high.
+        const auto band = kFitBlock * static_cast<std::int64_t>(std::ceil(std::sqrt(static_cast<double>(end) / kFitBlock)));
+        for (std::int64_t first = 0; first < end; first += band)
+            order_by_bin(queries + first, queries + std::min(end, first + band), kFine,
+                         [&](const Place<Real>& place) { return by_x.of(place.x); });
+    }
+
+    const std::vector<Place<Real>>& queries() const { return queries_; }
+
+    // Calls act(place) for every point that may lie within `radius` of a box, and some more.
+    template <class Act>
+    void around(const Box& box, double radius, const Act& act) const {
+        const std::int64_t left = columns_.of(box.low_x - radius), right = columns_.of(box.high_x + radius);
+        const std::int64_t bottom = rows_.of(box.high_y + radius);
+        for (std::int64_t row = rows_.of(box.low_y - radius); row <= bottom; ++row) {
+            const std::int64_t end = starts_[size(row * side_ + right + 1)];
+            for (std::int64_t k = starts_[size(row * side_ + left)]; k < end; ++k) act(points_[size(k)]);
+        }
+    }
+
+private:
+    static constexpr std::int64_t kFine = 256;
+    // A cell holds a few points, so that rows of cells are not too many.
+    static std::int64_t side(std::size_t points) {
+        return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::sqrt(static_cast<double>(points) / 2)));
+    }
+
+    std::vector<Place<Real>> points_, queries_;
+    std::int64_t side_;
+    Intervals columns_, rows_;
+    std::vector<std::int64_t> starts_;
+};
+
+template <class Real>
+std::int64_t fit_blocks_of(const Cloud<Real>& cloud) {
+    return (static_cast<std::int64_t>(cloud.queries().size()) + kFitBlock - 1) / kFitBlock;
+}
+
+// A block of queries by its number, and the points that may lie within the radius of one of them: their numbers and
+// positions are written to `point`, `x` and `y`, which have room for all points.
+template <class Real>
+FitBlock<Real> fit_block_of(const Cloud<Real>& cloud, std::int64_t number, double radius, std::int64_t* point, Real* x, Real* y) {
+    const std::int64_t first = number * kFitBlock;
+    FitBlock<Real> block;
+    const auto left = static_cast<std::int64_t>(cloud.queries().size()) - first;
+    block.queries = static_cast<int>(std::min<std::int64_t>(kFitBlock, left));
+    Box box;
+    for (int q = 0; q < kFitBlock; ++q) {
+        const Place<Real>& query = cloud.queries()[size(first + std::min(q, block.queries - 1))];
+        block.query[q] = query.number;
+        block.query_x[q] = query.x;
+        block.query_y[q] = query.y;
+        box.add(query.x, query.y);
+    }
+
+    radius *= 1 + 1e-5;  // the block decides with the rounding of its number type
+    std::int64_t candidates = 0;
+    cloud.around(box, radius, [&](const Place<Real>& place) {
+        const double dx = std::max(0.0, std::max(box.low_x - place.x, place.x - box.high_x));
+        const double dy = std::max(0.0, std::max(box.low_y - place.y, place.y - box.high_y));
+        x[candidates] = place.x;
+        y[candidates] = place.y;
+        point[candidates] = place.number;
+        candidates += dx * dx + dy * dy < radius * radius;
+    });
+    block.x = x;
+    block.y = y;
+    block.point = point;
+    block.candidates = candidates;
+    return block;
+}
+
+inline void fit_block(const FitFrames<float>& frames, const FitBlock<float>& block, float* memory) {
+    FINGERFLOW_PICK(fit_floats)(frames, block, memory);
+}
+inline void fit_block(const FitFrames<double>& frames, const FitBlock<double>& block, double* memory) {
+    FINGERFLOW_PICK(fit_doubles)(frames, block, memory);
+}
+
+}  // namespace fingerflow

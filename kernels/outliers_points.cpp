@@ -1,0 +1,195 @@
+// build: each instruction set
+// See fingerflow/ops/outliers.py for what is computed and why.
+#include "outliers_points.h"
+
+#include <math.h>
+
+#include "lanes.h"
+
+namespace fingerflow {
+namespace FINGERFLOW_ISA {
+namespace {
+
+constexpr float kLeast = 1e-30f;
+
+inline float at_least(float value, float least) { return value < least ? least : value; }
+inline float lesser(float a, float b) { return a < b || a != a ? a : b; }  // not a number where either is none
+
+struct Lane {
+    float of[kJudged];
+    float& operator[](int q) { return of[q]; }
+    float operator[](int q) const { return of[q]; }
+};
+
+// Calls act(q) for all points of a block, side by side.
+template <class Act>
+inline void for_block(const Act& act) {
+    FINGERFLOW_INDEPENDENT
+    for (int q = 0; q < kJudged; ++q) act(q);
+}
+
+// A block of points and their neighbours.
+class Block {
+public:
+    Block(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) : given_(given), frame_(frame), first_(first) {}
+
+    // Calls act(q, x, y, u, v, precision, weight) for each neighbour of all points: its offset, its displacement less that of
+    // the point, 1 over the sum of both variances, and whether it counts.
+    template <class Act>
+    void for_neighbours(const Act& act) const {
+        for (std::int64_t k = 0; k < given_.neighbours; ++k) {
+            const std::int64_t at = k * given_.stride + first_;
+            const std::int32_t* FINGERFLOW_RESTRICT const number = given_.number + at;
+            for_block([&](int q) {
+                const std::int32_t there = number[q];
+                act(q, given_.x[at + q], given_.y[at + q], frame_.u[there] - frame_.u[first_ + q], frame_.v[there] - frame_.v[first_ + q],
+                    1 / (frame_.variance[there] + frame_.variance[first_ + q]), frame_.one[there] * given_.within[at + q]);
+            });
+        }
+    }
+
+    // The harmonic mean of 1 + z^2 over the neighbours above planes of these slopes, 1 where there are none.
+    Lane agreement(const Lane (&slope)[4], const float* number) const {
+        Lane agreeing{}, result;
+        for_neighbours([&](int q, float x, float y, float u, float v, float precision, float weight) {
+            const float du = u - slope[0][q] * x - slope[1][q] * y, dv = v - slope[2][q] * x - slope[3][q] * y;
+            agreeing[q] += weight / (1 + (du * du + dv * dv) * precision);
+        });
+        for_block([&](int q) { result[q] = number[q] > 0 ? number[q] / at_least(agreeing[q], kLeast) : 1; });
+        return result;
+    }
+
+private:
+    const fingerflow_outliers& given_;
+    const OutlierFrame& frame_;
+    const std::int64_t first_;
+};
+
+void fit(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) {
+    const Block block(given, frame, first);
+    Lane agreeing{}, number{}, level;
+    block.for_neighbours([&](int q, float, float, float u, float v, float precision, float weight) {
+        agreeing[q] += weight / (1 + (u * u + v * v) * precision);
+        number[q] += weight;
+    });
+    for_block([&](int q) { level[q] = number[q] > 0 ? number[q] / at_least(agreeing[q], kLeast) : 1; });
+
+    // The plane through the neighbours that are close to the point.
+    Lane total{}, sum_x{}, sum_y{}, xx{}, xy{}, yy{}, rise[2]{}, along_x[2]{}, along_y[2]{};
+    block.for_neighbours([&](int q, float x, float y, float u, float v, float precision, float weight) {
+        weight /= 1 + (u * u + v * v) * precision / (given.spread * level[q]);
+        const float by_x = weight * x, by_y = weight * y;
+        total[q] += weight;
+        sum_x[q] += by_x;
+        sum_y[q] += by_y;
+        xx[q] += by_x * x;
+        xy[q] += by_x * y;
+        yy[q] += by_y * y;
+        rise[0][q] += weight * u;
+        rise[1][q] += weight * v;
+        along_x[0][q] += by_x * u;
+        along_x[1][q] += by_x * v;
+        along_y[0][q] += by_y * u;
+        along_y[1][q] += by_y * v;
+    });
+    Lane slope[4];
+    for_block([&](int q) {
+        const float mass = at_least(total[q], kLeast), mean_x = sum_x[q] / mass, mean_y = sum_y[q] / mass;
+        float a = xx[q] - mean_x * sum_x[q], b = xy[q] - mean_x * sum_y[q], d = yy[q] - mean_y * sum_y[q];
+        const float ridge = given.ridge * (a + d) + kLeast;
+        a += ridge;
+        d += ridge;
+        const float determinant = at_least(a * d - b * b, kLeast);
+        for (int c = 0; c < 2; ++c) {
+            const float x = along_x[c][q] - mean_x * rise[c][q], y = along_y[c][q] - mean_y * rise[c][q];
+            slope[2 * c][q] = (d * x - b * y) / determinant;
+            slope[2 * c + 1][q] = (a * y - b * x) / determinant;
+        }
+    });
+    const Lane fitted = block.agreement(slope, number.of);
+    for_block([&](int q) {
+        const float trust = frame.one[first + q] / (fitted[q] * fitted[q]);
+        frame.number[first + q] = number[q];
+        frame.level[first + q] = level[q];
+        frame.fitted[first + q] = fitted[q];
+        for (int c = 0; c < 4; ++c) frame.slope[c][first + q] = slope[c][q] * trust;
+        frame.trust[first + q] = trust;
+    });
+}
+
+void borrow(const fingerflow_outliers& given, const OutlierFrame& frame, std::int64_t first) {
+    Lane slope[4]{}, total{};
+    for (std::int64_t k = 0; k < given.neighbours; ++k) {
+        const std::int64_t at = k * given.stride + first;
+        for_block([&](int q) {
+            const std::int32_t there = given.number[at + q];
+            const float within = given.within[at + q];
+            for (int c = 0; c < 4; ++c) slope[c][q] += frame.slope[c][there] * within;
+            total[q] += frame.trust[there] * within;
+        });
+    }
+    for_block([&](int q) {
+        const float all = at_least(total[q] + frame.trust[first + q], kLeast);
+        for (int c = 0; c < 4; ++c) slope[c][q] = (slope[c][q] + frame.slope[c][first + q]) / all;
+    });
+    const Lane borrowed = Block(given, frame, first).agreement(slope, frame.number + first);
+    for_block([&](int q) {
+        const float least = lesser(lesser(frame.level[first + q], frame.fitted[first + q]), borrowed[q]);
+        frame.agreement[first + q] = 1 / sqrtf(least);
+    });
+}
+
+void judge(const fingerflow_outliers& given, std::int64_t frame_number, const OutlierFrame& frame, std::int64_t first) {
+    Lane agreement{}, certainty{};
+    for (std::int64_t k = 0; k < given.neighbours; ++k) {
+        const std::int64_t at = k * given.stride + first;
+        for_block([&](int q) {
+            const std::int32_t there = given.number[at + q];
+            const float weight = frame.one[there] * given.within[at + q];
+            agreement[q] += frame.agreement[there] * weight;
+            certainty[q] += frame.certainty[there] * weight;
+        });
+    }
+    const std::int64_t left = given.points - first;
+    for (int q = 0; q < (left < kJudged ? static_cast<int>(left) : kJudged); ++q) {
+        const float number = frame.number[first + q];
+        const bool judged = frame.one[first + q] != 0 && number >= static_cast<float>(given.least_neighbours);
+        // Harmonic means over the neighbours of their disagreement and deviation: the outliers among them hardly count.
+        const float usual = number / at_least(agreement[q], kLeast), usual_deviation = number / at_least(certainty[q], kLeast);
+        const std::int64_t to = frame_number * given.points + first + q;
+        given.off_neighbours[to] = judged && 1 / frame.agreement[first + q] > given.most_disagreement * usual;
+        given.uncertain[to] = judged && sqrtf(frame.variance[first + q]) > given.most_uncertainty * usual_deviation;
+    }
+}
+
+}  // namespace
+
+void read_displacements(const fingerflow_outliers& given, std::int64_t frame, const OutlierFrame& to) {
+    const float* const displacement = given.displacement + 2 * frame * given.points;
+    const float* const deviation = given.deviation + frame * given.points;
+    for (std::int64_t k = 0; k < given.stride; ++k) {
+        const bool inside = k < given.points;
+        const float u = inside ? displacement[2 * k] : NAN, v = inside ? displacement[2 * k + 1] : NAN;
+        const float sum = u + v + (inside ? deviation[k] : NAN);
+        const bool known = sum - sum == 0;
+        const float sure = at_least(known ? deviation[k] : 1, given.least_deviation);
+        to.u[k] = known ? u : 0;
+        to.v[k] = known ? v : 0;
+        to.variance[k] = sure * sure;
+        to.certainty[k] = 1 / sure;
+        to.one[k] = known ? 1.0f : 0.0f;
+    }
+}
+
+void fit_neighbours(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
+    for (std::int64_t block = first; block < last; ++block) fit(given, of, block * kJudged);
+}
+void borrow_slopes(const fingerflow_outliers& given, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
+    for (std::int64_t block = first; block < last; ++block) borrow(given, of, block * kJudged);
+}
+void judge_points(const fingerflow_outliers& given, std::int64_t frame, const OutlierFrame& of, std::int64_t first, std::int64_t last) {
+    for (std::int64_t block = first; block < last; ++block) judge(given, frame, of, block * kJudged);
+}
+
+}  // namespace FINGERFLOW_ISA
+}  // namespace fingerflow

@@ -1,0 +1,398 @@
+"""The engine that runs a bundle by ONNX Runtime beside the one that runs torch: the same numbers, method by method."""
+
+import dataclasses
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from fingerflow.engines import engine as arrays
+from fingerflow.engines.check import check_engine
+from fingerflow.engines.names import GRAPHS, PROVIDERS
+from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.sessions import Session
+from fingerflow.engines.torch import TorchEngine
+from fingerflow.errors import FingerflowError
+from fingerflow.export import recipe
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.player.bundle import Bundle, load_bundle
+from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
+
+Array = np.ndarray[Any, Any]
+Found = arrays.Found
+
+PRESS = TRIALS["press"]
+KEY, FRAME = 60, 63
+TO_CONTACT = np.array([[0.999, 0.002, 0.4], [-0.002, 0.999, -0.3]])
+MM = 0.02
+
+
+class Both(NamedTuple):
+    """The same by both engines."""
+
+    onnx: Any
+    torch: Any
+
+
+@pytest.fixture(scope="module")
+def bundle(bundle_of_trials: Path) -> Bundle:
+    return load_bundle(bundle_of_trials)
+
+
+@pytest.fixture(scope="module")
+def engines(bundle: Bundle) -> Both:
+    onnx_engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu", threads=1, spin=False)
+    return Both(onnx_engine, TorchEngine(bundle.engine_settings, torch.device("cpu")))
+
+
+def view(name: str, frame: int | str) -> Array:
+    """A view (1, H, W) of the press, or of what it looks like without contact or as noise."""
+    if frame == "noise":
+        random = np.random.default_rng(1)
+        return random.integers(0, 256, (1, HEIGHT, WIDTH)).astype(np.uint8)
+    picture = PRESS.empty() if frame == "empty" else PRESS.render(int(frame))
+    return PRESS.views[name].crop(picture)[None].astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def points(engines: Both) -> Array:
+    """As they are seeded, some of them none, and fewer than the bundle has."""
+    image = engines.onnx.images(view("topography", KEY))
+    found = engines.onnx.detect(image, np.ones((HEIGHT, WIDTH), bool), POINTS)[:-3].copy()
+    found[::9] = np.nan
+    return found
+
+
+def both(engines: Both, call: Any) -> Iterator[tuple[Any, Any]]:
+    """What a function of an engine gives, field by field."""
+    return zip(*(call(one) for one in engines), strict=True)
+
+
+def keyed(engine: Any, points: Array) -> tuple[Any, Any]:
+    key = engine.key(engine.images(view("topography", KEY)))
+    return key, engine.prepare(key, points)
+
+
+def same(ours: Array | None, theirs: Array | None, atol: float = 1e-5, rtol: float = 1e-5) -> None:
+    if ours is None or theirs is None:
+        assert ours is theirs
+    else:
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol)
+
+
+def same_found(ours: Found, theirs: Found, points: Array) -> None:
+    """Positions of hundreds of px have steps of 3e-5 px. Why a point is lost may turn on the last digit."""
+    tracked = theirs.status == TrackStatus.TRACKED
+    np.testing.assert_array_equal(ours.status == TrackStatus.TRACKED, tracked)
+    same(ours.points, theirs.points, 1e-4)
+    same(ours.covariance, theirs.covariance, 1e-6, 1e-3)
+    same(ours.error[tracked], theirs.error[tracked], 1e-4)
+    same(ours.estimate[tracked], theirs.estimate[tracked], 1e-4)
+    assert np.isnan(ours.points[:, np.isnan(points[:, 0])]).all()
+
+
+def test_a_bundle_has_the_graphs_of_the_engine() -> None:
+    assert recipe.GRAPHS == GRAPHS
+
+
+@pytest.mark.parametrize("threshold", [0.27, np.nan])
+@pytest.mark.parametrize("frame", [FRAME, "empty", "noise"])
+def test_contact(engines: Both, frame: int | str, threshold: float) -> None:
+    def contact(engine: Any) -> Any:
+        glass, dark = (PRESS.views["contact"].crop(one) for one in (PRESS.empty(), PRESS.dark()))
+        light = engine.light(glass, dark)
+        images = engine.images(view("contact", frame))
+        found = engine.contact(images, light, np.array([threshold], np.float32))
+        return *found, engine.threshold(images, light), engine.covered(found.density_margin, places, TO_CONTACT)
+
+    places = (np.random.default_rng(0).random((1, POINTS, 2)) * (WIDTH + 20, HEIGHT + 20) - 10).astype(np.float32)
+    places[0, ::7] = np.nan
+    for ours, theirs in both(engines, contact):
+        same(ours, theirs, 1e-4)
+
+
+def test_light_is_none_outside_a_mask_and_darkness_may_be_unknown(engines: Both) -> None:
+    inside = np.zeros((HEIGHT, WIDTH), bool)
+    inside[:, : WIDTH // 2] = True
+
+    def areas(engine: Any) -> Any:
+        light = engine.light(PRESS.views["contact"].crop(PRESS.empty()), None, inside)
+        return engine.contact(engine.images(view("contact", FRAME)), light, np.array([0.27], np.float32))[1:3]
+
+    for ours, theirs in both(engines, areas):
+        same(ours, theirs)
+        assert ours > 0
+
+
+@pytest.mark.parametrize("frame", [KEY, "noise", "empty"])
+def test_noise_and_points_worth_tracking(engines: Both, frame: int | str) -> None:
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[30:150, 40:200] = True
+
+    def seeded(engine: Any) -> Any:
+        image = engine.images(view("topography", frame))
+        return np.array(engine.noise(image)), engine.detect(image, mask, POINTS)
+
+    (our_noise, noise), (ours, theirs) = both(engines, seeded)
+    same(our_noise, noise)
+    # Corners of nearly equal strength change places.
+    places, others = ({tuple(point) for point in one.tolist()} for one in (ours, theirs))
+    assert len(places ^ others) <= 0.02 * len(others)
+
+
+@pytest.mark.parametrize("frame", [FRAME, "noise", "empty"])
+@pytest.mark.parametrize("off", [0.3, 3.0])
+def test_points_found(engines: Both, points: Array, frame: int | str, off: float) -> None:
+    """Also those that lie further off than a look reaches, and some of them alone, few and many."""
+
+    def follow(engine: Any, rows: Array | None) -> arrays.Followed:
+        _, templates = keyed(engine, points)
+        start = points if rows is None else points[rows]
+        place, speed = start + np.float32(off), np.full_like(start, -0.1)
+        return engine.follow(templates, engine.images(view("topography", frame)), place, speed, rows)
+
+    for rows in (None, np.arange(0, len(points), 3), np.arange(1, len(points))):
+        ours, theirs = (follow(engine, rows) for engine in engines)
+        same_found(ours.found, theirs.found, points if rows is None else points[rows])
+        tracked = theirs.found.status[0] == TrackStatus.TRACKED
+        given = np.isfinite(points if rows is None else points[rows])[:, 0]
+        assert (tracked[given].mean() > 0.9) == (frame == FRAME)
+        same(ours.place[tracked], theirs.place[tracked], 1e-4)
+        same(ours.speed[tracked], theirs.speed[tracked], 1e-4)
+        assert np.isfinite(ours.place[given]).all()
+
+
+def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -> None:
+    """More of them than a call of the graph takes."""
+    random = np.random.default_rng(0)
+    warp = (np.eye(2) + 0.03 * random.normal(size=(len(points), 2, 2))).astype(np.float32)
+    rows = np.arange(0, len(points), 2)[:70]
+
+    def updated(engine: Any) -> Any:
+        key, templates = keyed(engine, points)
+        image = engine.images(view("topography", FRAME))
+        before = engine.follow(templates, image, points, np.zeros_like(points)).found
+        engine.update(templates, rows, engine.prepare(key, points[rows], warp[rows]))
+        return before, engine.follow(templates, image, points, np.zeros_like(points)).found, templates.numbers
+
+    (_, _), (ours, theirs), (our_numbers, numbers) = both(engines, updated)
+    same_found(ours, theirs, points)
+    (unchanged, _), *_ = both(engines, updated)
+    assert not np.array_equal(unchanged.points, ours.points, equal_nan=True)
+    known = np.isfinite(points[:, 0])
+    our_numbers, numbers = (np.delete(one, range(5, 9), 1) for one in (our_numbers, numbers))  # sums that are nearly 0
+    scale = np.abs(numbers[known]).max(0)
+    same(our_numbers[known] / scale, numbers[known] / scale, 1e-4)
+
+
+def test_templates_are_updated_in_the_memory_of_a_provider(
+    bundle: Bundle, points: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its own, which here is a copy."""
+    engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu", 1, False)
+    of_array = Session.kept
+    monkeypatch.setattr(Session, "kept", lambda session, name, array: of_array(session, name, array.copy()))
+    engine._sessions["track"].shares_memory = False
+    key, templates = keyed(engine, points)
+    image = engine.images(view("topography", FRAME))
+    before = engine.follow(templates, image, points, np.zeros_like(points)).found.points
+    rows = np.flatnonzero(np.isfinite(before[0, :, 0]))[:20]
+    engine.update(templates, rows, engine.prepare(key, points[rows] + np.float32(0.5)))
+    moved = engine.follow(templates, image, points, np.zeros_like(points)).found.points
+    np.testing.assert_allclose((moved - before)[0, rows], 0.5, atol=0.1)
+
+
+def test_positions_corrected_and_judged(engines: Both, points: Array) -> None:
+    rows = np.flatnonzero(np.isfinite(points[:, 0]))[5::40]
+
+    def corrected(engine: Any) -> Any:
+        _, templates = keyed(engine, points)
+        found = engine.follow(templates, engine.images(view("topography", FRAME)), points, np.zeros_like(points)).found
+        found.points[0, rows] += 3  # off their neighbours
+        inverse_warp = np.broadcast_to(np.eye(2, dtype=np.float32) * 1.01, (len(points), 2, 2)).copy()
+        result = engine.correct(points, found, templates.numbers, inverse_warp)
+        judged = engine.outliers(engine.neighbours(points), points, found)
+        return result.found.points, result.found.covariance, *result[1:], *judged
+
+    for ours, theirs in both(engines, corrected):
+        same(ours, theirs, 1e-4)
+    off = engines.onnx.neighbours(points)
+    assert off["neighbour_number"].shape[2] == POINTS
+    assert corrected(engines.onnx)[-2][0, rows].any()
+
+
+def test_points_searched_for(engines: Both, points: Array) -> None:
+    guess = points + np.float32(5)
+
+    def search(engine: Any) -> Any:
+        key, _ = keyed(engine, points)
+        return engine.search(key, engine.images(view("topography", FRAME)), points, guess)
+
+    (ours, theirs), (returns, expected) = both(engines, search)
+    same(ours, theirs, 1e-3)
+    np.testing.assert_array_equal(returns, expected)
+    assert returns.mean() > 0.5
+
+
+def test_windows_sampled(engines: Both, points: Array) -> None:
+    """To what rounding of a place, 1e-5 px, is on slopes of 50 grey levels a px."""
+    warp = (np.eye(2) + 0.1 * np.random.default_rng(0).normal(size=(len(points), 2, 2))).astype(np.float32)
+
+    def windows(engine: Any) -> Any:
+        images = engine.images(view("topography", FRAME))
+        return (engine.windows(images, np.zeros(len(points), np.int64), points + np.float32(0.37), warp, 3),)
+
+    ((ours, theirs),) = both(engines, windows)
+    same(ours, theirs, 2e-3)
+    assert np.isfinite(ours).any(1).mean() > 0.6
+    with pytest.raises(ValueError, match="a grid of 5 px has"):
+        engines.onnx.windows(engines.onnx.images(view("topography", KEY)), points, points, warp, 5)
+
+
+@pytest.mark.parametrize("contact", [True, False])
+def test_fields(engines: Both, points: Array, contact: bool) -> None:
+    reference = (MM * points).astype(np.float32)
+    moved = 0.05 * (reference - reference[1]) + 0.01 * np.sin(reference[:, ::-1])
+    moved[4] = np.nan
+    middle = np.array([[MM * WIDTH / 2, MM * HEIGHT / 2]], np.float32)
+    ellipse = arrays.Ellipse(middle, middle * np.float32(0.5), np.array([0.1], np.float32))
+    if not contact:
+        ellipse = arrays.Ellipse(*(one * np.float32(np.nan) for one in ellipse))
+    among = np.zeros((1, len(points)), bool)
+    among[0, ::5] = True
+    own = np.where(among[..., None, None], np.float32(0.02), np.float32(np.nan)).repeat(2, 2).repeat(2, 3)
+    for entered in (None, arrays.Entered(among, own, None)):
+        given = (reference, moved[None].astype(np.float32), ellipse, None, entered)
+        ours, theirs = (engine.fields(*given) for engine in engines)
+        for one, other in zip(ours, theirs, strict=True):
+            same(one, other)
+        assert np.isfinite(ours.median).all() == contact
+        assert np.isfinite(ours.divergence[:, ~np.isnan(moved[:, 0])]).mean() > 0.8
+
+
+def test_local_fits(engines: Both, points: Array) -> None:
+    places = (MM * points).astype(np.float64)
+    values = (0.05 * places + 0.01 * np.sin(places[:, ::-1]))[None]
+    queries = places[10:30] + 0.1
+    ours, theirs = (engine.fit(places, values, queries, 1.6).gradient for engine in engines)
+    same(ours, theirs, 1e-5)
+    assert np.isfinite(ours).any()
+
+
+def test_frames_in_two_threads_are_those_one_after_the_other(engines: Both, points: Array) -> None:
+    engine = engines.onnx
+    _, templates = keyed(engine, points)
+    light = engine.light(PRESS.views["contact"].crop(PRESS.empty()), None)
+
+    def compute(frame: int) -> list[Array]:
+        contact = engine.contact(engine.images(view("contact", frame)), light, np.array([0.27], np.float32))
+        image = engine.images(view("topography", frame))
+        found = engine.follow(templates, image, points, np.zeros_like(points)).found
+        inverse_warp = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
+        corrected = engine.correct(points, found, templates.numbers, inverse_warp).found
+        return [one.copy() for one in (*contact, *found, *corrected)]
+
+    frames = [*range(KEY, KEY + 6)] * 2
+    alone = [compute(frame) for frame in frames]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(compute, frames))
+    for one, other in zip(alone, together, strict=True):
+        for ours, theirs in zip(one, other, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    assert not np.array_equal(alone[0][1], alone[5][1])
+
+
+def test_what_the_graphs_do_not_take_is_named(engines: Both, points: Array) -> None:
+    engine = engines.onnx
+    frame = view("topography", KEY)
+    with pytest.raises(ValueError, match="2 frames"):
+        engine.images(np.concatenate((frame, frame)))
+    with pytest.raises(ValueError, match="a view is"):
+        engine.images(frame[:, 1:])
+    with pytest.raises(ValueError, match="uint16"):
+        engine.images(frame.astype(np.uint16))
+    with pytest.raises(ValueError, match="exported for 150"):
+        engine.detect(engine.images(frame), np.ones((HEIGHT, WIDTH), bool), POINTS - 1)
+    with pytest.raises(FingerflowError, match=r"151 points are given, the bundle was exported for 150"):
+        engine.prepare(engine.key(engine.images(frame)), np.zeros((POINTS + 1, 2), np.float32))
+    with pytest.raises(ValueError, match="variances"):
+        engine.fit(points, points[None], points, 1.6, points[None, :, 0])
+
+
+def test_the_numbers_of_the_built_in_frame(engines: Both, bundle: Bundle) -> None:
+    for engine in engines:
+        check_engine(engine, bundle.expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"), [("real_area_px", 30.0), ("center", 0.5), ("found", 0.003), ("deviation", 0.01)]
+)
+def test_other_numbers_are_named(engines: Both, bundle: Bundle, name: str, change: float) -> None:
+    numbers = dict(bundle.expected["numbers"])
+    numbers[name] = (np.array(numbers[name], float) + change).tolist()
+    with pytest.raises(FingerflowError, match=rf"engine onnx \(CPUExecutionProvider\).*{name} is off by"):
+        check_engine(engines.onnx, {**bundle.expected, "numbers": numbers})
+
+
+def test_points_that_are_found_elsewhere_are_named(engines: Both, bundle: Bundle) -> None:
+    numbers = {**bundle.expected["numbers"], "found": [[None, None]] * POINTS}
+    with pytest.raises(FingerflowError, match="found is known elsewhere"):
+        check_engine(engines.onnx, {**bundle.expected, "numbers": numbers})
+
+
+def test_damaged_numbers_are_named(engines: Both, bundle: Bundle) -> None:
+    for expected in ({}, {**bundle.expected, "numbers": None}, {**bundle.expected, "points": "many"}):
+        with pytest.raises(FingerflowError, match="'expected'"):
+            check_engine(engines.onnx, expected)
+
+
+def test_a_provider_that_is_not_there_is_named(bundle: Bundle) -> None:
+    with pytest.raises(FingerflowError, match=r"provider 'tpu' is not installed here; there are: .*cpu"):
+        OnnxEngine(bundle.files, bundle.engine_settings, "tpu")
+    assert list(PROVIDERS)[-1] == "cpu"
+
+
+def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Path) -> None:
+    def opened(**files: Path) -> OnnxEngine:
+        return OnnxEngine({**bundle.files, **files}, bundle.engine_settings, "cpu", 1, False)
+
+    with pytest.raises(FingerflowError, match=r"contact\.onnx: holds 'contact' where the graph 'track' is expected"):
+        opened(track=bundle.files["contact"])
+    (tmp_path / "a.onnx").write_bytes(b"nothing")
+    with pytest.raises(FingerflowError, match=r"a\.onnx: onnxruntime cannot load it"):
+        opened(fit=tmp_path / "a.onnx")
+    model = onnx.load(bundle.files["fit"])
+    del model.metadata_props[:]
+    onnx.save(model, tmp_path / "fit.onnx")
+    with pytest.raises(FingerflowError, match="no fingerflow metadata"):
+        opened(fit=tmp_path / "fit.onnx")
+    few = dataclasses.replace(bundle, files={name: file for name, file in bundle.files.items() if name != "fit"})
+    engine = OnnxEngine(few.files, few.engine_settings, "cpu", 1, False)
+    with pytest.raises(FingerflowError, match="has no graph 'fit'"):
+        engine.fit(np.zeros((3, 2)), np.zeros((1, 3, 2)), np.zeros((3, 2)), 1.6)
+
+
+def test_it_needs_no_torch(bundle: Bundle) -> None:
+    """Nor the compiled library."""
+    code = """
+import sys
+sys.modules.update({name: None for name in ("torch", "scipy", "cv2", "onnx")})
+from pathlib import Path
+from fingerflow.engines.check import check_engine
+from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.sessions import Session
+from fingerflow.player.bundle import load_bundle
+bundle = load_bundle(Path(sys.argv[1]))
+check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu", 1, False), bundle.expected)
+"""
+    command = [sys.executable, "-c", code, str(bundle.folder)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env=None)
+    assert ended.returncode == 0, ended.stderr

@@ -1,0 +1,133 @@
+"""Recordings in lock-step: which calls become one, and whose an error is."""
+
+import weakref
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fingerflow.engines.together import Call, Steps, run_alone, run_together
+
+
+class Doubling:
+    """An engine that doubles numbers, of up to so many recordings in one call."""
+
+    def __init__(self, room: int = 8) -> None:
+        self.room = room
+        self.made = list[tuple[str, list[int]]]()
+        self._taken = list[weakref.ref[Any]]()
+
+    def kind(self) -> object:
+        return self.room
+
+    def joined(self, method: str, many: Sequence[tuple[int]]) -> list[int]:
+        taken = np.zeros(len(many))  # memory
+        self._taken.append(weakref.ref(taken))
+        if len(many) > self.room:
+            raise MemoryError(f"no room for {taken}")
+        return self._doubled(method, [value for (value,) in many])
+
+    def follow(self, value: int) -> int:
+        assert all(taken() is None for taken in self._taken), "memory of a call of all is not free"
+        return self._doubled("follow", [value])[0]
+
+    def correct(self, value: int) -> int:
+        return self._doubled("correct", [value])[0]
+
+    def _doubled(self, method: str, values: list[int]) -> list[int]:
+        if min(values) < 0:
+            raise ValueError(f"{values} in {method}")
+        self.made.append((method, values))
+        return [2 * value for value in values]
+
+
+def followed(engine: Doubling, value: int, times: int = 1) -> Steps[int]:
+    for _ in range(times):
+        value = yield Call(engine.follow, (value,))
+    return value
+
+
+def corrected(engine: Doubling, value: int, times: int) -> Steps[int]:
+    value = yield from followed(engine, value, times)
+    return (yield Call(engine.correct, (value,)))
+
+
+def test_calls_are_one_until_a_recording_ends() -> None:
+    engine = Doubling()
+    assert run_together([followed(engine, 1, times) for times in (3, 1, 2)]) == [8, 2, 4]
+    assert engine.made == [("follow", [1, 1, 1]), ("follow", [2, 2]), ("follow", [4])]
+    assert [run_alone(followed(engine, 1, times)) for times in (3, 1, 2)] == [8, 2, 4]
+    assert run_together([]) == []
+
+
+def test_those_that_need_more_small_steps_catch_up() -> None:
+    engine = Doubling()
+    assert run_together([corrected(engine, 1, 3), corrected(engine, 5, 1)]) == [16, 20]
+    assert engine.made == [("follow", [1, 5]), ("follow", [2]), ("follow", [4]), ("correct", [8, 10])]
+
+
+def test_engines_of_other_kinds_are_asked_by_themselves() -> None:
+    one, other = Doubling(3), Doubling(4)
+    assert run_together([followed(one, 1), followed(other, 2), followed(one, 3)]) == [2, 4, 6]
+    assert [one.made, other.made] == [[("follow", [1, 3])], [("follow", [2])]]
+
+
+def test_each_is_computed_when_the_memory_of_all_is_free_again() -> None:
+    engine = Doubling(1)
+    assert run_together([followed(engine, 3), followed(engine, 4)]) == [6, 8]
+    assert engine.made == [("follow", [3]), ("follow", [4])]
+
+
+def test_an_error_is_of_the_recording_that_it_comes_from() -> None:
+    """Which may go on with it; another one ends, and the first such error is raised when all have ended."""
+    engine = Doubling()
+
+    def forgiving() -> Steps[int]:
+        try:
+            return (yield from followed(engine, -1))
+        except ValueError:
+            return (yield from followed(engine, 5, 2))
+
+    assert run_together([followed(engine, 3), forgiving()]) == [6, 20]
+    assert run_alone(forgiving()) == 20
+    engine.made.clear()
+    with pytest.raises(ValueError, match="-2"):
+        run_together([followed(engine, 3, 3), followed(engine, -2), followed(engine, -4)])
+    assert engine.made[-1] == ("follow", [12])
+
+
+def test_what_a_recording_holds_is_free_when_it_has_failed() -> None:
+    engine, held, seen = Doubling(), list[weakref.ref[Any]](), list[bool]()
+
+    def failing() -> Steps[None]:
+        taken = np.zeros(3)
+        held.append(weakref.ref(taken))
+        yield Call(engine.follow, (-int(taken.size),))
+
+    def looking() -> Steps[None]:
+        yield from followed(engine, 1, 2)
+        seen.append(held[0]() is None)
+
+    with pytest.raises(ValueError, match="-3"):
+        run_together([failing(), looking()])
+    assert seen == [True]
+
+
+@pytest.mark.parametrize("run", [lambda steps: run_together([steps, steps]), run_alone])
+def test_an_interrupt_ends_all(run: Any) -> None:
+    ended = list[str]()
+
+    class Interrupted(Doubling):
+        def _doubled(self, method: str, values: list[int]) -> list[int]:
+            raise KeyboardInterrupt
+
+    def recording() -> Steps[None]:
+        try:
+            yield from followed(Interrupted(), 1)
+        finally:
+            ended.append("closed")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_alone(recording()) if run is run_alone else run_together([recording(), recording()])
+    assert ended == ["closed"] * (1 if run is run_alone else 2)

@@ -1,0 +1,116 @@
+"""A bundle where a lab PC has few packages: numpy and onnxruntime, or numpy alone."""
+
+import re
+import shutil
+import subprocess
+import urllib.request
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from bench.bare_environment import ONNX, make_environment, variables
+from fingerflow import open_recording, open_stream
+from tests.fuzz.samples import samples
+
+FRAMES = 200
+
+
+class LabPC(NamedTuple):
+    """A Python, the folder of a bundle, and which engine plays there."""
+
+    python: Path
+    bundle: Path
+    options: tuple[str, ...]
+
+    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Python with these arguments in the bundle's folder."""
+        command = [self.python, *arguments]
+        return subprocess.run(command, cwd=self.bundle, env=variables(), capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module", params=["onnx", "native"])
+def lab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LabPC:
+    folder = tmp_path_factory.mktemp("lab")
+    bundle = folder / "bundle"
+    shutil.copytree(request.getfixturevalue("bundle_of_trials"), bundle)
+    packages = ONNX if request.param == "onnx" else ("numpy",)
+    return LabPC(make_environment(folder / "env", packages), bundle, ("--engine", request.param))
+
+
+@pytest.mark.parametrize("package", ["torch", "scipy", "h5py", "cv2", "tifffile"])
+def test_an_environment_has_no_more_than_is_said(package: str, lab: LabPC) -> None:
+    ended = lab.run("-c", f"import {package}")
+    assert ended.returncode == 1
+    assert f"No module named '{package}'" in ended.stderr
+
+
+def test_player_page_and_results(lab: LabPC, tmp_path: Path) -> None:
+    results, table = tmp_path / "results", tmp_path / "table.csv"
+    command = [lab.python, "-m", "fingerflow.player", "--source", "synthetic", "--rate", "100", "--frames", str(FRAMES)]
+    command += ["--threads", "1", "--output", results, "--page", "127.0.0.1:0", *lab.options]
+    with subprocess.Popen(
+        command, cwd=lab.bundle, env=variables(), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    ) as running:
+        assert running.stderr is not None
+        said = ""
+        while not (page := re.search(r"live page: (http://[\d.:]+/)", said)):
+            line = running.stderr.readline()
+            assert line, said
+            said += line
+        with urllib.request.urlopen(page[1], timeout=30) as answer:
+            assert b"<html" in answer.read()
+        with urllib.request.urlopen(f"{page[1]}live", timeout=30) as answer:
+            assert len(answer.read()) > 8
+        said += running.communicate(timeout=120)[1]
+    assert running.returncode == 0, said
+
+    ended = lab.run("-c", _READ, str(results), str(table))
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.split() == [str(FRAMES)] * 2
+    assert len(table.read_text().splitlines()) == FRAMES + 1
+    # The package reads the same where it is installed.
+    stream = open_stream(results)
+    assert stream.sizes["frame"] == FRAMES
+    assert np.isfinite(stream["real_contact_area"]).any()
+
+
+_READ = """
+import sys
+from pathlib import Path
+
+from fingerflow import player
+from fingerflow.errors import FingerflowError
+
+results, table = sys.argv[1:]
+records, header, events = player.read_results(results)
+print(len(records), len(records["position_px"]))
+player.write_table(results, table)
+try:
+    player.read_results(".")
+except FingerflowError as error:
+    assert "is no results folder" in str(error)
+    assert isinstance(error, player.PlayerError)
+loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}
+assert all(file.is_relative_to(Path.cwd() / "fingerflow") for file in loaded), loaded
+"""
+
+
+@pytest.mark.parametrize("kind", ["cine", "mraw", "npy"])
+def test_recordings_are_read(kind: str, lab: LabPC, tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    sample = samples(kind, tmp_path / "made")[0]
+    for name, data in sample.files.items():
+        (tmp_path / name).write_bytes(data)
+    code = "import sys, numpy, fingerflow; numpy.save(sys.argv[2], fingerflow.open_recording(sys.argv[1]).read())"
+    ended = lab.run("-c", code, str(tmp_path / sample.opened), str(tmp_path / "read.npy"))
+    assert ended.returncode == 0, ended.stderr
+    with open_recording(tmp_path / sample.opened) as recording:
+        np.testing.assert_array_equal(np.load(tmp_path / "read.npy"), recording.read())
+
+
+@pytest.mark.parametrize("name", ["process", "open_forces"])
+def test_what_a_bundle_does_not_carry_is_said(name: str, lab: LabPC) -> None:
+    ended = lab.run("-c", f"import fingerflow; fingerflow.{name}")
+    assert f"ImportError: {name} is not in this copy of fingerflow, the one of a deployment bundle" in ended.stderr

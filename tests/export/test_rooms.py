@@ -1,0 +1,160 @@
+"""What a bundle carries of the package: the rooms that the player needs, as they are, and nothing that needs torch."""
+
+import struct
+import subprocess
+import sys
+import tomllib
+from importlib import resources
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fingerflow.export import rooms
+from fingerflow.export.bundle import scene_for
+from fingerflow.recordings import open_recording
+from tests.fuzz.samples import samples
+
+_IN_A_BUNDLE = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+absent = {name: None for name in ("torch", "scipy", "h5py", "cv2", *sys.argv[3:])}
+sys.modules.update(absent)
+from fingerflow.player.errors import PlayerError
+from fingerflow.player.sources import open_recording
+
+try:
+    source = open_recording(Path(sys.argv[1]), None, "uint8", 1)
+    frames = []
+    while (frame := source.read()) is not None:
+        frames.append(frame)
+    source.close()
+except PlayerError as error:
+    sys.exit(f"said: {error}")
+np.save(sys.argv[2], np.array(frames))
+loaded = {Path(module.__file__) for name, module in sys.modules.items() if name.startswith("fingerflow")}
+assert all(file.is_relative_to(Path.cwd()) for file in loaded), loaded
+"""
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bundle")
+    rooms.carry_rooms(folder)
+    return folder
+
+
+def _play(bundle: Path, file: Path, table: Path, *absent: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", _IN_A_BUNDLE, str(file), str(table), *absent]
+    return subprocess.run(command, cwd=bundle, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(("kind", "chosen"), [("cine", 0), ("cine", 1), ("mraw", 0), ("npy", 1), ("tiff", 0)])
+def test_a_bundle_reads_what_the_package_reads(kind: str, chosen: int, bundle: Path, tmp_path: Path) -> None:
+    """From the second frame on, bit for bit."""
+    (tmp_path / "made").mkdir()
+    sample = samples(kind, tmp_path / "made")[chosen]
+    for name, data in sample.files.items():
+        (tmp_path / name).write_bytes(data)
+    file = tmp_path / sample.opened
+    ended = _play(bundle, file, tmp_path / "played.npy")
+    assert ended.returncode == 0, ended.stderr
+    with open_recording(file) as recording:
+        expected = recording.read()[1:]
+    played = np.load(tmp_path / "played.npy")
+    assert len(expected)
+    assert played.dtype == expected.dtype
+    np.testing.assert_array_equal(played, expected)
+
+
+def test_a_library_that_is_not_there_is_named(bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    sample = samples("tiff", tmp_path / "made")[0]
+    (tmp_path / "a.tif").write_bytes(next(iter(sample.files.values())))
+    ended = _play(bundle, tmp_path / "a.tif", tmp_path / "played.npy", "tifffile")
+    assert "its format needs the library tifffile: `pip install tifffile`" in ended.stderr
+
+
+def test_damaged_files_end_in_a_sentence(bundle: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.cine").write_bytes(b"CI" + bytes(20))
+    ended = _play(bundle, tmp_path / "a.cine", tmp_path / "played.npy")
+    assert ended.stderr.startswith("said: ")
+    assert "a.cine: not a Phantom recording" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_frame_that_cannot_be_is_no_lost_camera(bundle: Path, tmp_path: Path) -> None:
+    """A stream would try again for half a minute."""
+    (tmp_path / "made").mkdir()
+    data = bytearray(next(iter(samples("cine", tmp_path / "made")[0].files.values())))
+    (table,) = struct.unpack_from("<I", data, 32)
+    (third,) = struct.unpack_from("<q", data, table + 2 * 8)
+    (annotation,) = struct.unpack_from("<I", data, third)
+    struct.pack_into("<I", data, third + annotation - 4, 5)
+    (tmp_path / "a.cine").write_bytes(data)
+    ended = _play(bundle, tmp_path / "a.cine", tmp_path / "played.npy")
+    assert ended.stderr.startswith("said: ")
+    assert "frame 2 has 5 bytes instead of 768" in ended.stderr
+
+
+def test_files_are_carried_as_they_are(bundle: Path) -> None:
+    home = bundle / "fingerflow"
+    files = {file.relative_to(home) for file in home.rglob("*") if file.is_file()}
+    library = {file for file in files if file.name.startswith("_kernels")}
+    assert {str(file) for file in files - library if file.suffix != ".py"} >= {
+        f"player/page/{name}" for name in ("index.html", "page.css", "page.js")
+    }
+    for file in files - library:
+        assert (home / file).read_bytes() == (rooms.PACKAGE / file).read_bytes()
+
+
+def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
+    carried = rooms.carried()
+    files = [file for room in rooms.WHOLE for file in (rooms.PACKAGE / room).rglob("*.py")]
+    left_out = {str(file.relative_to(rooms.PACKAGE)) for file in files if file not in carried.values()}
+    assert left_out <= {"engines/torch.py"}, f"their imports need more than {sorted(rooms.ON_THE_LAB_PC)}"
+    of_package = {name.split(".")[1] for name in carried if "." in name}
+    assert of_package <= {"engines", "errors", "kernels", "player", "recordings", "tracker", "untrusted"}
+    assert rooms.needed_to_load("fingerflow.player.cli") <= {"numpy", "onnxruntime"}
+    assert "torch" in rooms.needed_to_load("fingerflow.export.build")
+
+
+def test_every_carried_module_finds_what_it_loads(bundle: Path) -> None:
+    """From the files of the bundle alone, with NumPy, onnxruntime and tifffile."""
+    code = """
+import sys
+from importlib import import_module
+from pathlib import Path
+sys.modules.update({name: None for name in ("torch", "scipy", "h5py", "cv2", "av", "psutil")})
+for name in sys.argv[1:]:
+    assert Path(import_module(name).__file__).is_relative_to(Path.cwd()), name
+"""
+    command = [sys.executable, "-c", code, *rooms.carried()]
+    ended = subprocess.run(command, cwd=bundle, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.parametrize("built", [True, False])
+def test_the_library_goes_along_where_it_was_built(
+    built: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    library = tmp_path / "_kernels.cpython-399.so"
+    library.write_bytes(b"code")
+    found = ModuleSpec("fingerflow._kernels", None, origin=str(library)) if built else None
+    monkeypatch.setattr(rooms, "find_spec", lambda name: found)
+    rooms.carry_rooms(tmp_path / "bundle")
+    copies = list((tmp_path / "bundle" / "fingerflow").glob("_kernels*"))
+    assert [file.read_bytes() for file in copies] == ([b"code"] if built else [])
+    assert ("no compiled library" in caplog.text) != built
+
+
+def test_the_scene_to_fill_in_has_views_of_the_size_of_the_bundle() -> None:
+    template = (resources.files("fingerflow") / "bundle" / "scene.toml").read_text(encoding="utf-8")
+    assert scene_for(template, 512, 640).count("[640, 1280]") == 1  # what the template has
+    views = tomllib.loads(scene_for(template, 192, 240))["views"]
+    assert views["contact"] == {"rows": [0, 192], "columns": [240, 480]}
+    assert views["topography"] == {"rows": [0, 192], "columns": [0, 240]}

@@ -1,0 +1,195 @@
+"""Kernels take NumPy arrays as they take tensors, and give the same numbers; torch need not be there for it."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import arrays, contact, fields, flow, library, skin, tracking
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tensors import typed
+from tests.kernels.short_of_memory import calls
+
+pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+SUBJECTS = (contact, fields, flow, skin, tracking)
+FUNCTIONS = {
+    name: getattr(subject, name)
+    for subject in SUBJECTS
+    for name in subject.__all__
+    if name in typed.__all__ and callable(getattr(subject, name)) and name != "level_shapes"
+}
+FRAME = np.random.default_rng(0).integers(0, 256, (2, 1, 40, 60), dtype=np.uint8)
+POINTS = np.array([[[20.25, 18.5], [33.0, 21.75]], [[15.5, 25.0], [np.nan, 4.0]]], np.float32)
+ONES = np.ones(2, np.float32)
+
+
+def in_numpy(value: Any) -> Any:
+    """The same as copies in NumPy arrays."""
+    if isinstance(value, Tensor):
+        return value.detach().numpy().copy()
+    return type(value)(map(in_numpy, value)) if type(value) in (list, tuple) else value
+
+
+def parts(result: Any) -> list[Any]:
+    return list(result) if isinstance(result, tuple) else [result]
+
+
+def assert_same(result: Any, tensors: Any) -> None:
+    """Of the same kind of tuple, shape, dtype and numbers, in NumPy arrays."""
+    assert type(result) is type(tensors) or isinstance(tensors, Tensor)
+    for one, other in zip(parts(result), parts(tensors), strict=True):
+        if other is None:
+            assert one is None
+            continue
+        wanted = other.numpy()
+        assert type(one) is np.ndarray
+        assert (one.dtype, one.shape) == (wanted.dtype, wanted.shape)
+        assert np.array_equal(one, wanted, equal_nan=wanted.dtype.kind == "f")
+
+
+def test_every_function_gives_what_it_gives_for_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In all that ops ask of kernels, with whatever arguments; bit for bit, as the same code runs."""
+    called: set[str] = set()
+
+    def beside(name: str, of_tensors: Callable[..., Any]) -> Callable[..., Any]:
+        def both(*args: Any, **kwargs: Any) -> Any:
+            given = [in_numpy(one) for one in args], {key: in_numpy(one) for key, one in kwargs.items()}
+            result = of_tensors(*args, **kwargs)
+            assert_same(FUNCTIONS[name](*given[0], **given[1]), result)
+            for one, changed in zip(given[0], args, strict=True):
+                if isinstance(changed, Tensor):  # `press_skin` writes to some of them
+                    assert np.array_equal(one, changed.detach().numpy(), equal_nan=one.dtype.kind == "f")
+            called.add(name)
+            return result
+
+        return both
+
+    for name in FUNCTIONS:
+        monkeypatch.setattr(kernels, name, beside(name, getattr(kernels, name)))
+    with torch.no_grad():
+        for call in calls().values():
+            call()
+    assert called == set(FUNCTIONS)
+
+
+def followed(frames: Any, points: Any, variance: Any) -> Any:
+    templates = tracking.prepare_templates(frames, points, None, variance, 11, True, 0.0)
+    return tracking.find_templates(templates, frames, points, None, None, 2, 0.0, 1.0, 0.5)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.float32])
+def test_frames_of_every_kind(dtype: type) -> None:
+    frames = FRAME.astype(dtype)
+    tensors = followed(*map(torch.from_numpy, (frames, POINTS, ONES)))
+    assert_same(followed(frames, POINTS, ONES), tensors)
+    assert (followed(frames, POINTS, ONES).status[0, 0] == 0).all()
+
+
+def test_views_however_they_lie_in_memory() -> None:
+    wanted = followed(FRAME, POINTS, ONES)
+    wide = np.zeros((2, 1, 50, 80), np.uint8)
+    wide[:, :, 5:45, 10:70] = FRAME
+    mirrored = FRAME[..., ::-1].copy()[..., ::-1]
+    upside_down = FRAME[:, :, ::-1].copy()[:, :, ::-1]
+    columns_first = np.asfortranarray(FRAME)
+    every_second = np.repeat(FRAME, 2, axis=3)[..., ::2]
+    protected = FRAME.copy()
+    protected.flags.writeable = False
+    for view in (wide[:, :, 5:45, 10:70], mirrored, upside_down, columns_first, every_second, protected):
+        for one, other in zip(followed(view, np.asfortranarray(POINTS), ONES), wanted, strict=True):
+            assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_numbers_that_lie_between_addresses() -> None:
+    """A field of a record of a file: in one piece, but not where numbers of its size lie."""
+    raw = np.zeros(1 + FRAME.size * 4, np.uint8)
+    frames = raw[1:].view(np.float32).reshape(FRAME.shape)
+    frames[:] = FRAME
+    assert not frames.flags.aligned
+    for one, other in zip(followed(frames, POINTS, ONES), followed(FRAME, POINTS, ONES), strict=True):
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_no_points_and_no_frames() -> None:
+    none = np.zeros((2, 0, 2), np.float32)
+    assert followed(FRAME, none, ONES).points.shape == (1, 2, 0, 2)
+    assert tracking.halve(FRAME[:0]).shape == (0, 1, 20, 30)
+
+
+def test_other_dtypes_are_refused() -> None:
+    with pytest.raises(TypeError, match="frames are float64: this compiled kernel takes uint8 or"):
+        tracking.halve(FRAME.astype(np.float64))
+    with pytest.raises(TypeError, match="frames are >u2"):
+        tracking.halve(FRAME.astype(">u2"))
+    with pytest.raises(ValueError, match="points is float64"):
+        followed(FRAME, POINTS.astype(np.float64), ONES)
+
+
+def test_a_state_that_cannot_be_written_to_is_refused() -> None:
+    protected, columns_first, written = np.zeros((4, 6)), np.zeros((4, 6), order="F"), np.zeros((4, 6))
+    protected.flags.writeable = False
+    assert not arrays.may_be_written(protected)
+    assert not arrays.may_be_written(columns_first)
+    assert arrays.may_be_written(written)
+
+
+@pytest.mark.parametrize("take", [lambda one: one, lambda one: one[1:], lambda one: one[:0]])
+def test_addresses(take: Callable[[Any], Any]) -> None:
+    array = take(np.zeros((3, 4)))
+    assert arrays.address(array) == arrays.address_of_numpy(array) == array.__array_interface__["data"][0]
+    tensor = take(torch.ones(3, 4))
+    assert arrays.address(tensor) == tensor.data_ptr()
+
+
+def test_threads_are_those_of_torch(torch_threads: Callable[[int], None]) -> None:
+    torch_threads(3)
+    assert library.threads() == 3
+    library.set_threads(2)
+    assert library.threads() == torch.get_num_threads() == 2
+
+
+ALONE = """
+import importlib.abc, sys
+
+class Blocker(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "scipy", "cv2", "onnxruntime"):
+            raise ImportError(f"{name} is not installed here")
+
+sys.meta_path.insert(0, Blocker())
+
+import numpy as np
+from fingerflow.kernels import library, tracking
+
+assert library.is_present()
+assert library.threads() == 2, library.threads()
+library.set_threads(3)
+assert library.threads() == 3
+given = np.load(sys.argv[1])
+templates = tracking.prepare_templates(given["frames"], given["points"], None, given["variance"], 11, True, 0.0)
+found = tracking.find_templates(templates, given["frames"], given["points"], None, None, 2, 0.0, 1.0, 0.5)
+np.savez(sys.argv[2], **found._asdict())
+assert "torch" not in sys.modules
+"""
+
+
+def test_without_torch(tmp_path: Path) -> None:
+    """NumPy alone, in a process where torch cannot be imported: bit for bit what tensors give."""
+    given, found = tmp_path / "given.npz", tmp_path / "found.npz"
+    np.savez(given, frames=FRAME, points=POINTS, variance=ONES)
+    environment = {**os.environ, "OMP_NUM_THREADS": "2"}
+    command = [sys.executable, "-c", ALONE, str(given), str(found)]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+    wanted = followed(*map(torch.from_numpy, (FRAME, POINTS, ONES)))
+    with np.load(found) as results:
+        for name, tensor in wanted._asdict().items():
+            assert np.array_equal(results[name], tensor.numpy(), equal_nan=name != "status"), name

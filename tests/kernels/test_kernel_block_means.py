@@ -1,0 +1,76 @@
+"""Means of blocks and lines: NumPy's form and the compiled one, beside torch's adaptive pooling."""
+
+import numpy as np
+import pytest
+import torch
+from kernel_images import images
+from torch.nn.functional import adaptive_avg_pool2d
+
+from fingerflow.kernels import block_means as compiled
+from fingerflow.kernels import tensors as kernels
+from fingerflow.tracker import block_means as module
+from fingerflow.tracker.block_means import BlockMeans, block_means
+
+SHAPES = [(2, 512, 640), (1, 480, 500), (3, 150, 37), (2, 1, 1), (1, 1, 900), (2, 700, 3), (0, 60, 70), (1, 131, 321)]
+
+
+def portable(frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> BlockMeans:
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "is_present", lambda: False)
+        return block_means(frames)
+
+
+@pytest.mark.parametrize("dtype", [*kernels.FRAME_KINDS, torch.float64, torch.int16])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_same_means(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], dtype: torch.dtype) -> None:
+    """Of integers bit for bit; of floats sums of doubles run in another order, and torch's are of floats."""
+    frames = images(shape, dtype, "random")
+    found = block_means(frames[:, 0].numpy())
+    expected = portable(frames[:, 0].numpy(), monkeypatch)
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == other.dtype == np.float32
+        assert one.shape == other.shape
+        if dtype.is_floating_point:
+            np.testing.assert_allclose(one, other, rtol=2e-7)
+        else:
+            assert np.array_equal(one, other)
+    down, along = (max(1, side // samples) for side, samples in zip(shape[1:], (128, 160), strict=True))
+    sampled = frames[:, 0].numpy()[:, down // 2 :: down, along // 2 :: along]
+    rows, columns = (min(max(1, side // 24), 16, read) for side, read in zip(shape[1:], sampled.shape[1:], strict=True))
+    pooled = adaptive_avg_pool2d(torch.from_numpy(sampled.astype(np.float32)), (rows, columns))
+    np.testing.assert_allclose(found.blocks, pooled.numpy(), rtol=1e-5)
+    np.testing.assert_allclose(found.lines, sampled.mean(2), rtol=2e-7)
+
+
+def test_views_and_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = images((6, 300, 400), torch.uint16, "random").numpy()[:, 0]
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2, 7):
+            torch.set_num_threads(threads)
+            for part in (np.s_[:, 20:280, 30:], np.s_[::2, ::-1], np.s_[..., ::3], np.s_[:, ::3]):
+                for one, other in zip(block_means(frames[part]), portable(frames[part], monkeypatch), strict=True):
+                    assert np.array_equal(one, other)
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_what_is_not_finite_stays_in_its_own_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = images((1, 512, 640), torch.float32, "random").numpy()[:, 0].copy()
+    frames[0, 2 + 4 * 8, 2 + 4 * 20], frames[0, 2 + 4 * 50, 2 + 4 * 3] = np.nan, np.inf
+    for found in (block_means(frames), portable(frames, monkeypatch)):
+        assert np.argwhere(np.isnan(found.blocks[0])).tolist() == [[1, 2]]
+        assert np.argwhere(np.isinf(found.blocks[0])).tolist() == [[6, 0]]
+        assert np.isnan(found.lines[0]).nonzero()[0].tolist() == [8]
+
+
+def test_refuses_what_does_not_fit() -> None:
+    for shape in ((60, 70), (2, 0, 70), (2, 1, 60, 70)):
+        with pytest.raises(ValueError, match=r"give \(n, H, W\)"):
+            block_means(np.zeros(shape, np.uint8))
+    frames = np.zeros((1, 1, 60, 70), np.uint8)
+    if kernels.serve():
+        with pytest.raises(ValueError, match="blocks of"):
+            compiled.block_means(frames, (4, 4), (16, 16))
+        with pytest.raises(TypeError, match="float64"):
+            compiled.block_means(frames.astype(np.float64), (1, 1), (2, 2))

@@ -1,0 +1,335 @@
+"""The kernels of the tracker on NumPy arrays beside the torch graphs and ops that they stand in for."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.graphs.detect import DetectGraph
+from fingerflow.graphs.track import DeformationGraph
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracked_points as native
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops import outliers
+from fingerflow.ops.search import search_and_return
+from fingerflow.ops.templates import Found, find_templates, inverse_2x2, prepare_templates
+from tests.graphs.test_track_graph import grid, picture
+from tests.kernels.test_kernel_search import skin, starts
+from tests.ops import test_outliers as fields
+from tests.small_trials import TINY_PRESS, TRIALS
+
+pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+Array = NDArray[Any]
+Portable = Callable[[Callable[[], Any]], Any]
+Threads = Callable[[int], None]
+
+# Two units in the last place of positions up to 512 px: sums of the same terms in another order.
+ROUNDING_PX = 1.3e-4
+
+
+def some_points(count: int, frames: int, seed: int = 0) -> tuple[Array, ...]:
+    """Arguments of `correct_points`: a press with noise, of whose points some are lost and one has no place."""
+    random = np.random.default_rng(seed)
+    start = random.uniform((40, 40), (500, 440), (count, 2)).astype(np.float32)
+    from_middle = start - 250.0
+    moved = from_middle @ np.array([[0.02, 0.004], [-0.006, -0.015]]).T + 2e-5 * from_middle**2
+    points = (start + moved + random.normal(0, 0.02, (frames, count, 2))).astype(np.float32)
+    covariance = (random.uniform(1e-4, 1e-3, (frames, count, 1, 1)) * np.eye(2)).astype(np.float32)
+    lost = random.uniform(size=(frames, count)) < 0.1
+    points[lost], covariance[lost] = np.nan, np.nan
+    numbers = random.normal(0, 1, (count, 34)).astype(np.float32)
+    numbers[:, 9] = random.uniform(0.5, 2, count)
+    numbers[:, 21:24] = (1e-4, 0, 1e-4)
+    numbers[:, 24:] = random.uniform(0, 2e4, (count, 10))
+    inverse = (np.eye(2) + random.normal(0, 0.01, (count, 2, 2))).astype(np.float32)
+    if count > 5:
+        start[2], numbers[2], points[:1, 3] = np.nan, np.nan, np.inf
+        covariance[:1, 4] = 0
+    return start, points, covariance, numbers, inverse
+
+
+def by_graph(window: int, *arrays: Array) -> list[Array]:
+    given = [torch.from_numpy(np.ascontiguousarray(one)) for one in arrays]
+    error = given[1][..., 0]
+    found = Found(given[1], error, given[2], torch.zeros(error.shape, dtype=torch.uint8), given[1])
+    result = DeformationGraph(window)(given[0][None], found, given[3][None], given[4][None])
+    return [one.numpy() for one in (result.found.points, result.found.covariance, *result[1:])]
+
+
+def assert_corrected(result: native.CorrectedPoints, expected: list[Array], warp: float = 1e-6) -> None:
+    """`warp`: what the local fits may differ by."""
+    tolerances = {
+        "points": ROUNDING_PX,
+        "covariance": warp / 100,
+        "warp": warp,
+        "shift": 20 * warp,
+        "expected": ROUNDING_PX,
+    }
+    for (name, tolerance), one, other in zip(tolerances.items(), result, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=tolerance, equal_nan=True, err_msg=name)
+
+
+@pytest.mark.parametrize(("count", "frames"), [(700, 1), (300, 4), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0)])
+def test_corrected_as_by_the_graph(count: int, frames: int, instruction_set: int, torch_threads: Threads) -> None:
+    given = some_points(count, frames)
+    result = native.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
+    # The graph's own fits are the compiled ones of a frame after the other: they sum in another order.
+    assert_corrected(result, by_graph(25, *given))
+    torch_threads(3)
+    for one, other in zip(result, native.correct_points(*given, window=25, gauge_px=120.0), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_corrected_as_by_the_exported_form(portable: Portable) -> None:
+    """Whose fits are products of matrices, a few units of 1e-5 of a gradient off where points are few."""
+    given = some_points(300, 3)
+    result = native.correct_points(*given, window=11, gauge_px=WARP_GAUGE_PX)
+    assert_corrected(result, portable(lambda: by_graph(11, *given)), warp=2e-5)
+
+
+def test_corrected_in_a_picture() -> None:
+    """Templates that do not know that the skin is stretched."""
+    deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
+    middle = torch.tensor([180.0, 150.0], dtype=torch.float64)
+    points = grid()
+    truth = ((points.double() - middle) @ deformation.T + middle).float()
+    warp = torch.eye(2).repeat(1, points.shape[1], 1, 1)
+    templates = prepare_templates(picture(torch.eye(2, dtype=torch.float64)), points, 25, warp)
+    found = find_templates(templates, picture(deformation), truth)
+    tensors = (points[0], found.points, found.covariance, templates.numbers[0], inverse_2x2(warp)[0])
+    given = [one.numpy() for one in tensors]
+    result = native.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
+    assert_corrected(result, by_graph(25, *given))
+    before, after = (np.linalg.norm(one - truth.numpy(), axis=-1) for one in (found.points.numpy(), result.points))
+    assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
+
+
+def test_arrays_that_are_views() -> None:
+    given: Any = some_points(60, 4)
+    views: Any = [np.repeat(one, 2, axis=0)[::2] for one in given]
+    views[1], views[2] = (np.asfortranarray(one) for one in given[1:3])
+    for one, other in zip(
+        native.correct_points(*views, window=25, gauge_px=120.0),
+        native.correct_points(*given, window=25, gauge_px=120.0),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_wrong_arrays_of_corrections_are_named() -> None:
+    given: dict[str, Any] = dict(
+        zip(("start", "points", "covariance", "numbers", "inverse_warp"), some_points(9, 2), strict=True)
+    )
+    for name, array in given.items():
+        for wrong in (array.astype(np.float64), array[..., :1]):
+            with pytest.raises(ValueError, match=f"{name} is"):
+                native.correct_points(**{**given, name: wrong}, window=25, gauge_px=120.0)
+    with pytest.raises(ValueError, match="gauge length of 0"):
+        native.correct_points(**given, window=25, gauge_px=0)
+
+
+def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.Outliers:
+    neighbours = native.find_neighbours(points[0].numpy(), gauge)
+    return native.find_outliers(neighbours, moved.numpy(), deviation.contiguous().numpy())
+
+
+@pytest.mark.parametrize("name", fields.FIELDS)
+def test_the_same_outliers(name: str, instruction_set: int, torch_threads: Threads) -> None:
+    """Of 100,000 a point or two may stand on a limit, where rounding decides."""
+    torch_threads(3)
+    moved, deviation = fields.measured(fields.FIELDS[name])
+    differ = 0
+    for size in (0.0, 0.1, 0.3, 1.0, 5.0):
+        given, _ = fields.planted(moved, size)
+        gone = torch.rand(given.shape[:2], generator=torch.Generator().manual_seed(5)) < 0.1
+        given[gone] = torch.nan
+        expected = fields.find(given, deviation)
+        for one, other in zip(judged(fields.POINTS, given, deviation, fields.GAUGE), expected, strict=True):
+            differ += int((one != other.numpy()).sum())
+    assert differ <= 2
+
+
+def test_few_points_and_points_that_are_none() -> None:
+    """As many as no whole block, without a place, without neighbours, on a line, in no frame."""
+    moved, deviation = fields.measured(fields.press)
+    moved, deviation = moved[:2].clone(), deviation[:2].clone()
+    deviation[0, :9], deviation[1, 3] = torch.inf, 0.0
+    moved[1, 7], moved[0, 40] = torch.inf, 1e6
+    unplaced = fields.POINTS.clone()
+    unplaced[0, ::9] = torch.nan
+    for points in (fields.POINTS, unplaced, fields.POINTS * torch.tensor([1.0, 0.0])):
+        for count in (2, 3, 6, 16, 17, 300, 700):
+            for gauge in (1.0, 30.0, 120.0):
+                some = points[:, :count], moved[:, :count], deviation[:, :count]
+                expected = fields.find(some[1], some[2], some[0], gauge)
+                for one, other in zip(judged(*some, gauge), expected, strict=True):
+                    np.testing.assert_array_equal(one, other.numpy())
+    neighbours = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
+    nothing = native.find_outliers(neighbours, np.zeros((0, 700, 2), np.float32), np.zeros((0, 700), np.float32))
+    assert nothing.uncertain.shape == (0, 700)
+
+
+def test_the_same_neighbours() -> None:
+    expected = outliers.find_neighbours(fields.POINTS, 120.0)
+    found = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
+    count = fields.POINTS.shape[1]
+    np.testing.assert_array_equal(found.number[:, :count], expected.number[0].numpy())
+    np.testing.assert_array_equal(found.within[:, :count], expected.within[0].numpy())
+    np.testing.assert_array_equal(found.x[:, :count], expected.offset[0, ..., 0].numpy())
+    np.testing.assert_array_equal(found.y[:, :count], expected.offset[0, ..., 1].numpy())
+
+
+def test_wrong_arrays_of_outliers_are_named() -> None:
+    neighbours = native.find_neighbours(fields.POINTS[0].numpy(), 120.0)
+    moved, deviation = np.zeros((2, 700, 2), np.float32), np.ones((2, 700), np.float32)
+    with pytest.raises(ValueError, match="displacement is float64"):
+        native.find_outliers(neighbours, moved.astype(np.float64), deviation)
+    with pytest.raises(ValueError, match="position_std is"):
+        native.find_outliers(neighbours, moved, deviation[:1])
+    with pytest.raises(ValueError, match="600 points, and neighbours of 689 to 704"):
+        native.find_outliers(neighbours, moved[:, :600], deviation[:, :600])
+    with pytest.raises(ValueError, match="there are 700 points"):
+        native.find_outliers(neighbours._replace(number=neighbours.number + 9), moved, deviation)
+    with pytest.raises(ValueError, match="1 points have no neighbours"):
+        native.find_neighbours(np.zeros((1, 2), np.float32), 120.0)
+
+
+@pytest.mark.parametrize(("window", "radius"), [(25, 8), (21, 6), (9, 1), (15, 24)])
+def test_the_same_search_both_ways(window: int, radius: int, instruction_set: int, torch_threads: Threads) -> None:
+    """Bit for bit: the kernels are those of the two searches. Of 8 bit, 16 bit and floating images."""
+    torch_threads(3)
+    key, current = torch.cat([skin((0, 0), 0), skin((0, 0), 2)]), torch.cat([skin((4.3, -5.2), 1), skin((1.0, 3.0), 3)])
+    index = torch.arange(40) % 2
+    guess = starts() + 0.3
+    guess[0, 0], guess[1, 1], guess[2, 0] = torch.nan, torch.inf, 1e30
+    for kinds in ((torch.float32, torch.float32), (torch.uint8, torch.uint16)):
+        images = [one.clamp(0, 255).to(kind) for one, kind in zip((key, current), kinds, strict=True)]
+        expected = search_and_return(images[0], images[1], index, starts(), guess, window, radius, 1.0)
+        one, other = (image.numpy() for image in images)
+        for given in ((one, other), (np.repeat(one, 2, axis=3)[..., ::2], np.repeat(other, 2, axis=2)[:, :, ::2])):
+            found = native.search_and_return(
+                *given,
+                starts().numpy(),
+                guess.numpy(),
+                window=window,
+                radius=radius,
+                forward_backward_limit=1.0,
+                image_index=index.numpy(),
+            )
+            np.testing.assert_array_equal(found[0], expected[0].numpy())
+            np.testing.assert_array_equal(found[1], expected[1].numpy())
+    assert found[1].any()
+
+
+def test_a_search_without_points_and_wrong_ones() -> None:
+    image, places = np.zeros((1, 1, 20, 24), np.uint8), np.zeros((3, 2), np.float32)
+    settings: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
+    found, returns = native.search_and_return(image, image, places[:0], places[:0], **settings)
+    assert found.shape == (0, 2)
+    assert returns.shape == (0,)
+    found, returns = native.search_and_return(image, image, places, places + 1, **settings)  # blank
+    np.testing.assert_array_equal(found, places + 1)
+    wrong: list[tuple[tuple[Array, ...], dict[str, Any], str]] = [
+        ((image, image[..., :9], places, places), {}, "two of one shape"),
+        ((image.astype(np.float64), image, places, places), {}, "float64"),
+        ((image, image, places, places[:2]), {}, "guess is"),
+        ((image, image, places, places), {"image_index": np.ones(3, np.int64)}, "from 0 to 0"),
+        ((image, image, places, places), {"radius": 1 << 16}, "32768 px"),
+    ]
+    for given, other, message in wrong:
+        with pytest.raises((TypeError, ValueError), match=message):
+            native.search_and_return(*given, **(settings | other))
+
+
+def topography(press: Any) -> Array:
+    """The view of a frame in contact, without a copy: rows of it do not follow one another in memory."""
+    view: Array = press.views["topography"].crop(press.render(3 * press.n_frames // 4))
+    return view[None, None]
+
+
+def pictures() -> dict[str, Array]:
+    """Frames (1, 1, H, W) on which points are chosen."""
+    real = skin((0, 0), 0, (200, 260)).clamp(0, 255).numpy()
+    random = np.random.default_rng(0)
+    spoilt = real.copy()
+    spoilt[..., 60, 90], spoilt[..., 120, 30] = np.nan, np.inf
+    return {
+        "skin": real,
+        "8 bit": real.astype(np.uint8),
+        "16 bit": (200 * real).astype(np.uint16),
+        "saturated": np.clip(1.7 * real, 0, 255).astype(np.uint8),
+        "press": topography(TRIALS["press"]),
+        "tiny press": topography(TINY_PRESS),
+        "noise": random.integers(0, 256, (1, 1, 150, 190), dtype=np.uint8),
+        "noise of small numbers": random.normal(0, 1e-3, (1, 1, 150, 190)).astype(np.float32),
+        "blank": np.full((1, 1, 90, 100), 7, np.uint8),
+        "not finite": spoilt,
+        "nowhere finite": np.full((1, 1, 90, 100), np.nan, np.float32),
+        "small": real[..., :20, :24].astype(np.uint8),
+        "smallest": real[..., :7, :7].astype(np.uint8),
+    }
+
+
+PICTURES = pictures()
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_same_points_are_chosen(name: str, instruction_set: int, torch_threads: Threads) -> None:
+    """Responses differ by a unit in the last place, as torch takes roots to that: points that are as strong or as much
+    alone to this rounding may stand for one another. None does here.
+    """
+    torch_threads(3)
+    frame = PICTURES[name]
+    height, width = frame.shape[2:]
+    y, x = np.mgrid[:height, :width]
+    middle = ((x - width / 2) / width) ** 2 + ((y - height / 2) / height) ** 2 < 0.1
+    ring = middle & (((x - width / 2) / width) ** 2 + ((y - height / 2) / height) ** 2 > 0.05)
+    for mask in (np.ones_like(middle), middle, ring, (x > width - 20), np.zeros_like(middle)):
+        for count, distance in ((100, 6.0), (10, 11.0), (3000, 2.0)):
+            found = native.detect_points(frame, mask, count, min_distance_px=distance, window=15)
+            given = torch.from_numpy(np.ascontiguousarray(frame)), torch.from_numpy(mask)[None, None]
+            points, response = (one[0].numpy() for one in DetectGraph(count, distance, 15)(*given))
+            assert chosen(found.points) == chosen(points)
+            np.testing.assert_allclose(found.response, response, rtol=1e-5, equal_nan=True)
+            number = len(chosen(points))
+            assert np.isnan(found.points[number:]).all()
+            assert (np.diff(found.response[:number]) <= 0).all()
+    assert not number  # without a mask
+
+
+def test_points_of_views_and_of_equal_strength() -> None:
+    """Copies of one tile: of points as strong and as much alone those that come first by rows."""
+    tile = PICTURES["8 bit"][0, 0, 40:70, 40:70]
+    frame = np.tile(tile, (5, 6))[None, None]
+    everywhere = np.ones(frame.shape[2:], bool)
+    first = native.detect_points(frame, everywhere, 12, min_distance_px=6.0, window=15)
+    wide = np.repeat(frame, 2, axis=2)[:, :, ::2], np.repeat(everywhere, 2, axis=1)[:, ::2]
+    again = native.detect_points(*wide, 12, min_distance_px=6.0, window=15)
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+    strongest = first.points[first.response == first.response[0]]
+    assert len(strongest) > 4
+    np.testing.assert_array_equal(strongest, strongest[np.lexsort((strongest[:, 0], strongest[:, 1]))])
+
+
+def test_wrong_arrays_of_detection_are_named() -> None:
+    frame = PICTURES["small"]
+    mask = np.ones(frame.shape[2:], bool)
+    for given, message in (
+        ((frame.astype(np.float64), mask, 5), "float64"),
+        ((np.concatenate((frame, frame)), mask, 5), "2, 1, 20, 24"),
+        ((frame[..., :6], mask[:, :6], 5), "7 x 7 px"),
+        ((frame, mask[:, 1:], 5), "a mask of"),
+        ((frame, mask.astype(np.uint8), 5), "uint8"),
+        ((frame, mask, 0), "0 points"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            native.detect_points(*given, min_distance_px=6.0, window=15)
+
+
+def chosen(points: Array) -> set[tuple[float, float]]:
+    return {(float(x), float(y)) for x, y in points[np.isfinite(points).all(1)]}

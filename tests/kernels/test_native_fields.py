@@ -1,0 +1,144 @@
+"""Fields of frames from NumPy arrays, beside the graph of the same name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.engines.engine import Ellipse, Entered, Fields
+from fingerflow.engines.native_fields import fields_of_frames
+from fingerflow.graphs import fields as graphs
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.field_limits import STRAIN_MEASURES
+
+pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+
+Array = np.ndarray[Any, Any]
+Portable = Callable[[Callable[[], object]], Any]
+FRAMES, GAUGE = 5, 2.0
+
+
+class Case:
+    """Points in a square of 12 x 12 whose displacements grow from frame to frame, some of them lost, and ellipses."""
+
+    def __init__(self, points: int, *, noisy: bool, entered: bool, references: int = 1) -> None:
+        random = np.random.default_rng(points)
+        place = 12 * random.random((references, points, 2)) - 6
+        growth = 0.01 * np.arange(1, FRAMES + 1)[:, None, None]
+        moved = growth * place @ np.array([[1.0, 0.3], [-0.5, 0.8]]) + 0.01 * random.standard_normal(
+            (FRAMES, points, 2)
+        )
+        moved[:, ::11] = np.nan
+        moved[2, 1::7, 0] = np.nan
+        place[:, 3:4] = np.nan
+        self.reference, self.displacement = place.astype(np.float32), moved.astype(np.float32)
+        self.ellipse = Ellipse(
+            random.uniform(-0.5, 0.5, (FRAMES, 2)).astype(np.float32),
+            np.array([[4.5, 3.0], [2.0, 1.0], [0.3, 0.2], [0.0, 1.0], [30.0, 20.0]], np.float32),
+            random.uniform(-3, 3, FRAMES).astype(np.float32),
+        )
+        root = 0.02 * random.standard_normal((FRAMES, points, 2, 2))
+        self.covariance = (root @ root.swapaxes(2, 3)).astype(np.float32) if noisy else None
+        self.entered = None
+        if entered:
+            among = np.broadcast_to(place[..., 0] < -2, (FRAMES, points)) & (random.random((FRAMES, points)) < 0.8)
+            gradient = 0.1 * random.standard_normal((FRAMES, points, 2, 2)).astype(np.float32)
+            gradient[random.random((FRAMES, points)) < 0.2] = np.nan
+            root = 0.02 * random.standard_normal((FRAMES, points, 4, 4))
+            spread = (root @ root.swapaxes(2, 3)).reshape(FRAMES, points, 2, 2, 2, 2).astype(np.float32)
+            self.entered = Entered(among, gradient, spread if noisy else None)
+
+    def found(self, measure: str) -> Fields:
+        return fields_of_frames(
+            self.reference,
+            self.displacement,
+            gauge_length=GAUGE,
+            measure=measure,
+            covariance=self.covariance,
+            ellipse=self.ellipse,
+            entered=self.entered,
+        )
+
+    def expected(self, measure: str, precision: torch.dtype = torch.float32) -> graphs.Fields:
+        def tensor(array: Any) -> Any:
+            if array is None or array.dtype == np.bool_:
+                return None if array is None else torch.from_numpy(array)
+            return torch.from_numpy(array).to(precision)
+
+        entered = None if self.entered is None else graphs.Entered(*map(tensor, self.entered))
+        ellipse = graphs.GrossEllipse(*map(tensor, self.ellipse))
+        given = (tensor(one) for one in (self.reference, self.displacement, self.covariance))
+        result: graphs.Fields = graphs.FieldsGraph(GAUGE, measure)(*given, ellipse, entered)
+        return result
+
+
+def same(found: Fields, expected: graphs.Fields, atol: dict[str, float], rtol: float) -> None:
+    for name, one, other in zip(Fields._fields, found, expected, strict=True):
+        assert (one is None) == (other is None), name
+        if one is not None and other is not None:
+            assert one.dtype == np.float32
+            assert one.shape == tuple(other.shape), name
+            np.testing.assert_allclose(one, other.numpy(), rtol, atol.get(name, atol[""]), equal_nan=True, err_msg=name)
+
+
+@pytest.mark.parametrize("measure", STRAIN_MEASURES)
+@pytest.mark.parametrize("entered", [False, True])
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize(("points", "references"), [(700, 1), (700, FRAMES), (60, 1), (4, 1), (0, 1)])
+def test_same_fields(
+    portable: Portable, points: int, references: int, noisy: bool, entered: bool, measure: str
+) -> None:
+    """With the same kernels to the rounding of cosines and of sums of four numbers; in double without them to that of
+    fits, of which those at the border have points on one side only.
+    """
+    case = Case(points, noisy=noisy, entered=entered, references=references)
+    found = case.found(measure)
+    same(found, case.expected(measure), {"": 1e-6}, 1e-5)
+    if points == 700:
+        assert np.isfinite(found.divergence).mean() > 0.7
+        assert np.isfinite(found.median).sum() >= 10
+    if entered:
+        return  # a position between two points may have the field of either: see test_kernel_area_medians.py
+    # A position at a limit may count here and not there: a rank of 800, and its share.
+    limits = {"": 1e-5, "median": 1e-4, "median_std": 1e-4, "known_share": 3 / 800}
+    same(found, portable(lambda: case.expected(measure, torch.float64)), limits, 1e-3)
+
+
+def test_views(torch_threads: Callable[[int], None]) -> None:
+    """Of any strides, and of protected arrays, which stay as they are; on any number of threads."""
+    case = Case(700, noisy=True, entered=True)
+    whole = case.found("green_lagrange")
+    views = Case(700, noisy=True, entered=True)
+    for name in ("reference", "displacement", "covariance"):
+        wide = np.full((*getattr(case, name).shape, 2), np.inf, np.float32)
+        wide[..., 0] = getattr(case, name)
+        wide.setflags(write=False)
+        setattr(views, name, wide[..., 0])
+    assert case.entered is not None
+    views.entered = Entered(*(np.moveaxis(np.moveaxis(one, 0, -1).copy(), -1, 0) for one in case.entered))  # type: ignore[arg-type,type-var]
+    for threads in (1, 3):
+        torch_threads(threads)
+        for one, other in zip(views.found("green_lagrange"), whole, strict=True):
+            assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_refuses_what_does_not_fit() -> None:
+    case = Case(9, noisy=True, entered=True)
+    assert case.covariance is not None
+    assert case.entered is not None
+    for name, value, said in (
+        ("displacement", case.displacement.astype(np.float64), "displacement is float64"),
+        ("reference", case.reference[:, :8], "reference is"),
+        ("covariance", case.covariance[:2], "covariance is"),
+        ("ellipse", case.ellipse._replace(angle=case.ellipse.center), "angle is"),
+        ("entered", case.entered._replace(among=case.entered.among[:, :2]), "among is"),
+        ("entered", case.entered._replace(covariance=None), "without covariance"),
+    ):
+        other = Case(9, noisy=True, entered=True)
+        setattr(other, name, value)
+        with pytest.raises(ValueError, match=said):
+            other.found("green_lagrange")
+    with pytest.raises(ValueError, match="'cauchy' is not known"):
+        case.found("cauchy")

@@ -1,0 +1,62 @@
+"""A stream by ONNX Runtime: the same numbers at any pace, and with frames computed beside each other."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from fingerflow import player
+from tests.small_trials import write_trial
+
+Array = np.ndarray[Any, Any]
+
+
+class Runtime(NamedTuple):
+    """A bundle, and a slide whose threshold is measured: points are lost and chosen again, a key frame replaced."""
+
+    bundle: Path
+    scene: Path
+
+    def play(self, name: str, *arguments: str) -> player.StreamResults:
+        output = self.scene.parent / name
+        options = ["--scene", str(self.scene), "--output", str(output), "--page", "off", "--engine", "onnx"]
+        given = [str(self.bundle), *options, "--threads", "1", "--no-spin", *arguments]
+        assert player.main(given if "--provider" in arguments else [*given, "--provider", "cpu"]) == 0
+        return player.read_results(output)
+
+
+@pytest.fixture(scope="module")
+def runtime(bundle_of_trials: Path, tmp_path_factory: pytest.TempPathFactory) -> Runtime:
+    scene = write_trial(tmp_path_factory.mktemp("runtime") / "slide", "slide")
+    text = scene.read_text(encoding="utf-8")
+    scene.write_text(text.replace("threshold = 0.27\n", ""), encoding="utf-8")
+    return Runtime(bundle_of_trials, scene)
+
+
+@pytest.fixture(scope="module")
+def alone(runtime: Runtime) -> player.StreamResults:
+    return runtime.play("alone")
+
+
+@pytest.mark.parametrize("arguments", [("--parallel-frames", "2"), ("--parallel-frames", "2", "--rate", "60")], ids=str)
+def test_two_frames_beside_each_other_give_what_one_does(
+    runtime: Runtime, alone: player.StreamResults, arguments: tuple[str, ...]
+) -> None:
+    other = runtime.play("-".join(arguments).strip("-"), *arguments)
+    assert {event["event"] for event in alone.events} == {"restart", "key_frame", "threshold"}
+    for name in set(alone.records.dtype.names or ()) - {"time", "latency"}:
+        assert other.records[name].tobytes() == alone.records[name].tobytes(), name
+    said = [[(one["event"], one["frame"]) for one in each.events] for each in (alone, other)]
+    assert said[0] == said[1]
+    assert other.header["engine"] == "onnx (CPUExecutionProvider)"
+
+
+def test_openvino_gives_the_same(runtime: Runtime, alone: player.StreamResults) -> None:
+    """A provider with memory of its own, which copies what is bound: templates must not be stale."""
+    pytest.importorskip("onnxruntime_ep_openvino", reason="the package onnxruntime-ep-openvino is not installed")
+    other = runtime.play("openvino", "--provider", "openvino")
+    assert other.header["engine"] == "onnx (OpenVINOExecutionProvider)"
+    first = slice(0, 24)  # frames, of which hardly a point is lost
+    for name in ("position_px", "real_contact_area", "gross_contact_area", "median_divergence"):
+        np.testing.assert_allclose(other.records[name][first], alone.records[name][first], rtol=2e-3, atol=0.01)

@@ -1,0 +1,202 @@
+"""Recordings computed together against each by itself."""
+
+from functools import wraps
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+from torch import Tensor
+
+from fingerflow import process
+from fingerflow.errors import FingerflowError
+from fingerflow.graphs.contact import ContactGraph
+from fingerflow.graphs.track import TrackGraph
+from fingerflow.kernels import tensors as kernels
+from fingerflow.pipeline import process_together
+from fingerflow.synthetic import Press, write_recording
+
+_FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 240), "finger": (1.8, 1.5)}
+_TRIALS = (
+    Press(n_frames=10, semi_axes=(1.3, 1.1), **_FRAME),
+    Press(n_frames=10, semi_axes=(1.2, 1.1), shift=(-0.2, 0.1), **_FRAME),
+    Press(n_frames=6, semi_axes=(1.1, 1.0), gradient=((-0.02, 0.01), (0.0, -0.03)), **_FRAME),  # ends sooner
+)
+_POINTS = (40, 60, 33)
+# px: portable products of matrices are summed in another order when there are more of them, and the fit of a gradient
+# divides that by a window.
+_ROUNDING = {"position_px": 1e-4, "divergence": 2e-5, "curl": 2e-5, "real_contact_area": 0.0, "median_divergence": 2e-5}
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three trials in frames of one size, with other skin motion, numbers of points and of frames."""
+    found = []
+    for trial, points in zip(_TRIALS, _POINTS, strict=True):
+        folder = tmp_path_factory.mktemp("trial") / "recording"
+        write_recording(folder, trial)
+        scene = folder / "scene.toml"
+        text = scene.read_text(encoding="utf-8")
+        assert text.count("points = 700") == 1
+        scene.write_text(text.replace("points = 700", f"points = {points}"), encoding="utf-8")
+        found.append(scene)
+    return found
+
+
+@pytest.fixture
+def portable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on an accelerator, for which there are no compiled kernels."""
+    monkeypatch.setattr(kernels, "serve", lambda *tensors: False)
+
+
+def together(scenes: list[Path], **named: Any) -> list[xr.Dataset]:
+    return process_together(scenes, device="cpu", **named)
+
+
+def alone(scenes: list[Path]) -> list[xr.Dataset]:
+    return [process(scene, device="cpu") for scene in scenes]
+
+
+def compare(found: xr.Dataset, expected: xr.Dataset, rounding: dict[str, float] | None = None) -> None:
+    """All variables bit for bit, or those that are named to so much."""
+    assert set(found) == set(expected)
+    for name in found if rounding is None else rounding:
+        if rounding is None:
+            np.testing.assert_array_equal(found[name].values, expected[name].values, err_msg=str(name))
+        else:
+            np.testing.assert_allclose(
+                found[name].values, expected[name].values, rtol=0, atol=rounding[str(name)], err_msg=str(name)
+            )
+
+
+@pytest.fixture
+def batches(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[int]]:
+    """How many frames, or recordings, each call of a graph is of, from now on."""
+    seen: dict[str, list[int]] = {}
+    for graph, image in ((ContactGraph, "frames"), (TrackGraph, "view")):
+        sizes = seen[graph.__name__] = []
+        forward = graph.forward
+
+        @wraps(forward)
+        def counted(
+            *given: Any, _sizes: list[int] = sizes, _of: Any = forward, _image: str = image, **named: Any
+        ) -> Any:
+            _sizes.append(len(signature(_of).bind(*given, **named).arguments[_image]))
+            return _of(*given, **named)
+
+        monkeypatch.setattr(graph, "forward", counted)
+    return seen
+
+
+@pytest.mark.usefixtures("portable")
+def test_one_call_of_a_graph_is_of_all_recordings(
+    scenes: list[Path], batches: dict[str, list[int]], caplog: pytest.LogCaptureFixture
+) -> None:
+    expected, most = [], dict.fromkeys(batches, 0)
+    for scene in scenes:
+        expected += alone([scene])
+        most = {name: max(most[name], len(sizes)) for name, sizes in batches.items()}
+        assert max(batches["TrackGraph"]) == 1
+        for sizes in batches.values():
+            sizes.clear()
+    found = together(scenes)
+    for one, other in zip(found, expected, strict=True):
+        assert one.sizes == other.sizes
+        np.testing.assert_array_equal(one["status"].values, other["status"].values)
+        compare(one, other, _ROUNDING)
+    assert {name: max(sizes) for name, sizes in batches.items()} == {"ContactGraph": 22, "TrackGraph": 3}
+    # Together they take as many calls as the one that needs most, but for the frames that each looks at beforehand.
+    assert len(batches["TrackGraph"]) <= most["TrackGraph"]
+    assert sum(size > 1 for size in batches["ContactGraph"]) == 2
+    assert not caplog.messages
+
+
+@pytest.mark.usefixtures("portable")
+def test_the_same_again_is_the_same_bit_for_bit(scenes: list[Path]) -> None:
+    for one, other in zip(together(scenes), together(scenes), strict=True):
+        compare(one, other)
+
+
+@pytest.mark.parametrize("engine", ["native", "torch"])
+def test_compiled_kernels_give_each_its_own_numbers(scenes: list[Path], engine: str) -> None:
+    """Bit for bit, also in files."""
+    folder = scenes[0].parent.parent
+    files = [folder / f"{engine}-{place}.h5" for place in range(3)]
+    expected = [process(scene, device="cpu", engine=engine) for scene in scenes]
+    for found in (together(scenes, engine=engine), together(scenes, engine=engine, to=files)):
+        for one, other in zip(found, expected, strict=True):
+            compare(one, other)
+
+
+@pytest.mark.usefixtures("portable")
+def test_other_settings_are_asked_by_themselves(scenes: list[Path], batches: dict[str, list[int]]) -> None:
+    text = scenes[1].read_text(encoding="utf-8")
+    other = scenes[1].with_name("other.toml")
+    other.write_text(text.replace("forward_backward_limit_px = 1.0", "forward_backward_limit_px = 0.5"), "utf-8")
+    given = [scenes[0], other]
+    for one, expected in zip(together(given), alone(given), strict=True):
+        compare(one, expected, _ROUNDING)
+    assert max(batches["TrackGraph"]) == 1
+
+
+@pytest.mark.usefixtures("portable")
+def test_what_fails_for_all_is_computed_one_by_one(scenes: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the memory of an accelerator holds one recording and not two."""
+    expected = alone(scenes[:2])
+    forward, refused = TrackGraph.forward, []
+
+    def small(self: TrackGraph, templates: Any, view: Tensor, prediction: Tensor) -> Any:
+        if len(view) > 1:
+            refused.append(len(view))
+            raise torch.OutOfMemoryError("no room for two")
+        return forward(self, templates, view, prediction)
+
+    monkeypatch.setattr(TrackGraph, "forward", small)
+    for one, other in zip(together(scenes[:2]), expected, strict=True):
+        compare(one, other, _ROUNDING)
+    assert refused
+
+
+@pytest.mark.usefixtures("portable")
+def test_an_error_of_one_is_its_own(scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever it comes from: a scene, or a call that was joined with those of others."""
+    forward = TrackGraph.forward
+
+    def breaks(self: TrackGraph, templates: Any, view: Tensor, prediction: Tensor) -> Any:
+        if templates.start.shape[1] == _POINTS[2] or len(view) > 1:
+            raise FingerflowError("the third one")
+        return forward(self, templates, view, prediction)
+
+    monkeypatch.setattr(TrackGraph, "forward", breaks)
+    missing = scenes[0].with_name("missing.toml")
+    files = [tmp_path / f"{place}.h5" for place in range(4)]
+    with pytest.raises(FingerflowError, match=r"missing\.toml"):
+        together([scenes[0], missing, scenes[1], scenes[2]], to=files)
+    assert {path.name for path in tmp_path.iterdir()} == {"0.h5", "2.h5"}
+    with pytest.raises(FingerflowError, match="the third one"):
+        together([scenes[2], scenes[0]], to=files[2:], overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"0.h5", "2.h5", "3.h5"}
+
+
+@pytest.mark.usefixtures("portable")
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_an_interrupt_ends_all(
+    scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: type[BaseException]
+) -> None:
+    """In a call of all, at once; nothing is left of their files, and torch is as before."""
+
+    def stops(self: TrackGraph, *given: Any) -> Any:
+        raise stop
+
+    monkeypatch.setattr(TrackGraph, "forward", stops)
+    with pytest.raises(stop):
+        together(scenes[:2], to=[tmp_path / "0.h5", tmp_path / "1.h5"])
+    assert not list(tmp_path.iterdir())
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_of_nobody_there_is_nothing() -> None:
+    assert process_together([]) == []

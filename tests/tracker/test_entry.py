@@ -1,0 +1,64 @@
+"""How points come into contact: over a border at rest, or covered by a contact that grows."""
+
+import numpy as np
+import pytest
+
+from fingerflow.tracker.entry import Border, advected, with_neighbours
+
+Row = tuple[float, ...]
+
+
+@pytest.mark.parametrize(
+    ("grows", "slides", "drifts", "expected"),
+    [
+        pytest.param(0.0, (0.3, 0.0), (0.0, 0.0), True, id="slides in over a border at rest"),
+        pytest.param(0.3, (0.0, 0.0), (0.0, 0.0), False, id="at rest under a contact that grows"),
+        pytest.param(0.3, (0.1, 0.0), (0.0, 0.0), False, id="border three times as fast"),
+        pytest.param(0.1, (0.3, 0.0), (0.0, 0.0), True, id="skin three times as fast"),
+        pytest.param(0.0, (0.01, 0.0), (0.0, 0.0), False, id="hardly moves"),
+        pytest.param(0.05, (0.3, 0.0), (0.3, 0.0), True, id="a contact that grows as it carries skin along"),
+    ],
+)
+def test_by_border_and_skin(grows: float, slides: Row, drifts: Row, expected: bool) -> None:
+    """Of 0.3 mm of skin on the left of an ellipse that tilts; mm in 10 frames, of border and skin. By how far
+    neighbours had moved alone, skin was told from 0.2 mm on, whatever the border did.
+    """
+    frames, tilt = np.arange(11), 0.4
+    share = frames[:, None] / 10
+    center = share * drifts
+    border = Border(center, np.stack((5 + grows * share[:, 0], 4 + grows * share[:, 0]), axis=-1), np.full(11, tilt))
+    rim = np.linspace(np.pi - 0.5, np.pi + 0.5, 12)
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    rows = [np.stack((scale * 5 * np.cos(rim), scale * 4 * np.sin(rim)), axis=-1) @ turn.T for scale in (0.97, 1.01)]
+    places = np.concatenate([*rows, rows[1] - (0.05, 0.0)])
+    position = places + share[:, None] * slides
+    depth = border.inside(position)
+    onset = np.where((depth > 0).any(0), (depth > 0).argmax(0), -1)
+    if not (onset > 0).any():  # moves too little: by the border's error
+        onset[onset < 0] = 10
+    reference = position[np.maximum(onset, 0), np.arange(len(places))]
+    reference[onset < 0] = np.nan
+    found = advected(position, places, onset, reference, 1.6, border)
+    assert not found[onset <= 0].any()
+    assert (onset > 0).sum() > 5
+    assert (found[onset > 0] == expected).all()
+
+
+def test_distance_inside_a_border() -> None:
+    """Exact in the middle of a side, along the normal."""
+    border = Border(np.array([[1.0, 2.0]]), np.array([[5.0, 4.0]]), np.array([np.pi / 6]))
+    along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    across = np.array([-along[1], along[0]])
+    places = np.stack([4.9 * along, 5.1 * along, -3.9 * across, 4.1 * across])[None] + (1.0, 2.0)
+    assert border.inside(places)[0] == pytest.approx([0.1, -0.1, 0.1, -0.1], rel=0.05)
+
+
+def test_one_point_among_those_that_moved_in() -> None:
+    """Of a band that moved in, with one point that is not found; and of single ones that are."""
+    places = np.stack(np.meshgrid(np.arange(8) * 0.3, np.arange(2) * 0.3), axis=-1).reshape(-1, 2)
+    band, every = np.ones(16, dtype=bool), np.ones(16, dtype=bool)
+    band[5] = False
+    assert with_neighbours(band, places, every, 0.8).all()
+    assert not with_neighbours(band, places, band, 0.8)[5]  # touched in the first frame: not among them
+    assert not with_neighbours(band, 10 * places, every, 0.8)[5]  # all are far away
+    assert (with_neighbours(~band, places, every, 0.8) == ~band).all()

@@ -1,0 +1,158 @@
+"""Recordings and streams go by one rule: what changes one of its constants changes both; and numbers are the same."""
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import fingerflow
+from fingerflow import player
+from fingerflow.kernels.library import is_present
+from fingerflow.stages.inputs import Inputs
+from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.points import STREAM
+from tests.small_trials import SPOILED, recipe_of_trials, write_library_bundle, write_trial
+
+pytestmark = pytest.mark.skipif(not is_present(), reason="the compiled library was not built or is turned off")
+Array = np.ndarray[Any, Any]
+NAMES = ("frame_status", "status", "position_px", "in_contact", "real_contact_area", "median_divergence", "divergence")
+
+
+class Both(NamedTuple):
+    """What a stream and `process` say of a recording, in the numbers of a stream's records."""
+
+    live: dict[str, Array]
+    recorded: dict[str, Array]
+
+
+class Trial(NamedTuple):
+    """A scene, and the bundle that plays it."""
+
+    scene: Path
+    bundle: Path
+
+    def play(self) -> Array:
+        """The records of a stream."""
+        results = self.scene.parent / "results"
+        shutil.rmtree(results, ignore_errors=True)
+        options = ["--scene", str(self.scene), "--output", str(results), "--page", "off", "--threads", "1"]
+        assert player.main([str(self.bundle), *options]) == 0
+        return np.array(player.read_results(results).records)
+
+    def both(self) -> Both:
+        records, recorded = self.play(), fingerflow.process(self.scene, outputs=list(NAMES))
+        points = recorded.sizes["point"]
+        live = {name: records[name][:, :points] if records[name].ndim > 1 else records[name] for name in NAMES}
+        return Both(live, {name: recorded[name].values.astype(live[name].dtype) for name in NAMES})
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
+    """A press, a slide, and a press of which single frames are of another moment, come twice or in wrong light."""
+    folder = tmp_path_factory.mktemp("one_rule")
+    bundle = write_library_bundle(folder / "bundle", recipe_of_trials())
+    scenes = {name: write_trial(folder / name, name) for name in ("press", "slide")}
+    shutil.copytree(folder / "press", folder / "spoiled")
+    frames = np.load(folder / "spoiled" / "frames.npy")
+    frames[50] = frames[20]
+    frames[30] = frames[29]
+    for frame in (40, 60, 61, 62):
+        frames[frame] = SPOILED["dim contact view"][0](frames[frame])
+    np.save(folder / "spoiled" / "frames.npy", frames)
+    scenes["spoiled"] = folder / "spoiled" / "scene.toml"
+    return {name: Trial(scene, bundle) for name, scene in scenes.items()}
+
+
+@pytest.fixture(scope="module")
+def as_they_are(trials: dict[str, Trial]) -> dict[str, Both]:
+    return {name: trial.both() for name, trial in trials.items()}
+
+
+def _set(monkeypatch: pytest.MonkeyPatch, name: str, old: Any, new: Any) -> None:
+    """Gives a constant another value in all modules that have it."""
+    for module, about in list(sys.modules.items()):
+        if module.startswith("fingerflow.") and vars(about).get(name) == old:
+            monkeypatch.setattr(about, name, new)
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "value", "trial", "changes"),
+    [
+        ("template_update", "UPDATE_PX", 0.4, "press", {"position_px"}),
+        ("template_update", "FASTEST_PX", 0.01, "press", {"position_px"}),
+        ("motion", "SPEED_WEIGHT", 0.2, "slide", {"position_px", "status"}),
+        ("recovery", "ROUNDS", 0, "slide", {"position_px", "status"}),
+        ("verification", "_NOISE", -3.0, "slide", {"position_px", "status"}),
+        ("onset", "LASTING", 12, "press", {"divergence", "median_divergence"}),
+        ("frame_returns", "FAR", 1e9, "spoiled", {"frame_status", "real_contact_area"}),
+        ("frame_returns", "REPEATED_SHARE", 0.0, "spoiled", {"frame_status"}),
+        ("frame_distances", "LONGEST", 2, "spoiled", {"frame_status", "real_contact_area"}),
+    ],
+)
+def test_a_constant_is_one_for_both(
+    trials: dict[str, Trial],
+    as_they_are: dict[str, Both],
+    monkeypatch: pytest.MonkeyPatch,
+    module: str,
+    name: str,
+    value: Any,
+    trial: str,
+    changes: set[str],
+) -> None:
+    old = getattr(sys.modules[f"fingerflow.tracker.{module}"], name)
+    _set(monkeypatch, name, old, value)
+    after = trials[trial].both()
+    for before, now in zip(as_they_are[trial], after, strict=True):
+        for one in changes:
+            assert not np.array_equal(before[one], now[one], equal_nan=True), one
+
+
+@pytest.mark.parametrize("kind", ["press", "slide"])
+def test_a_stream_is_the_recording_that_knows_no_frames_to_come(
+    trials: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """Bit for bit, as long as a stream has its first key frame: a recording has no other one. In its key frame itself a
+    stream looks for points, a recording knows where they are.
+
+    The median divergence is the same where each touch is one that has come to stay: of one in passing a recording knows
+    what comes, and counts from the last.
+    """
+    made = Inputs.__post_init__
+
+    def as_a_stream(inputs: Inputs) -> None:
+        made(inputs)
+        inputs.knowledge = STREAM
+
+    monkeypatch.setattr(Inputs, "__post_init__", as_a_stream)
+    recorded, records = fingerflow.process(trials[kind].scene), trials[kind].play()
+    points, frames = recorded.sizes["point"], int((records["key_frame"] == 0).sum())
+    assert frames > 25
+    assert points == 150
+    for name in ("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "ellipse_angle"):
+        np.testing.assert_array_equal(records[name], recorded[name].values.astype(np.float32), err_msg=name)
+    np.testing.assert_array_equal(records["frame_status"], recorded["frame_status"])
+    for name in ("position_px", "status", "in_contact"):
+        np.testing.assert_array_equal(
+            records[name][:frames], recorded[name].values[:frames].astype(records[name].dtype)
+        )
+    for name in ("position_std_px", "forward_backward_error"):
+        np.testing.assert_array_equal(records[name][1:frames], recorded[name].values[1:frames], err_msg=name)
+    calm = _without_passing_touch(recorded)[:frames]
+    assert calm.sum() > 25
+    medians = recorded["median_divergence"].values.astype(np.float32)
+    np.testing.assert_array_equal(records["median_divergence"][:frames][calm], medians[:frames][calm])
+    assert np.isfinite(medians[:frames][calm]).sum() > 25
+
+
+def _without_passing_touch(recorded: xr.Dataset) -> Array:
+    """(F,) frames in which each point that is touched is where it will count from."""
+    position, covered = recorded["position"].values, recorded["in_contact"].values
+    touches = Touches(recorded.sizes["point"])
+    seen = touches.go_on(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32))
+    elsewhere = (seen.place != recorded["reference_position"].values).any(-1)
+    result: Array = ~(seen.touching & elsewhere).any(1)
+    return result

@@ -1,0 +1,204 @@
+"""Points followed through motion that a frame alone cannot follow, and templates updated as the skin deforms."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from known_skin import Array, KnownSkin
+
+from fingerflow.engines.engine import Found
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.tracker.motion import TRUSTED
+from fingerflow.tracker.points import STREAM, Points, Resolved
+from fingerflow.tracker.template_update import FASTEST_PX, MOST_FRAMES, UPDATE_PX
+
+START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)
+IMAGE = np.zeros((1, 1, 1, 1), np.float32)
+
+
+def _points(engine: KnownSkin, lag: int = 1) -> Points:
+    engine.start = START
+    points = Points(engine, IMAGE, START, knowledge=replace(STREAM, lag=lag))  # type: ignore[arg-type]
+    engine.looks.clear()
+    return points
+
+
+def _see(points: Points, late: Array | None = None) -> tuple[Resolved, Found]:
+    """A frame, from where points are expected, or were some frames before."""
+    guess = points.expect() if late is None else late
+    resolved = points.resolve(IMAGE, guess, points.look(IMAGE, guess))
+    return resolved, points.accept(IMAGE, resolved)
+
+
+def _found(resolved: Resolved) -> Array:
+    result: Array = resolved.corrected.found.status[0] == TrackStatus.TRACKED
+    return result
+
+
+def test_a_frame_that_loses_nothing_costs_one_look() -> None:
+    engine = KnownSkin(START + np.float32(0.4))
+    resolved, _ = _see(_points(engine))
+    assert _found(resolved).all()
+    assert (engine.looks, engine.searches) == ([200], [])
+    assert resolved.jolted is None
+    assert not resolved.elsewhere
+
+
+def test_few_points_that_are_gone_cost_a_search() -> None:
+    """A tenth of 200: they are searched for, and nobody takes it for a jump."""
+    place = START.copy()
+    place[:20] += 40
+    engine = KnownSkin(place)
+    resolved, _ = _see(_points(engine))
+    assert engine.searches == [20]
+    assert engine.looks == [200, 20]
+    assert not resolved.elsewhere
+    np.testing.assert_array_equal(_found(resolved), np.arange(200) >= 20)
+
+
+def test_a_step_of_speed_is_followed_from_the_frame_before() -> None:
+    """0.6 px a frame more: two frames late that is 1.2 px, beyond what a frame is sure to reach, and 0.6 px from the
+    frame before."""
+    engine = KnownSkin(START)
+    points = _points(engine, lag=2)
+    for number in range(1, 12):
+        engine.place = START + np.float32(0.4 * number)
+        _see(points)
+    late = points.expect() - np.float32(0.6)
+    engine.place = points.motion.place + np.float32(1.0)
+    resolved, _ = _see(points, late)
+    assert _found(resolved).all()
+    assert not engine.searches
+    assert not resolved.elsewhere
+    np.testing.assert_allclose(points.motion.speed, 0.7, atol=1e-3)  # half the weight
+
+
+@pytest.mark.parametrize("step", [2.5, 4.0])
+@pytest.mark.parametrize("lag", [1, 2])
+def test_a_jump_within_half_a_ridge_needs_no_search(step: float, lag: int) -> None:
+    """A look leads 1.5 px on at a time; and skin that is found so is elsewhere, and its frame no other moment."""
+    engine = KnownSkin(START + np.float32(step))
+    resolved, _ = _see(_points(engine, lag))
+    assert _found(resolved).all()
+    assert not engine.searches
+    # Nothing is lost, so nobody asks whether they are elsewhere; of a tenth that is lost besides it is said.
+    assert not resolved.elsewhere
+    engine.place[::10] += 100
+    resolved, _ = _see(_points(engine, lag))
+    assert resolved.elsewhere
+
+
+def test_a_jump_of_a_part_of_the_skin_is_found_by_a_search_and_by_neighbours() -> None:
+    """Half of the skin jumps by 8 px, beyond what looks lead to: a search of 64 points finds the first of them, a plane
+    through those the others."""
+    half = START[:, 0] > 150
+    jumped = START + np.where(half, np.float32(8), np.float32(0))[:, None] * np.array([1, 0], np.float32)
+
+    def by_neighbours(points: Array) -> Array:
+        there = np.isfinite(points).all(-1) & half
+        moved = (points - START)[there].mean(0) if there.any() else np.full(2, np.nan)
+        return np.where(half[:, None], START + moved, START)
+
+    engine = KnownSkin(jumped, by_neighbours)
+    points = _points(engine)
+    resolved, found = _see(points)
+    np.testing.assert_array_equal(found.points[0], jumped)
+    assert engine.searches == [64]
+    assert resolved.elsewhere
+    np.testing.assert_array_equal(resolved.jolted, half)
+    assert not points.motion.speed.any()  # one jolt is no motion
+
+
+def test_a_frame_of_another_moment_costs_one_search() -> None:
+    """Nothing is found: no second search, and nothing says that skin is elsewhere."""
+    engine = KnownSkin(START + 100)
+    resolved, _ = _see(_points(engine))
+    assert engine.searches == [64]
+    assert not resolved.elsewhere
+    assert not _found(resolved).any()
+
+
+def test_what_is_gone_costs_nothing() -> None:
+    """After as many frames as a speed is good for."""
+    engine = KnownSkin(START + 100)
+    points, searches = _points(engine), []
+    for _ in range(7):
+        engine.searches.clear()
+        _see(points)
+        searches.append(len(engine.searches))
+    assert searches == [1] * TRUSTED + [0] * (7 - TRUSTED)
+
+
+def _stretched(by: float) -> Array:
+    return np.broadcast_to(np.eye(2, dtype=np.float32) * np.float32(1 + by), (len(START), 2, 2)).copy()
+
+
+@pytest.mark.parametrize("lag", [1, 2])
+def test_templates_are_updated_eight_frames_after_they_were_found_to_have_changed(lag: int) -> None:
+    """They are checked after every eighth frame; six of them exceed the limit, are prepared in pieces meanwhile, and
+    count from the sixteenth frame on; later ones are not asked for again while they wait."""
+    engine = KnownSkin(START)
+    points = _points(engine, lag)
+    change = UPDATE_PX / (engine.settings.window_px // 2)
+    updated = {}
+    for index in range(1, 30):
+        if index >= 3:
+            engine.warp = _stretched(0)
+            engine.warp[:6] = _stretched(1.1 * change / 2**0.5)[:6]
+            engine.warp[6:9] = _stretched(0.9 * change / 2**0.5)[6:9]
+        if points.changes(index):
+            points.update_due(index)
+            updated[index] = np.concatenate(engine.updates)
+            engine.updates.clear()
+        guess = points.expect()
+        points.accept(IMAGE, points.resolve(IMAGE, guess, points.look(IMAGE, guess)), 1, index)
+        if 7 < index < 14:
+            assert engine.prepared == [1] * (index - 7)
+    assert list(updated) == [16]
+    np.testing.assert_array_equal(updated[16], np.arange(6))
+    np.testing.assert_allclose(engine.inverse[:6] @ _stretched(1.1 * change / 2**0.5)[:6], _stretched(0)[:6], atol=1e-6)
+
+
+@pytest.mark.parametrize(("a_frame", "frames"), [(0.0, 8), (0.1, 8), (0.15, 4), (0.3, 2), (0.9, 1), (5.0, 1)])
+def test_templates_of_fast_skin_are_checked_sooner(
+    monkeypatch: pytest.MonkeyPatch, a_frame: float, frames: int
+) -> None:
+    """At most the frames in which the edge of a window changes by `FASTEST_PX`, a power of two; one point in twenty may
+    be faster, or lost."""
+    engine = KnownSkin(START)
+    points = _points(engine)
+    check, checked = points._check_templates, []
+
+    def note(*given: Any) -> None:
+        checked.append(index)
+        check(*given)
+
+    monkeypatch.setattr(points, "_check_templates", note)
+    a_component = a_frame * FASTEST_PX / (engine.settings.window_px // 2)
+    for index in range(1, 24):
+        warp = _stretched(0)
+        warp[:, 0, 1] += np.float32(a_component * index)
+        warp[0], warp[1:4] = np.nan, warp[1:4] + 100 * index
+        engine.warp = warp
+        _see(points)
+    first = MOST_FRAMES - 1  # counted from the key frame
+    assert checked[0] == first
+    assert checked[1] == first + frames
+
+
+def test_an_update_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where its first piece is prepared, in the frame after the check."""
+    engine = KnownSkin(START)
+    points = _points(engine)
+    engine.warp = _stretched(1.1 * UPDATE_PX / (engine.settings.window_px // 2) / 2**0.5)
+
+    def failing(*_: Any) -> Any:
+        raise MemoryError("no room")
+
+    for _ in range(MOST_FRAMES - 1):
+        _see(points)
+    assert not engine.prepared
+    monkeypatch.setattr(engine, "prepare", failing)
+    with pytest.raises(MemoryError, match="no room"):
+        _see(points)

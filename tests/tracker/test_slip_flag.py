@@ -1,0 +1,101 @@
+"""The flag of incipient slip: silent while skin moves rigidly with noise, raised where a rim begins to slip."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from fingerflow.ops.rigid_motion import rigid_residual
+from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms
+
+DRAW = np.random.default_rng(0)
+POINTS = 300 * DRAW.random((400, 2))
+STD = np.full(400, 0.03)
+COVERED = np.ones(400, np.uint8)
+
+
+def turned(angle: float, shift: tuple[float, float]) -> np.ndarray:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.asarray(POINTS @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+
+
+def noise() -> np.ndarray:
+    return np.asarray(0.03 * DRAW.standard_normal(POINTS.shape))
+
+
+def test_the_residual_is_that_of_the_op() -> None:
+    after = turned(0.2, (3.0, -2.0)) + 0.5 * np.sin(POINTS / 40)
+    expected = rigid_residual(torch.from_numpy(POINTS)[None], torch.from_numpy(after - POINTS)[None])[0]
+    before, after = (one.view(np.complex128)[:, 0] for one in (POINTS, after))
+    assert rigid_residual_rms(before, after) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-9)
+
+
+def test_rigid_motion_raises_nothing_and_slip_does_two_frames_later() -> None:
+    flag, radius = SlipFlag(), np.linalg.norm(POINTS - 150, axis=1) / 150
+    for frame in range(60):
+        state = flag.see(turned(0.002 * frame, (0.1 * frame, 0.0)) + noise(), STD, COVERED)
+        assert not state.slipping
+        assert frame == 0 or state.residual == pytest.approx(0.03 * math.sqrt(2), rel=0.15)
+    raised = []
+    for _ in range(4):
+        # The rim slips by 0.3 px: ten times the noise.
+        state = flag.see(POINTS + noise() + 0.3 * (radius > 0.8)[:, None] * [1.0, 0.0], STD, COVERED)
+        raised.append(state.slipping)
+    assert raised == [False, False, True, True]
+
+
+def test_other_points_and_points_that_leave_start_anew() -> None:
+    flag = SlipFlag()
+    flag.see(POINTS, STD, COVERED)
+    elsewhere = POINTS[:, ::-1].copy()
+    flag.follow_others(np.full_like(POINTS, np.nan), elsewhere)  # of which nothing tells how far they came
+    states = [flag.see(elsewhere, STD, COVERED) for _ in range(5)]
+    assert states[-1].residual == 0
+    assert not states[-1].slipping
+    flag.see(POINTS, STD, np.zeros(400, np.uint8))
+    assert all(flag.see(POINTS, STD, COVERED).residual == 0 for _ in range(3))
+
+
+def test_too_few_points_say_nothing() -> None:
+    flag = SlipFlag()
+    lost = POINTS.copy()
+    lost[7:] = np.nan
+    for _ in range(5):
+        state = flag.see(lost, STD, COVERED)
+        assert math.isnan(state.residual)
+        assert not state.slipping
+
+
+def test_the_flag_outlives_a_choice_of_other_points() -> None:
+    """Other points take over the displacement of the nearest ones: on skin that is displaced by 3 px and stretched by
+    2 %, to 0.25 px, which is what four neighbours some 15 px away leave of it; and the residual stays."""
+    old, new = POINTS[:200], 300 * np.random.default_rng(4).random((150, 2))
+    std, covered = np.full(200, 0.03), np.ones(200, np.uint8)
+
+    def slipped(points: np.ndarray) -> np.ndarray:
+        return np.asarray(points + np.stack((3 + 0.04 * (points[:, 0] - 150), 0 * points[:, 0]), 1))
+
+    flag = SlipFlag()
+    flag.see(old, std, covered)
+    for _ in range(4):
+        state = flag.see(slipped(old), std, covered)
+    assert state.slipping
+    flag.follow_others(slipped(old), slipped(new))
+    after = [flag.see(slipped(new), std[:150], covered[:150]) for _ in range(6)]
+    assert all(one.slipping for one in after)
+    assert after[-1].residual == pytest.approx(state.residual, rel=0.15)
+
+
+def test_the_flag_is_held_where_no_old_point_is_left_until_the_contact_ends() -> None:
+    old, std, covered = POINTS[:200], np.full(200, 0.03), np.ones(200, np.uint8)
+    stretched, lost = old * 1.02, np.full_like(old, np.nan)
+    flag = SlipFlag()
+    flag.see(old, std, covered)
+    assert [flag.see(stretched, std, covered).slipping for _ in range(4)][-1]
+    assert all(flag.see(lost, std, covered).slipping for _ in range(6))  # unknown is no rest
+    flag.follow_others(lost, stretched)
+    assert all(flag.see(stretched, std, covered).slipping for _ in range(6))
+    for _ in range(3):
+        ended = flag.see(stretched, std, 0 * covered)
+    assert not ended.slipping

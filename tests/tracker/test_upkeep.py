@@ -1,0 +1,72 @@
+"""When a stream measures its threshold, takes a new key frame and chooses other points: by its frames alone."""
+
+import math
+
+import pytest
+
+from fingerflow.tracker.upkeep import ThresholdSearch, Upkeep
+
+
+def test_a_growing_contact_measures_the_threshold_again() -> None:
+    """Where it had grown by a fourth since the threshold counts, two frames later; and so on."""
+    search = ThresholdSearch(2)
+    used, measured = {}, []
+    for index in range(40):
+        threshold = search.due(index)
+        if threshold is not None:
+            search.used()
+            used[index] = threshold
+        if search.wants(index):
+            measured.append(index)
+        area = max(0.0, index - 5)
+        search.see(index, area, (0.2 + index / 100 if area else math.nan) if index in measured else None)
+    assert measured[:4] == [0, 1, 4, 8]  # the first frames of a stream, then every fourth
+    # The threshold counts from 10 on, where the area is 5: beyond 6.25 in frame 12, measured in 14, counts from 16 on.
+    assert measured[4:7] == [14, 21, 30]
+    assert list(used.items())[:3] == [(10, pytest.approx(0.28)), (16, pytest.approx(0.34)), (23, pytest.approx(0.41))]
+
+
+def test_a_contact_that_gives_no_better_threshold_keeps_the_old_one() -> None:
+    search = ThresholdSearch(2)
+    assert search.see(0, 1.0, 0.3)
+    assert (search.due(1), search.due(2)) == (None, 0.3)
+    search.used()
+    assert not search.see(2, 10.0, None)
+    assert not search.see(3, 20.0, None)
+    assert [search.wants(index) for index in (4, 5, 6)] == [False, True, False]
+    assert not search.see(5, 20.0, math.nan)
+    assert not search.see(6, 24.0, None)
+    assert not search.wants(8)
+    assert not search.see(7, 26.0, None)
+    assert search.wants(9)
+
+
+def test_single_frames_change_nothing() -> None:
+    """Nor do four that are not in a row; lost points are chosen anew, and not again at once."""
+    upkeep = Upkeep(0.8, math.inf)
+    upkeep.restarted(0, 0, 100)
+    tracked = [100, 10, 100, 10, 10, 10, 100, 70, 70, 70, 100]
+    assert [upkeep.see(i, i, count) for i, count in enumerate(tracked)] == [""] * len(tracked)
+    assert [upkeep.see(i, i, 70) for i in range(4)] == ["", "", "", "rekey"]
+    upkeep.keyed(3, 70)
+    assert [upkeep.see(i, i, 40) for i in range(4, 8)] == ["", "", "", "rekey"]
+    upkeep.keyed(7, 40)
+    assert {upkeep.see(i, i, 0) for i in range(8, 64)} == {""}
+    assert upkeep.see(64, 64, 0) == "lost"
+    upkeep.kept(66)
+    assert {upkeep.see(i, i, 0) for i in range(67, 130)} == {""}
+    assert upkeep.see(130, 130, 0) == "lost"
+
+
+def test_a_threshold_is_measured_later_where_its_frame_does_not_count() -> None:
+    search = ThresholdSearch(2)
+    assert search.see(0, 1.0, 0.3)
+    assert search.due(2) == 0.3
+    search.used()
+    search.see(2, 10.0, None)
+    search.see(3, 20.0, None)
+    assert search.wants(5)
+    search.passed_over()  # frame 5 was black
+    assert not search.wants(6)
+    search.see(6, 20.0, None)
+    assert search.wants(8)

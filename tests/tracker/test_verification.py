@@ -1,0 +1,215 @@
+"""Verification of points: what is right passes, what is beside its skin fails, and results have neither then."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from fingerflow import load_scene, process
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.together import Call, Steps, run_alone
+from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.player.contract.variables import TRACK_STATUS
+from fingerflow.synthetic import Press, rebuild_scene, write_recording
+from fingerflow.tracker.points import Points
+from fingerflow.tracker.verification import STEP, Verification
+from fingerflow.tracker.windows import correlation, deformed_alike
+
+Array = NDArray[Any]
+Make = Callable[[EngineSettings], Engine]
+WINDOW = 25
+SETTINGS = EngineSettings(window_px=WINDOW)
+GRADIENT = np.array([[0.08, -0.05], [0.06, -0.04]], np.float32)
+STRAIGHT = np.eye(2, dtype=np.float32)
+
+
+def skin(x: Array, y: Array) -> Array:
+    """Ridges that bend and differ in height: waves of 13 to 40 px, so that no place looks like another."""
+    ridges = np.sin(2 * math.pi * (0.8 * x + 0.6 * y + 4 * np.sin(y / 30)) / 15)
+    found: Array = 128 + 40 * ridges + 20 * np.sin(2 * math.pi * (x - 0.4 * y) / 37 + 1.0)
+    return found
+
+
+def picture(gradient: Array, shift: tuple[float, float], noise: float, seed: int) -> Array:
+    """(1, 160, 200) of skin that has moved: x = (I + gradient) X + shift about the middle."""
+    x, y = np.meshgrid(np.arange(200.0), np.arange(160.0))
+    middle = np.array([100.0, 80.0])
+    there = np.stack((x, y), -1) - middle - np.array(shift)
+    back = there @ np.linalg.inv(np.eye(2) + gradient).T + middle
+    light = skin(back[..., 0], back[..., 1])
+    drawn = torch.randn(light.shape, generator=torch.Generator().manual_seed(seed)).numpy()
+    noisy: Array = light + noise * drawn
+    return noisy.astype(np.float32)[None]
+
+
+def points(gradient: Array, shift: tuple[float, float]) -> tuple[Array, Array]:
+    """(N, 2) then and now."""
+    x, y = np.meshgrid(np.arange(40.0, 161, 8), np.arange(30.0, 131, 8))
+    then = np.stack((x.ravel(), y.ravel()), -1)
+    middle = np.array([100.0, 80.0])
+    now = (then - middle) @ (np.eye(2) + gradient).T + middle + np.array(shift)
+    return then.astype(np.float32), now.astype(np.float32)
+
+
+def warps(gradient: Array, count: int) -> Array:
+    """(N, 2, 2) the same deformation for all points."""
+    return np.broadcast_to((STRAIGHT + gradient).astype(np.float32), (count, 2, 2))
+
+
+UNMOVED = np.zeros((2, 2), np.float32)
+
+
+def test_correlation_of_the_same_skin_is_that_of_the_noise(make_engine: Make) -> None:
+    """Without noise what cubic convolution leaves of waves of 15 px; with it 1 - correlation is sigma^2 / S."""
+    engine = make_engine(SETTINGS)
+    then, now = points(GRADIENT, (1.3, -2.6))
+    number = np.zeros(len(then), np.int64)
+    for noise, least, most in ((0.0, 0.0, 1e-3), (6.0, 0.5, 2.0)):
+        first = engine.images(picture(UNMOVED, (0, 0), noise, 1))
+        after = engine.images(picture(GRADIENT, (1.3, -2.6), noise, 2))
+        one = engine.windows(first, number, then, warps(UNMOVED, len(then)), STEP)
+        other = engine.windows(after, number, now, warps(GRADIENT, len(then)), STEP)
+        apart = 1 - correlation(one, other)
+        expected = noise**2 / one.var(1)
+        if noise:
+            # Interpolation between pixels averages some of it.
+            assert least < float(np.median(apart / expected)) < most
+        else:
+            assert float(apart.max()) < most
+        np.testing.assert_allclose(correlation(one, 3 * one - 20), 1, atol=1e-5)
+
+
+def test_a_blank_window_is_alike_to_nothing() -> None:
+    assert np.isnan(correlation(np.ones((2, 9), np.float32), np.arange(18.0).reshape(2, 9))).all()
+
+
+def test_a_deformation_is_found_with_the_middle_held(make_engine: Make) -> None:
+    """From none to that of the skin, to 0.01 in each number: what noise of 0 leaves of four rounds."""
+    engine = make_engine(SETTINGS)
+    then, now = points(GRADIENT, (0.0, 0.0))
+    number, straight = np.zeros(len(then), np.int64), warps(UNMOVED, len(then))
+    first = engine.windows(engine.images(picture(UNMOVED, (0, 0), 0.0, 1)), number, then, straight, STEP)
+    after = engine.images(picture(GRADIENT, (0.0, 0.0), 0.0, 2))
+
+    def sample(images: Array, places: Array, warp: Array) -> Steps[Array]:
+        found: Array = yield Call(engine.windows, (after, images, places, warp, STEP))
+        return found
+
+    found = run_alone(deformed_alike(first, sample, number, now, straight, WINDOW, STEP))
+    near = np.abs(found - STRAIGHT - GRADIENT).max((1, 2))
+    assert float(np.quantile(near, 0.9)) < 0.01
+
+
+@pytest.mark.parametrize(("least", "most", "share"), [(2.0, 4.0, 0.7), (4.0, 16.0, 0.97)])
+def test_points_beside_their_skin_fail_and_no_other(make_engine: Make, least: float, most: float, share: float) -> None:
+    """Of 2 to 4 px in any direction 77 % are found here: along a ridge nothing changes."""
+    engine = make_engine(SETTINGS)
+    then, now = points(GRADIENT, (1.3, -2.6))
+    first = engine.images(picture(UNMOVED, (0, 0), 3.0, 1))
+    images = engine.images(np.concatenate([picture(GRADIENT, (1.3, -2.6), 3.0, seed) for seed in (2, 3)]))
+    status = np.zeros((2, len(then)), np.uint8)
+    warp = warps(GRADIENT, len(then))
+    both = np.stack((now, now))
+    assert not run_alone(Verification(engine, first, then).check(images, both, status, warp)).any()
+    generator = torch.Generator().manual_seed(4)
+    found = count = 0
+    for offset in range(10):
+        some = np.zeros(len(then), dtype=bool)
+        some[offset::10] = True
+        angle = 2 * math.pi * torch.rand(len(then), generator=generator).numpy()
+        distance = least + (most - least) * torch.rand(len(then), generator=generator).numpy()
+        away = np.where(some, distance, 0.0)
+        shift = (away[:, None] * np.stack((np.cos(angle), np.sin(angle)), -1)).astype(np.float32)
+        failed = run_alone(Verification(engine, first, then).check(images, both + shift, status, warp))
+        assert not failed[~some].any()
+        found, count = found + int(failed.sum()), count + int(some.sum())
+    assert found >= share * count
+
+
+def test_frames_between_a_check_that_failed_and_one_that_passed_are_not_trusted(make_engine: Make) -> None:
+    engine = make_engine(SETTINGS)
+    then, now = points(UNMOVED, (0.0, 0.0))
+    image = engine.images(picture(UNMOVED, (0, 0), 1.0, 1))
+    verification = Verification(engine, image, then)
+    status = np.zeros((1, len(then)), np.uint8)
+    straight = warps(UNMOVED, len(then))
+    only = np.arange(len(then)) == 5
+    beside = now + only[:, None] * np.array([6.0, 3.0], np.float32)
+
+    def check(places: Array, of: Array = status) -> Array:
+        return run_alone(verification.check(image, places[None], of, straight))
+
+    np.testing.assert_array_equal(check(beside), only)
+    np.testing.assert_array_equal(check(now), only)
+    assert not check(now).any()
+    # One that is lost cannot be checked, and stays as it was.
+    check(beside)
+    lost = np.where(only, TrackStatus.MISMATCH, 0).astype(np.uint8)[None]
+    np.testing.assert_array_equal(check(np.where(only[:, None], np.float32(np.nan), now), lost), only)
+    # Nor can one whose deformation is not known.
+    unknown = np.where(only[:, None, None], np.float32(np.nan), straight)
+    np.testing.assert_array_equal(run_alone(verification.check(image, beside[None], status, unknown)), only)
+
+
+def test_light_and_focus_that_change_for_all_are_no_failure(make_engine: Make) -> None:
+    engine = make_engine(SETTINGS)
+    then, now = points(GRADIENT, (0.0, 0.0))
+    verification = Verification(engine, engine.images(picture(UNMOVED, (0, 0), 2.0, 1)), then)
+    sharp = np.pad(picture(GRADIENT, (0.0, 0.0), 2.0, 2)[0], 2, mode="edge")
+    blurred = np.lib.stride_tricks.sliding_window_view(sharp, (5, 5)).mean((2, 3))[None]
+    status = np.zeros((1, len(then)), np.uint8)
+    images = engine.images((0.6 * blurred + 30).astype(np.float32))
+    assert not run_alone(verification.check(images, now[None], status, warps(GRADIENT, len(then)))).any()
+
+
+@pytest.fixture(scope="module")
+def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("look") / "press"
+    size: dict[str, Any] = {"frame_shape": (160, 400), "finger": (2.7, 2.3), "semi_axes": (2.0, 1.7)}
+    write_recording(folder, Press(n_frames=16, frame_rate=16.0, frames_before_trigger=2, **size))
+    return folder / "scene.toml"
+
+
+def test_a_press_loses_no_point_to_it(scene_path: Path) -> None:
+    result = process(scene_path, ["status", "window_differs_share"])
+    assert TRACK_STATUS[TrackStatus.WINDOW_DIFFERS] == "window_differs"
+    assert not (result["status"].values == TrackStatus.WINDOW_DIFFERS).any()
+    assert (result["window_differs_share"].values == 0).all()
+
+
+def test_points_that_fail_have_no_position_and_are_counted(scene_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tracker is made to give another place for three points, 5 px off, from the tenth frame on."""
+    step, seen = Points._step, [1]
+
+    def beside(points: Points, images: Any, around: Any) -> Steps[Any]:
+        found = yield from step(points, images, around)
+        numbers = np.arange(seen[0], seen[0] + len(images))
+        seen[0] += len(images)
+        shifted = found.points.copy()
+        shifted[numbers >= 9, :3] += np.array([4.0, 3.0], np.float32)
+        return found._replace(points=shifted)
+
+    plain = process(scene_path)
+    monkeypatch.setattr(Points, "_step", beside)
+    result = process(scene_path)
+    status = result["status"].values
+    differs = status == TrackStatus.WINDOW_DIFFERS
+    assert differs[8:, :3].any(0).all()
+    assert not differs[:, 3:].any()
+    for name in ("position", "position_px", "position_std_px", "displacement"):
+        assert np.isnan(result[name].values[differs]).all(), name
+    np.testing.assert_array_equal(result["position_px"].values[:, 3:], plain["position_px"].values[:, 3:])
+    np.testing.assert_allclose(result["window_differs_share"].values, differs.mean(1))
+    truth = rebuild_scene(scene_path.parent).truth
+    material = truth.material(truth.topography_positions(result["position_px"].values[0]), 0)
+    last = result["position_px"].values[-1] - truth.topography_pixels(truth.positions(material, 15))
+    assert np.nanmax(np.linalg.norm(last, axis=1)) < 1
+    (said,) = [one for one in json.loads(result.attrs["warnings"]) if "window" in one]
+    assert "status window_differs" in said
+    assert load_scene(scene_path).tracking.template == "keyframe"
