@@ -67,7 +67,7 @@ def median(frames: Array, size: int) -> Array:
         **extent(frames),
         pixel_bytes=_BYTES[kind(frames)],
         size=size,
-        table=table_of(size),
+        table=table_of(int(size)),  # a compiler of torch gives a size without a value
         threads=threads(),
     )
     return medians

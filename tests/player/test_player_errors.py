@@ -253,7 +253,7 @@ def test_numbers_that_are_not_those_of_the_bundle_are_refused(stream: Stream) ->
 
 @pytest.mark.parametrize("option", [("--parallel-frames", "2"), ("--provider", "cpu")])
 def test_options_of_the_runtime_are_not_of_the_library(stream: Stream, option: tuple[str, str]) -> None:
-    ended = stream.run("--source", "synthetic", *option)
+    ended = stream.run("--source", "synthetic", "--engine", "native", *option)
     assert ended.code == 2
     assert "--parallel-frames and --provider are of ONNX Runtime" in ended.said
     assert ended.results is None
