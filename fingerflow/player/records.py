@@ -21,7 +21,7 @@ from fingerflow.player.contract.variables import (
     Variable,
     by_name,
 )
-from fingerflow.tracker.stream import RESULTS
+from fingerflow.tracker.frame_results import RESULTS
 
 _VARIABLES = by_name((TIME,), FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 _FRAME_NUMBER = Variable(

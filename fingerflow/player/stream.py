@@ -69,12 +69,13 @@ class Player:
         self.computed_by = computed_by
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, some computed, one is in doubt, one drawn on the page; the others wait. Their number
-        # is the bound.
-        slots = [Slot(bundle) for _ in range(settings.queue + 3 + tracker.lag)]
+        # One slot is being filled, some computed, one is in doubt, one measured, one drawn on the page; the others
+        # wait. Their number is the bound.
+        slots = [Slot(bundle) for _ in range(settings.queue + 4 + tracker.lag)]
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
+        self._outcomes: Channel[Event | Outcome] = Channel(len(slots))
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)  # one is being filled, one written
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
@@ -99,12 +100,14 @@ class Player:
 
     def run(self) -> dict[str, Any]:
         """Plays the stream and returns its summary."""
-        after_computing = (self._free.close, self._frames.close, self._close_records)
+        after_computing = (self._free.close, self._frames.close, self._close_outcomes)
+        after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
             threading.Thread(target=self._guard, args=(step, after), name=step.__name__.strip("_"), daemon=True)
             for step, after in (
                 (self._capture, (self._frames.close,)),
                 *[(self._compute, after_computing)] * self.settings.parallel,
+                (self._measure, after_measuring),
                 (self._store, (self._records.close, self._finished.set)),
             )
         ]
@@ -294,7 +297,7 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Compute: frames -> records, in as many threads as frames are computed beside each other.
+    # Compute: frames -> outcomes, in as many threads as frames are computed beside each other.
 
     def _compute(self) -> None:
         try:
@@ -324,43 +327,51 @@ class Player:
             work, outcomes = self._tracker.begin(slot)
             return (self._order.begin(), work) if self._hand_on(outcomes) else None
 
-    def _close_records(self) -> None:
-        """After the last of these threads no record comes."""
+    def _close_outcomes(self) -> None:
+        """After the last of these threads no outcome comes."""
         with self._beginning:
             self._computing -= 1
             if not self._computing:
-                self._records.close()
+                self._outcomes.close()
 
     def _end(self, work: Work) -> bool:
         """Finishes a frame that was computed; False where the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
     def _hand_on(self, outcomes: Iterable[Outcome]) -> bool:
-        """Passes on the records of frames whose outcome is known; False where the stream has failed."""
-        while self._tracker.events:
-            self._write_event(self._tracker.events.pop(0))
-        going = True
-        for outcome in outcomes:
-            going &= self._recorded(outcome)
-        return going
+        """Passes on frames whose outcome is known, and what has happened; False where the stream has failed."""
+        events, self._tracker.events = self._tracker.events, []
+        passed: list[Event | Outcome] = [*events, *outcomes]
+        return all(self._outcomes.put(one) for one in passed)
+
+    # Measure: outcomes -> records.
+
+    def _measure(self) -> None:
+        while (one := self._outcomes.get()) is not None:
+            if isinstance(one, Event):
+                self._write_event(one)
+            elif not self._recorded(one):
+                return
 
     def _write_event(self, event: Event) -> None:
         self._sink.event(event.name, event.frame, **event.facts)
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _recorded(self, outcome: Outcome) -> bool:
-        slot, place, fields = outcome.frame, self.processed % len(self._room), self._fields
+        """Passes on the record of a frame; False where the stream has failed."""
+        results = self._tracker.results_of(outcome)
+        slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
         self.tracked = outcome.tracked
-        if outcome.results is None:
+        if results is None:
             if outcome.status != USABLE and self._findings.skip(outcome.status):
                 self._sink.event("not_usable", slot.number, status=FRAME_STATUS[outcome.status])
                 log.warning("frame %d: %s, counts in no result", slot.number, FRAME_STATUS[outcome.status])
             self._layout.fill_unknown(fields, place)
-            fields["slip_flag"][place] = outcome.slipping
+            fields["slip_flag"][place] = self._tracker.slipping
         else:
-            self._layout.fill(fields, place, outcome.results)
-            self._findings.count(outcome.tracked, float(outcome.results["real_contact_area"]))
+            self._layout.fill(fields, place, results)
+            self._findings.count(outcome.tracked, results["real_contact_area"])
         latency = time.perf_counter() - slot.arrival
         for name, value in (
             *(("frame", slot.number), ("time", slot.arrival - self._first), ("latency", latency)),
@@ -372,10 +383,10 @@ class Player:
         self._recent.add(latency)
         self.processed += 1
         drawn = None
-        if outcome.results is not None and not self._drawing and self.live.is_due():
+        if results is not None and not self._drawing and self.live.is_due():
             self._drawing = True
-            mask = outcome.real_contact_mask
-            drawn = LiveViews(slot, None if mask is None else mask.copy())
+            mask = None if outcome.work.contact is None else outcome.work.contact.real_contact_mask
+            drawn = LiveViews(slot, None if mask is None else mask[0, 0].copy())
         else:
             self._free.put(slot)
         return self._records.put((place, drawn))

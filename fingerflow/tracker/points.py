@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -111,6 +112,7 @@ class Points:
         self._last_warp: Array = unchanged  # in the last frame, NaN where it is not known
         self._interval = MOST_FRAMES if self._by_key else 1  # frames to the next check of templates
         self._pending: list[_Pending] = []
+        self._preparing = threading.Lock()
         # Frames from the key frame on, when templates were checked, and passed over since the last frame.
         self._followed = self._checked = 0 if again else 1
         self._gap = 0
@@ -195,11 +197,19 @@ class Points:
         """Updates the templates that are due before the frame of this number, in the order in which they were found."""
         run_alone(self._updated(index))
 
+    def prepare_ahead(self) -> None:
+        """Prepares a part of the templates that are to be updated, so that no frame waits for all; in any thread,
+        while others look at frames.
+        """
+        with self._preparing:
+            for pending in self._pending[:1]:
+                run_alone(self._prepared(pending, -(-len(pending.rows) // (MOST_FRAMES - 1))))
+
     def _updated(self, index: int) -> Steps[None]:
         while self._pending and self._pending[0].due <= index:
-            one = self._pending.pop(0)
-            while (yield from self._prepare_piece(one, len(one.rows))):
-                pass
+            with self._preparing:
+                one = self._pending.pop(0)
+                yield from self._prepared(one, len(one.rows))
             done = 0
             for piece in one.prepared:
                 rows = one.rows[done : done + len(piece.numbers)]
@@ -207,14 +217,13 @@ class Points:
                 done += len(rows)
             self._inverse_warp[one.rows] = inverse_2x2(one.warp)
 
-    def _prepare_piece(self, pending: _Pending, rows: int) -> Steps[bool]:
-        """Prepares so many more rows; False where none are left."""
+    def _prepared(self, pending: _Pending, rows: int) -> Steps[None]:
+        """Prepares so many more rows, where so many are left."""
         done = sum(len(piece.numbers) for piece in pending.prepared)
         some = slice(done, done + rows)
         if done < len(pending.rows):
             start = self.start[pending.rows[some]]
             pending.prepared.append((yield Call(self._engine.prepare, (self._key, start, pending.warp[some]))))
-        return done + rows < len(pending.rows)
 
     def _step(self, images: Images, around: Found) -> Steps[Found]:
         yield from self._updated(self._index)
@@ -387,9 +396,6 @@ class Points:
             self._last_warp = warp
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
             self._check_templates(warp, corrected.shift[-1])
-        else:
-            for pending in self._pending[:1]:
-                yield from self._prepare_piece(pending, -(-len(pending.rows) // (MOST_FRAMES - 1)))
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _check_templates(self, warp: Array, shift: Array) -> None:

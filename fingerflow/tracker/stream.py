@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Contact, Ellipse, Engine, Entered, Found, Images
+from fingerflow.engines.engine import Contact, Engine, Found, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.entry import Border, Entries
 from fingerflow.tracker.frame_quality import MEASURED, USABLE, Blocks, FrameCheck
+from fingerflow.tracker.frame_results import FrameResults, Seeding
 from fingerflow.tracker.motion import Motion, known_of
-from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM, Points, Resolved
-from fingerflow.tracker.slip_flag import SlipFlag
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
 Array = NDArray[Any]
 
-#: Names of the results of a frame, variables of the data set.
-RESULTS = (
-    *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "ellipse_angle", "light_gain"),
-    *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
-    *("divergence", "curl", "point_strain", "median_divergence", "moved_in", "slip_residual", "slip_flag"),
-)
 CONTACT_VIEW, TOPOGRAPHY_VIEW = "contact_view", "topography_view"
 PAGE = "page"  # somebody asked for other points
 _REKEY_SHARE = 0.8
+# Frames after which the threshold is learnt from one: by then its contact has been computed beside the next ones.
+_LEARNT_AFTER = 2
 _EVERYTHING = 0.98  # of a view: a threshold that this much of it passes is none
 _PIXELS = 20_000  # that are read to find that out
 
@@ -85,7 +81,8 @@ class Work:
         images: of both views, as the engine holds them.
         guess: (N, 2) px where points are expected; None before any were seeded.
         measure: whether the threshold is to be found in it.
-        contact, found, measured: what was computed.
+        found, measured: what was computed of its points, and the threshold in it.
+        contact: once it is computed (`StreamTracker.results_of`); `computing` guards it.
     """
 
     index: int
@@ -94,9 +91,10 @@ class Work:
     guess: Array | None
     threshold: float
     measure: bool
-    contact: Contact | None = None
     found: Found | None = None
     measured: float | None = None
+    contact: Contact | None = None
+    computing: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Event(NamedTuple):
@@ -111,22 +109,20 @@ class Outcome(NamedTuple):
     """What became of a frame.
 
     Attributes:
-        frame: that it is of.
+        work: that it is of.
         status: number of `FRAME_STATUS`.
-        results: by the names of variables, without the axis of frames; None where the frame does not count.
-        real_contact_mask: (H, W) bool where the engine has it.
-        slipping: whether skin in contact slips, as the last frame that counts said.
+        found: of its points; None where the frame does not count.
+        seeding: points that `found` is of; None before any were seeded.
         tracked: points that are found in it.
         threshold: with which it was computed, NaN while unknown.
         key_frame: number of the frame with which it was compared.
         restart: how often points had been seeded.
     """
 
-    frame: Frame
+    work: Work
     status: int
-    results: dict[str, Any] | None
-    real_contact_mask: Array | None
-    slipping: bool
+    found: Found | None
+    seeding: Seeding | None
     tracked: int
     threshold: float
     key_frame: int
@@ -152,6 +148,17 @@ class _Change(NamedTuple):
     cause: str
 
 
+class _Unlearnt(NamedTuple):
+    """A frame from which the threshold is to be learnt, or one that is to be passed over.
+
+    It keeps its number: a frame that has its results is used for another picture.
+    """
+
+    number: int
+    work: Work
+    counts: bool
+
+
 class _Doubtful(NamedTuple):
     """A frame of which the next one says whether it counts."""
 
@@ -163,10 +170,10 @@ class StreamTracker:
     """State of a stream, and what leads from one frame to the next.
 
     Of a frame `begin` predicts where points are, `compute` finds contact and points, in any thread, and `finish` does
-    what needs the frames before: it recovers lost points, decides whether the frame counts, and counts displacement and
-    fields from each point's onset. Frames begin and are finished in their order; up to `lag` of them may be under way.
-    What a frame gives depends on the frames before it and on nothing else, neither the clock nor which of them happened
-    to be done.
+    what needs the frames before: it recovers lost points and decides whether the frame counts. `results_of` gives its
+    results, while the next frames are tracked. Each takes frames in their order; up to `lag` of them may have begun and
+    not be finished. What a frame gives depends on the frames before it and on nothing else, neither the clock nor which
+    of them happened to be done.
 
     Where no threshold is given, nothing touches until one was measured.
 
@@ -189,12 +196,11 @@ class StreamTracker:
         self._knowledge = replace(STREAM, lag=lag)
         self._light = engine.light(glass, dark)
         self._glass, self._dark = glass, dark
-        self._matrix = settings.topography_to_contact.astype(np.float64)
-        self._to_glass = (self._matrix * settings.mm_per_px).tolist()  # mm a px
+        self._results = FrameResults(engine, settings.topography_to_contact, settings.mm_per_px)
         self._check = FrameCheck(glass, dark, settings.bit_depth)
         self.threshold = math.nan if settings.threshold is None else settings.threshold
         self.measures = settings.threshold is None
-        self._search = ThresholdSearch(lag)
+        self._search = ThresholdSearch(lag + _LEARNT_AFTER)
         self._upkeep = Upkeep(settings.rekey_share or _REKEY_SHARE, settings.rekey_frames or math.inf)
         self._points: Points | None = None
         self._latest: _Known | None = None
@@ -203,8 +209,9 @@ class StreamTracker:
         self._change: _Change | None = None
         self._asked = False
         self._doubtful: _Doubtful | None = None
-        self._slip = SlipFlag()
-        self._per_px = settings.mm_per_px * math.sqrt(abs(np.linalg.det(self._matrix[:, :2])))
+        self._seeding: Seeding | None = None
+        self._first_threshold = math.nan
+        self._unlearnt: deque[_Unlearnt] = deque()
         self.found = self.restarts = self.keys = 0
         self.events: list[Event] = []
 
@@ -217,7 +224,8 @@ class StreamTracker:
             frame.status = USABLE
             work, _ = other.begin(frame)
             other.compute(work)
-            other.finish(work)
+            for outcome in other.finish(work):
+                other.results_of(outcome)
 
     def inspect(self, frame: Frame) -> None:
         """Notes what a frame says of itself; in any thread."""
@@ -255,20 +263,14 @@ class StreamTracker:
         return Work(self._begun - 1, frame, images, guess, self.threshold, measure), outcomes
 
     def compute(self, work: Work) -> None:
-        """Finds contact and points of a frame that has begun, in any thread."""
-        view, threshold = work.images[CONTACT_VIEW], np.array([work.threshold], np.float32)
-        work.contact = self._engine.contact(view, self._light, threshold)
+        """Finds the points of a frame that has begun, in any thread."""
         if self._points is not None and work.guess is not None:
             work.found = self._points.look(work.images[TOPOGRAPHY_VIEW], work.guess)
         if work.measure:
-            found = float(self._engine.threshold(view, self._light)[0])
+            found = float(self._engine.threshold(work.images[CONTACT_VIEW], self._light)[0])
             # An empty glass has a threshold too, of noise or below none; and valleys of the skin do not touch.
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
-            if physical and math.isnan(work.threshold):
-                # A stream may begin in contact: nothing else is known for this frame.
-                work.threshold = found
-                work.contact = self._engine.contact(view, self._light, np.array([found], np.float32))
 
     def finish(self, work: Work) -> list[Outcome]:
         """What became of a frame that was computed, and before it of one that was in doubt; none where it is in doubt
@@ -291,9 +293,28 @@ class StreamTracker:
             outcomes.append(self._skipped(work, int(USABLE if status is None else status)))
         else:
             outcomes.append(self._accepted(work, resolved))
+        while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
+            self._learn_threshold(*self._unlearnt.popleft())
         self._known[work.index] = self._latest
         self._known.pop(work.index - self.lag, None)
         return outcomes
+
+    def results_of(self, outcome: Outcome) -> dict[str, Any] | None:
+        """The results of a frame by the names of variables, without the axis of frames; None where it does not count.
+
+        Frame after frame in their order, in any thread: none is tracked by them.
+        """
+        if outcome.found is None or outcome.seeding is None:
+            return None
+        results = self._results.of(outcome.seeding, self._contact_of(outcome.work), outcome.found)
+        if self._points is not None:
+            self._points.prepare_ahead()
+        return results
+
+    @property
+    def slipping(self) -> bool:
+        """Whether skin in contact slips, as the last frame that has results said."""
+        return self._results.slipping
 
     def settle(self, following: Frame | None = None) -> list[Outcome]:
         """What became of the frame that was in doubt, now that the next one has come, None for none.
@@ -308,8 +329,6 @@ class StreamTracker:
         status = self._check.settle(following.blocks if usable and following is not None else None)
         if status != USABLE:
             return [self._skipped(work, status)]
-        if work.measured is not None:
-            self._search.passed_over()
         return [self._accepted(work, resolved, late=True)]
 
     def _guess(self, number: int) -> Array | None:
@@ -366,21 +385,18 @@ class StreamTracker:
         """Takes new points where they are more than those that are followed."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
-            self._slip.follow_others(change.points, points)
-            self._restart(change.number, change.image, points, change.cause)
+            self._restart(change.number, change.image, points, change.cause, change.points)
         else:
             self._upkeep.kept(self._begun)
 
-    def _restart(self, number: int, view: Array, points: Array, cause: str) -> None:
+    def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> None:
         """Follows these points (N, 2) px of a frame from now on; all that is counted from onsets begins again."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
         self._points = Points(self._engine, image, points, motion=motion, knowledge=self._knowledge, again=again)
         self.found = int(known_of(points).sum())
         self._know(_Known(self._points.motion, number))
-        self._touches = Touches(len(points))
-        self._seeded = points.astype(np.float64)
-        self._entries = Entries(self._engine, self._on_glass(self._seeded), self._engine.settings.gauge_length_mm)
+        self._seeding = Seeding(points, before)
         self._upkeep.restarted(self._begun, number, self.found)
         self._search.begin()
         self.restarts += 1
@@ -403,91 +419,52 @@ class StreamTracker:
 
     def _skipped(self, work: Work, status: int) -> Outcome:
         """A frame that is no picture of the trial: nothing is learnt from it."""
-        if work.measured is not None:
-            self._search.passed_over()
+        self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
     def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> Outcome:
         assert self._points is not None
-        assert work.contact is not None
         frame, index = work.frame, work.index
         found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index)
         self._latest = _Known(self._points.motion, frame.number)
-        results = self._results(work.contact, found)
         tracked = _tracked(found)
-        if self.measures and not late:
-            self._learn_threshold(frame, index, float(work.contact.real_area_px[0]), work.measured)
+        if math.isnan(work.threshold):
+            # The first one that is found: it counts at once, as nothing else is known.
+            if work.measured is not None and math.isnan(self._first_threshold):
+                self._first_threshold = work.measured
+            work.threshold = self._first_threshold
+        self._unlearnt.append(_Unlearnt(frame.number, work, not late))
         if self._change is None and not late:
             cause = PAGE if self._asked else self._upkeep.see(index, frame.number, tracked)
             if cause:
                 self._asked = False
                 image = frame.views[TOPOGRAPHY_VIEW][0].copy()
                 self._change = _Change(index, frame.number, image, found.points[0].copy(), cause)
-        return self._outcome(work, USABLE, results, tracked)
+        return self._outcome(work, USABLE, found, tracked)
 
-    def _outcome(self, work: Work, status: int, results: dict[str, Any] | None, tracked: int) -> Outcome:
-        mask = None if work.contact is None or results is None else work.contact.real_contact_mask
+    def _outcome(self, work: Work, status: int, found: Found | None, tracked: int) -> Outcome:
         threshold = work.threshold if status == USABLE else math.nan
-        drawn = None if mask is None else mask[0, 0]
-        of_points = (self._upkeep.key_frame, self.restarts)
-        return Outcome(work.frame, status, results, drawn, self._slip.slipping, tracked, threshold, *of_points)
+        of_points = (self._seeding, tracked, threshold, self._upkeep.key_frame, self.restarts)
+        return Outcome(work, status, found, *of_points)
 
-    def _learn_threshold(self, frame: Frame, index: int, area: float, measured: float | None) -> None:
-        if self._search.see(index, area, measured) and measured is not None:
-            self.events.append(Event("threshold", frame.number, {"threshold": measured}))
+    def _contact_of(self, work: Work) -> Contact:
+        """Contact of a frame, by whichever thread needs it first."""
+        with work.computing:
+            if work.contact is None:
+                threshold = np.array([work.threshold], np.float32)
+                work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
+            return work.contact
 
-    def _on_glass(self, pixels: Array) -> Array:
-        """(..., 2) px of the topography view to mm on the glass."""
-        # By components: a product with so small a matrix takes several times as long.
-        x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
-        result = np.empty(pixels.shape)
-        for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
-            result[..., axis] = by_x * x + by_y * y + shift
-        return result
-
-    def _results(self, contact: Contact, found: Found) -> dict[str, Any]:
-        size = self._settings.mm_per_px
-        covered = self._engine.covered(contact.density_margin, found.estimate, self._matrix.astype(np.float32))
-        deviation = np.sqrt(found.variance)
-        center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
-        ellipse = Ellipse(center, semi_axes, contact.angle.astype(np.float64))
-        slip = self._slip.see(found.points[0], deviation[0], covered[0])
-        return {
-            "real_contact_area": float(contact.real_area_px[0]) * size**2,
-            "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
-            "ellipse_center": ellipse.center[0],
-            "ellipse_semi_axes": ellipse.semi_axes[0],
-            "ellipse_angle": contact.angle[0],
-            "light_gain": contact.light_gain[0],
-            "position_px": found.points[0],
-            "forward_backward_error": found.error[0],
-            "position_std_px": deviation[0],
-            "status": found.status[0],
-            "in_contact": covered[0],
-            **self._since_onset(found, covered, ellipse),
-            "slip_residual": slip.residual * self._per_px,
-            "slip_flag": slip.slipping,
-        }
-
-    def _since_onset(self, found: Found, covered: Array, ellipse: Ellipse) -> dict[str, Any]:
-        """Fields of the displacement since each point's own onset of contact."""
-        position = self._on_glass(found.points)
-        touch = self._touches.go_on(np.array([self._finished]), covered, position, found.variance.astype(np.float32))
-        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], Border(*ellipse))
-        among = self._entries.entered[None] & touch.touching
-        entered = None
-        if since is not None and among.any():
-            entered = Entered(among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None)
-        moved = (position - touch.place).astype(np.float32)
-        around = Ellipse(*(one.astype(np.float32) for one in ellipse))
-        fields = self._engine.fields(touch.place[0].astype(np.float32), moved, around, None, entered)
-        return {
-            "divergence": fields.divergence[0],
-            "curl": fields.curl[0],
-            "point_strain": fields.strain[0],
-            "median_divergence": fields.median[0, 0],
-            "moved_in": among[0],
-        }
+    def _learn_threshold(self, number: int, work: Work, counts: bool) -> None:
+        if not self.measures:
+            return
+        if not counts:
+            if work.measured is not None:
+                self._search.passed_over()
+            return
+        area = float(self._contact_of(work).real_area_px[0])
+        if self._search.see(work.index, area, work.measured) and work.measured is not None:
+            self.events.append(Event("threshold", number, {"threshold": work.measured}))
 
 
 def _tracked(found: Found) -> int:

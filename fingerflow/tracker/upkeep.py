@@ -8,7 +8,7 @@ import math
 class ThresholdSearch:
     """In which frames the threshold is measured, and from which on it counts: by the order of the frames alone.
 
-    The first frames, and every fourth then, are tried until one shows contact. What is found there, where a contact is
+    The first frame, and every fourth then, are tried until one shows contact. What is found there, where a contact is
     small, is measured again whenever the contact has grown by a fourth.
 
     Methods are called for frame after frame, `due` and `wants` when it begins, `see` when it has ended.
@@ -42,7 +42,7 @@ class ThresholdSearch:
     def wants(self, index: int) -> bool:
         """Whether the threshold is to be measured in this frame."""
         if self._searching:
-            return index % self._EVERY == 0 or index < self._lag
+            return index % self._EVERY == 0
         return self._asked is not None and index == self._asked + self._lag
 
     def passed_over(self) -> None:

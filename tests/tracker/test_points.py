@@ -153,8 +153,9 @@ def test_templates_are_updated_eight_frames_after_they_were_found_to_have_change
             engine.updates.clear()
         guess = points.expect()
         points.accept(IMAGE, points.resolve(IMAGE, guess, points.look(IMAGE, guess)), 1, index)
-        if 7 < index < 14:
-            assert engine.prepared == [1] * (index - 7)
+        points.prepare_ahead()
+        if 6 < index < 13:
+            assert engine.prepared == [1] * (index - 6)
     assert list(updated) == [16]
     np.testing.assert_array_equal(updated[16], np.arange(6))
     np.testing.assert_allclose(engine.inverse[:6] @ _stretched(1.1 * change / 2**0.5)[:6], _stretched(0)[:6], atol=1e-6)
@@ -188,7 +189,7 @@ def test_templates_of_fast_skin_are_checked_sooner(
 
 
 def test_an_update_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where its first piece is prepared, in the frame after the check."""
+    """Where it is prepared, ahead of time or when it is due."""
     engine = KnownSkin(START)
     points = _points(engine)
     engine.warp = _stretched(1.1 * UPDATE_PX / (engine.settings.window_px // 2) / 2**0.5)
@@ -200,5 +201,9 @@ def test_an_update_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         _see(points)
     assert not engine.prepared
     monkeypatch.setattr(engine, "prepare", failing)
+    _see(points)
     with pytest.raises(MemoryError, match="no room"):
-        _see(points)
+        points.prepare_ahead()
+    with pytest.raises(MemoryError, match="no room"):
+        for _ in range(MOST_FRAMES):
+            _see(points)

@@ -1,0 +1,125 @@
+"""What is stated of a frame of a stream that counts: areas, positions, slip, and fields since each point's onset."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.engines.engine import Contact, Ellipse, Engine, Entered, Found
+from fingerflow.tracker.entry import Border, Entries
+from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.slip_flag import SlipFlag
+
+Array = NDArray[Any]
+
+#: Names of the results of a frame, variables of the data set.
+RESULTS = (
+    *("real_contact_area", "gross_contact_area", "ellipse_center", "ellipse_semi_axes", "ellipse_angle", "light_gain"),
+    *("position_px", "forward_backward_error", "position_std_px", "status", "in_contact"),
+    *("divergence", "curl", "point_strain", "median_divergence", "moved_in", "slip_residual", "slip_flag"),
+)
+
+
+class Seeding(NamedTuple):
+    """Points (N, 2) px that are followed from now on; NaN beyond those that are found.
+
+    `before` (M, 2) px is where the points until now lay in the frame in which these were seeded; None for the first.
+    """
+
+    points: Array
+    before: Array | None
+
+
+class FrameResults:
+    """Results of frame after frame; what is counted from onsets begins again when points are seeded.
+
+    No frame is tracked by what is held here: it may be done in a thread of its own.
+
+    Args:
+        engine: that computes.
+        topography_to_contact: (2, 3) px to px.
+        mm_per_px: of the contact view.
+    """
+
+    def __init__(self, engine: Engine, topography_to_contact: Array, mm_per_px: float) -> None:
+        self._engine, self._size = engine, mm_per_px
+        matrix = topography_to_contact.astype(np.float64)
+        self._to_contact = matrix.astype(np.float32)
+        self._to_glass = (matrix * mm_per_px).tolist()  # mm a px
+        self._per_px = mm_per_px * math.sqrt(abs(np.linalg.det(matrix[:, :2])))
+        self._slip = SlipFlag()
+        self._seeding: Seeding | None = None
+        self._frames = 0
+
+    @property
+    def slipping(self) -> bool:
+        """Whether skin in contact slips, as the last frame that counts said."""
+        return self._slip.slipping
+
+    def of(self, seeding: Seeding, contact: Contact, found: Found) -> dict[str, Any]:
+        """Results of the next frame by the names of `RESULTS`, from what is found of the points of a seeding."""
+        if seeding is not self._seeding:
+            self._begin(seeding)
+        self._frames += 1
+        size = self._size
+        covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)
+        deviation = np.sqrt(found.variance)
+        center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
+        ellipse = Ellipse(center, semi_axes, contact.angle.astype(np.float64))
+        slip = self._slip.see(found.points[0], deviation[0], covered[0])
+        return {
+            "real_contact_area": float(contact.real_area_px[0]) * size**2,
+            "gross_contact_area": float(contact.gross_area_px[0]) * size**2,
+            "ellipse_center": ellipse.center[0],
+            "ellipse_semi_axes": ellipse.semi_axes[0],
+            "ellipse_angle": contact.angle[0],
+            "light_gain": contact.light_gain[0],
+            "position_px": found.points[0],
+            "forward_backward_error": found.error[0],
+            "position_std_px": deviation[0],
+            "status": found.status[0],
+            "in_contact": covered[0],
+            **self._since_onset(found, covered, ellipse),
+            "slip_residual": slip.residual * self._per_px,
+            "slip_flag": slip.slipping,
+        }
+
+    def _begin(self, seeding: Seeding) -> None:
+        self._seeding = seeding
+        if seeding.before is not None:
+            self._slip.follow_others(seeding.before, seeding.points)
+        self._touches = Touches(len(seeding.points))
+        places = self._on_glass(seeding.points)
+        self._entries = Entries(self._engine, places, self._engine.settings.gauge_length_mm)
+
+    def _on_glass(self, pixels: Array) -> Array:
+        """(..., 2) px of the topography view to mm on the glass."""
+        # By components: a product with so small a matrix takes several times as long.
+        x, y = pixels[..., 0].astype(np.float64), pixels[..., 1].astype(np.float64)
+        result = np.empty(pixels.shape)
+        for axis, (by_x, by_y, shift) in enumerate(self._to_glass):
+            result[..., axis] = by_x * x + by_y * y + shift
+        return result
+
+    def _since_onset(self, found: Found, covered: Array, ellipse: Ellipse) -> dict[str, Any]:
+        """Fields of the displacement since each point's own onset of contact."""
+        position = self._on_glass(found.points)
+        touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance.astype(np.float32))
+        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], Border(*ellipse))
+        among = self._entries.entered[None] & touch.touching
+        entered = None
+        if since is not None and among.any():
+            entered = Entered(among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None)
+        moved = (position - touch.place).astype(np.float32)
+        around = Ellipse(*(one.astype(np.float32) for one in ellipse))
+        fields = self._engine.fields(touch.place[0].astype(np.float32), moved, around, None, entered)
+        return {
+            "divergence": fields.divergence[0],
+            "curl": fields.curl[0],
+            "point_strain": fields.strain[0],
+            "median_divergence": fields.median[0, 0],
+            "moved_in": among[0],
+        }
