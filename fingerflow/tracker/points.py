@@ -20,7 +20,6 @@ from fingerflow.tracker.verification import Verification
 
 Array = NDArray[Any]
 
-_FAR, _UNSURE = 5.0, 3.0  # times the usual distance and deviation
 _ELSEWHERE, _FEWEST = 0.3, 8  # share of the lost points, and points, that are found elsewhere after a jump
 _TINY = 1e-12
 
@@ -342,26 +341,23 @@ class Points:
         if others:
             found = Found(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
         numbers, inverse_warp = self._known_of_templates(others)
-        corrected: Corrected = yield Call(self._engine.correct, (self._every, found, numbers, inverse_warp))
-        suspect = _may_disagree(found, corrected.expected)
-        if len(suspect):
-            judged = yield from self._judged(found.of(suspect))
-            if not np.array_equal(judged.status, found.status[suspect]):
-                found = Found(*(one.copy() for one in found))
-                for whole, part in zip(found, judged, strict=True):
-                    whole[suspect] = part
-                corrected = yield Call(self._engine.correct, (self._every, found, numbers, inverse_warp))
+        judged = yield from self._judged(found)
+        corrected: Corrected = yield Call(self._engine.correct, (self._every, judged, numbers, inverse_warp))
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
     def _judged(self, found: Found) -> Steps[Found]:
         """Points that were found but not where their neighbours say, or far more uncertain than they, marked."""
-        status, tracked = found.status.copy(), found.status == TrackStatus.TRACKED
         if self._neighbours is None:
             self._neighbours = self._engine.neighbours(self._every)
         off_neighbours, uncertain = yield Call(self._engine.outliers, (self._neighbours, self._every, found))
-        status[tracked & uncertain] = TrackStatus.UNCERTAIN
-        status[tracked & off_neighbours] = TrackStatus.OFF_NEIGHBOURS
+        tracked = found.status == TrackStatus.TRACKED
+        uncertain, off_neighbours = tracked & uncertain, tracked & off_neighbours
+        if not (uncertain.any() or off_neighbours.any()):
+            return found
+        status = found.status.copy()
+        status[uncertain] = TrackStatus.UNCERTAIN
+        status[off_neighbours] = TrackStatus.OFF_NEIGHBOURS
         gone = status != TrackStatus.TRACKED
         points, covariance = found.points.copy(), found.covariance.copy()
         points[gone] = covariance[gone] = np.nan
@@ -450,29 +446,6 @@ def beside(parts: list[Found]) -> Found:
     """What was found of other points in the same frames, side by side."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else Found(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
-
-
-def _may_disagree(found: Found, expected: Array) -> Array:
-    """Numbers (k,) of the frames in which a point is far enough from where its neighbours expect it, or uncertain
-    enough, to be judged: what an engine's `outliers` marks is further off, and mostly there is nothing.
-    """
-    variance = found.variance
-    off = found.points - expected
-    off *= off
-    apart = (off[..., 0] + off[..., 1]) / variance
-    return np.flatnonzero([_stands_out(*one) for one in zip(apart, variance, strict=True)])
-
-
-def _stands_out(apart: Array, variance: Array) -> bool:
-    """True where the largest of either is far above the median of the known ones."""
-    for values, most in ((apart, _FAR), (variance, _UNSURE)):
-        known = values[np.isfinite(values)]
-        if len(known):
-            middle = (len(known) - 1) // 2
-            known.partition(middle)
-            if known[middle:].max() > most**2 * known[middle]:
-                return True
-    return False
 
 
 def _last_seen(points: Array, before: Array) -> Array:
