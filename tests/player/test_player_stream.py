@@ -246,8 +246,10 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
 def test_a_threshold_that_is_not_given_is_measured(
     stream: Stream, request: pytest.FixtureRequest, setting: str, lag: int
 ) -> None:
-    """Of the first of every four frames that shows contact: 0.4 of the light, half of what it loses. It counts from that
-    frame on, whether or not others are computed beside it; darker ones keep it."""
+    """Measure the threshold in the first of every four frames that shows contact: 0.4 of the light, half of the loss.
+
+    It counts from that frame on, whether or not frames are computed beside it; darker frames keep it.
+    """
     if lag == 2:
         request.getfixturevalue("together")
     stream.scene.write_text(stream.scene.read_text().replace("threshold = 0.5", setting))
