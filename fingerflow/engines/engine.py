@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+
+ROWS = 64  # that graphs of some of the points take in a call, and that are searched for in a frame of a stream
 Images = Any  # frames (K, 1, H, W) as an engine holds them: they have a length, and slices of frames
 
 

@@ -33,8 +33,7 @@ from fingerflow.tracker.verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 
-FEW = 64  # rows of graphs that take some of the points, in pieces
-#: Graphs of `FEW` rows, and which of their inputs are rows.
+#: Graphs of `engines.engine.ROWS` rows, and which of their inputs are rows.
 OF_FEW: dict[str, tuple[str, ...]] = {
     "renew": ("points", "warp"),
     "track_few": (*(f"template_{name}" for name in Templates._fields), "prediction"),

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fingerflow.export.build import FEW, OF_FEW, Graph, build
+from fingerflow.engines.engine import ROWS
+from fingerflow.export.build import OF_FEW, Graph, build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
@@ -120,7 +121,7 @@ def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tenso
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
     few = OF_FEW.get(name, ())
-    return tuple(source[one][:, :FEW] if one in few else source[one] for one in graph.inputs)
+    return tuple(source[one][:, :ROWS] if one in few else source[one] for one in graph.inputs)
 
 
 @lru_cache(maxsize=4)

@@ -324,8 +324,8 @@ class Player:
                 self._first = slot.arrival
             if self._tracker.must_wait(slot) and not self._order.wait_for_all():
                 return None
-            work, outcomes = self._tracker.begin(slot)
-            return (self._order.begin(), work) if self._hand_on(outcomes) else None
+            work, passed = self._tracker.begin(slot)
+            return (self._order.begin(), work) if self._hand_on(passed) else None
 
     def _close_outcomes(self) -> None:
         """After the last of these threads no outcome comes."""
@@ -338,10 +338,8 @@ class Player:
         """Finishes a frame that was computed; False where the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
-    def _hand_on(self, outcomes: Iterable[Outcome]) -> bool:
+    def _hand_on(self, passed: Iterable[Event | Outcome]) -> bool:
         """Passes on frames whose outcome is known, and what has happened; False where the stream has failed."""
-        events, self._tracker.events = self._tracker.events, []
-        passed: list[Event | Outcome] = [*events, *outcomes]
         return all(self._outcomes.put(one) for one in passed)
 
     # Measure: outcomes -> records.

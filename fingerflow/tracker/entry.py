@@ -214,6 +214,7 @@ class Entries:
             kept[row] = new[0]
         self._onset[~touching], self.entered[~touching] = -1, False
         self._onset[begins], self._reference[begins] = self._frames, position[begins]
+        self._at_entry[begins] = np.nan  # of an earlier touch
         if begins.any():
             self._judge(begins)
         self._frames += 1

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Corrected, Engine, Followed, Found, Images, Templates, nothing_found
+from fingerflow.engines.engine import ROWS, Corrected, Engine, Followed, Found, Images, Templates, nothing_found
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import REACH, Number, TrackStatus
@@ -44,7 +44,7 @@ class Knowledge:
 
 
 RECORDING = Knowledge()
-STREAM = Knowledge(ahead=False, searched=64, patience=TRUSTED)
+STREAM = Knowledge(ahead=False, searched=ROWS, patience=TRUSTED)
 
 
 class _Pending(NamedTuple):
@@ -181,8 +181,8 @@ class Points:
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> Found:
-        """Learns from a frame (1, N) that counts, and verifies it. `index` is its number among all frames of a stream,
-        of which others may have begun.
+        """Learns from a frame (1, N) that counts, and verifies it. `index` is the number, in a stream, of the frame
+        that has just been looked at: as many frames behind it as the lag says may have begun.
         """
         if index is not None:
             self._index = index
@@ -199,10 +199,14 @@ class Points:
     def prepare_ahead(self) -> None:
         """Prepares a part of the templates that are to be updated, so that no frame waits for all; in any thread,
         while others look at frames.
+
+        Parts are whole calls of a graph of some of the points: its sums differ in the last digit by a row's place in a
+        call, and how many frames this thread has had time for must not change a number.
         """
         with self._preparing:
             for pending in self._pending[:1]:
-                run_alone(self._prepared(pending, -(-len(pending.rows) // (MOST_FRAMES - 1))))
+                calls = -(-len(pending.rows) // (ROWS * (MOST_FRAMES - 1)))
+                run_alone(self._prepared(pending, ROWS * calls))
 
     def _updated(self, index: int) -> Steps[None]:
         while self._pending and self._pending[0].due <= index:
@@ -348,6 +352,8 @@ class Points:
 
     def _judged(self, found: Found) -> Steps[Found]:
         """Points that were found but not where their neighbours say, or far more uncertain than they, marked."""
+        if len(self._every) < 2:  # no point has a neighbour
+            return found
         if self._neighbours is None:
             self._neighbours = self._engine.neighbours(self._every)
         off_neighbours, uncertain = yield Call(self._engine.outliers, (self._neighbours, self._every, found))
@@ -411,7 +417,8 @@ class Points:
             much[pending.rows] = False
         rows = np.flatnonzero(much)
         if len(rows):
-            later = MOST_FRAMES if self._interval == MOST_FRAMES else self._knowledge.lag - 1
+            begun = self._knowledge.lag - 1  # frames after this one that may have begun
+            later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
     def _verified(self, images: Images, found: Found) -> Steps[Found]:

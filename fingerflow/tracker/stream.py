@@ -188,7 +188,6 @@ class StreamTracker:
         measures: whether it is found in frames.
         found: points that were seeded at the last restart.
         restarts, keys: how often points were seeded, and key frames were taken beside.
-        events: that are to be written, in their order; whoever reads them takes them away.
     """
 
     def __init__(self, engine: Engine, settings: StreamSettings, glass: Array, dark: Array, lag: int = 1) -> None:
@@ -213,7 +212,6 @@ class StreamTracker:
         self._first_threshold = math.nan
         self._unlearnt: deque[_Unlearnt] = deque()
         self.found = self.restarts = self.keys = 0
-        self.events: list[Event] = []
 
     def warm_up(self, frame: Frame) -> None:
         """Computes an empty frame: the first call of an engine takes longer than others."""
@@ -224,8 +222,9 @@ class StreamTracker:
             frame.status = USABLE
             work, _ = other.begin(frame)
             other.compute(work)
-            for outcome in other.finish(work):
-                other.results_of(outcome)
+            for one in other.finish(work):
+                if isinstance(one, Outcome):
+                    other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
         """Notes what a frame says of itself; in any thread."""
@@ -249,18 +248,18 @@ class StreamTracker:
             or (self._points is not None and self._points.changes(self._begun))
         )
 
-    def begin(self, frame: Frame) -> tuple[Work, list[Outcome]]:
-        """Makes ready to compute a frame; and what became of one before it that was in doubt."""
-        outcomes: list[Outcome] = []
+    def begin(self, frame: Frame) -> tuple[Work, list[Event | Outcome]]:
+        """Makes ready to compute a frame; and what has changed before it, and became of one that was in doubt."""
+        passed: list[Event | Outcome] = []
         if self.must_wait(frame):
             assert not self.under_way
             outcomes = self.settle(frame)
-            self._make_changes(frame)
+            passed = [*self._make_changes(frame), *outcomes]
         guess = self._guess(frame.number)
         images = {name: self._engine.images(view[0]) for name, view in frame.views.items()}
         measure = self.measures and self._search.wants(self._begun)
         self._begun += 1
-        return Work(self._begun - 1, frame, images, guess, self.threshold, measure), outcomes
+        return Work(self._begun - 1, frame, images, guess, self.threshold, measure), passed
 
     def compute(self, work: Work) -> None:
         """Finds the points of a frame that has begun, in any thread."""
@@ -272,32 +271,40 @@ class StreamTracker:
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
-    def finish(self, work: Work) -> list[Outcome]:
+    def finish(self, work: Work) -> list[Event | Outcome]:
         """What became of a frame that was computed, and before it of one that was in doubt; none where it is in doubt
-        itself.
+        itself. And what happened with it.
         """
-        outcomes = self.settle(work.frame)
-        self._finished += 1
+        passed: list[Event | Outcome] = [*self.settle(work.frame)]
         frame, points = work.frame, self._points
-        resolved: Resolved | None = None
+        if points is None:  # no usable frame has come yet
+            passed.append(self._skipped(work, frame.status))
+        else:
+            passed += self._judged(work, points)
+        while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
+            passed += self._learn_threshold(*self._unlearnt.popleft())
+        self._known[work.index] = self._latest
+        self._known.pop(work.index - self.lag, None)
+        self._finished += 1
+        return passed
+
+    def _judged(self, work: Work, points: Points) -> list[Outcome]:
+        """What became of a frame; nothing yet where the next one has to say it."""
+        frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
-        if points is not None and work.found is not None and work.guess is not None and frame.status in MEASURED:
+        if work.found is not None and work.guess is not None and frame.status in MEASURED:
             image = work.images[TOPOGRAPHY_VIEW]
             resolved = points.resolve(image, work.guess, work.found, self._ahead(frame.number))
             tracked, elsewhere = _tracked(resolved.corrected.found), resolved.elsewhere
         assert frame.blocks is not None
         status = self._check.see(frame.number, frame.blocks, frame.status, tracked, elsewhere)
-        if status is None and resolved is not None:
+        if status is not None and status != USABLE:
+            return [self._skipped(work, status)]
+        assert resolved is not None  # points are looked for in every frame that may count
+        if status is None:
             self._doubtful = _Doubtful(work, resolved)
-        elif status != USABLE or resolved is None:
-            outcomes.append(self._skipped(work, int(USABLE if status is None else status)))
-        else:
-            outcomes.append(self._accepted(work, resolved))
-        while self._unlearnt and self._unlearnt[0].work.index <= work.index - _LEARNT_AFTER:
-            self._learn_threshold(*self._unlearnt.popleft())
-        self._known[work.index] = self._latest
-        self._known.pop(work.index - self.lag, None)
-        return outcomes
+            return []
+        return [self._accepted(work, resolved)]
 
     def results_of(self, outcome: Outcome) -> dict[str, Any] | None:
         """The results of a frame by the names of variables, without the axis of frames; None where it does not count.
@@ -357,11 +364,12 @@ class StreamTracker:
         change = self._change
         return None if change is None or self._begun < change.after + self.lag else change
 
-    def _make_changes(self, frame: Frame) -> None:
+    def _make_changes(self, frame: Frame) -> list[Event]:
         change, threshold = self._due_change(), self._search.due(self._begun)
+        events: list[Event] = []
         if not self.restarts and frame.status == USABLE:
             view = frame.views[TOPOGRAPHY_VIEW][0]
-            self._restart(frame.number, view, self._seed(view), "start")
+            events.append(self._restart(frame.number, view, self._seed(view), "start"))
         if threshold is not None:
             self.threshold = threshold
             self._search.used()
@@ -369,10 +377,8 @@ class StreamTracker:
             self._points.update_due(self._begun)
         if change is not None:
             self._change = None
-            if change.cause == REKEY:
-                self._rekey(change)
-            else:
-                self._reseed(change)
+            events += [self._rekey(change)] if change.cause == REKEY else self._reseed(change)
+        return events
 
     def _seed(self, view: Array) -> Array:
         """Points (N, 2) px worth tracking in a view (1, H, W), NaN beyond those that are found."""
@@ -381,15 +387,15 @@ class StreamTracker:
         points[: len(found)] = found
         return points
 
-    def _reseed(self, change: _Change) -> None:
+    def _reseed(self, change: _Change) -> list[Event]:
         """Takes new points where they are more than those that are followed."""
         points = self._seed(change.image)
         if known_of(points).sum() > (0 if change.cause == PAGE else known_of(change.points).sum()):
-            self._restart(change.number, change.image, points, change.cause, change.points)
-        else:
-            self._upkeep.kept(self._begun)
+            return [self._restart(change.number, change.image, points, change.cause, change.points)]
+        self._upkeep.kept(self._begun)
+        return []
 
-    def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> None:
+    def _restart(self, number: int, view: Array, points: Array, cause: str, before: Array | None = None) -> Event:
         """Follows these points (N, 2) px of a frame from now on; all that is counted from onsets begins again."""
         motion = None if self._points is None else self._points.motion.seeded(points)
         image, again = self._engine.images(view), self._points is None
@@ -400,9 +406,9 @@ class StreamTracker:
         self._upkeep.restarted(self._begun, number, self.found)
         self._search.begin()
         self.restarts += 1
-        self.events.append(Event("restart", number, {"cause": cause, "points": self.found}))
+        return Event("restart", number, {"cause": cause, "points": self.found})
 
-    def _rekey(self, change: _Change) -> None:
+    def _rekey(self, change: _Change) -> Event:
         """Compares the next frames with a newer one, in which the points lay at `change.points`."""
         assert self._points is not None
         known, motion = known_of(change.points), self._points.motion
@@ -413,7 +419,7 @@ class StreamTracker:
         self._know(self._latest._replace(motion=kept))
         self._upkeep.keyed(change.number, int(known.sum()))
         self.keys += 1
-        self.events.append(Event("key_frame", change.number, {"points": int(known.sum())}))
+        return Event("key_frame", change.number, {"points": int(known.sum())})
 
     # What becomes of a frame.
 
@@ -425,7 +431,8 @@ class StreamTracker:
     def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> Outcome:
         assert self._points is not None
         frame, index = work.frame, work.index
-        found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index)
+        # One that was in doubt is accepted as the next one ends, and by then another may have begun.
+        found = self._points.accept(work.images[TOPOGRAPHY_VIEW], resolved, self._ahead(frame.number), index + late)
         self._latest = _Known(self._points.motion, frame.number)
         tracked = _tracked(found)
         if math.isnan(work.threshold):
@@ -455,16 +462,17 @@ class StreamTracker:
                 work.contact = self._engine.contact(work.images[CONTACT_VIEW], self._light, threshold)
             return work.contact
 
-    def _learn_threshold(self, number: int, work: Work, counts: bool) -> None:
+    def _learn_threshold(self, number: int, work: Work, counts: bool) -> list[Event]:
         if not self.measures:
-            return
+            return []
         if not counts:
             if work.measured is not None:
                 self._search.passed_over()
-            return
+            return []
         area = float(self._contact_of(work).real_area_px[0])
         if self._search.see(work.index, area, work.measured) and work.measured is not None:
-            self.events.append(Event("threshold", number, {"threshold": work.measured}))
+            return [Event("threshold", number, {"threshold": work.measured})]
+        return []
 
 
 def _tracked(found: Found) -> int:

@@ -58,7 +58,8 @@ class Verification:
         places = np.where((last > 0)[:, None], points[number, np.arange(len(number))], np.float32(np.nan))
         apart = yield from self._apart(images, number, places, warp)
         noise: float = yield Call(self._engine.noise, (images[frames - 1 :],))
-        noise_part = noise**2 / self._variance
+        with np.errstate(divide="ignore", invalid="ignore"):
+            noise_part = noise**2 / self._variance  # infinite or NaN of a blank window, which never differs
         known = np.sort(apart[np.isfinite(apart)])
         usual = _USUAL * known[(len(known) - 1) // 2] if len(known) else 0.0
         limit = np.clip(usual, _ALIKE, _MOST) + _NOISE * noise_part

@@ -150,7 +150,9 @@ def test_as_each_by_itself(engine: TorchEngine, given: Callable[[TorchEngine], M
         for ours, theirs in zip(leaves(one), leaves(getattr(engine, method)(*arguments)), strict=True):
             assert ours.shape == theirs.shape
             assert ours.dtype == theirs.dtype
-            np.testing.assert_allclose(ours, theirs, **CLOSE)  # type: ignore[arg-type]
+            # Template statistics are small differences of large sums in single precision.
+            size = max(1.0, 0.01 * float(np.nanmax(np.abs(theirs))))
+            np.testing.assert_allclose(ours, theirs, CLOSE["rtol"], size * CLOSE["atol"])
 
 
 def test_those_of_other_sizes_are_called_by_themselves(engine: TorchEngine, monkeypatch: pytest.MonkeyPatch) -> None:

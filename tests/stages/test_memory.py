@@ -122,7 +122,9 @@ def test_results_that_go_to_a_file_do_not_stay_in_memory(long: Callable[[int], S
     file = tmp_path / "result.h5"
     process(long(9), to=file).close()
     bytes_of: dict[Path | None, list[int]] = {file: [], None: []}
-    few, many = 80, 400  # more than the 64 that are computed at a time
+    # More than the 64 that are computed at a time, and so many that one piece of 64 more or less in a peak, which is
+    # up to the moment at which it is written, counts little.
+    few, many = 80, 720
     for count in (few, many):
         scene = long(count)
         for to, found in bytes_of.items():

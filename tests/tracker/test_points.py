@@ -1,13 +1,16 @@
 """Points followed through motion that a frame alone cannot follow, and templates updated as the skin deforms."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from known_skin import Array, KnownSkin
+from scipy import ndimage
 
-from fingerflow.engines.engine import Found
+from fingerflow.engines.engine import Engine, EngineSettings, Found
+from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.motion import TRUSTED
 from fingerflow.tracker.points import STREAM, Points, Resolved
@@ -135,9 +138,16 @@ def _stretched(by: float) -> Array:
 
 
 @pytest.mark.parametrize("lag", [1, 2])
-def test_templates_are_updated_eight_frames_after_they_were_found_to_have_changed(lag: int) -> None:
+@pytest.mark.parametrize("every", [1, 2, 99])
+def test_templates_are_updated_eight_frames_after_they_were_found_to_have_changed(
+    monkeypatch: pytest.MonkeyPatch, lag: int, every: int
+) -> None:
     """They are checked after every eighth frame; six of them exceed the limit, are prepared in pieces meanwhile, and
-    count from the sixteenth frame on; later ones are not asked for again while they wait."""
+    count from the sixteenth frame on; later ones are not asked for again while they wait.
+
+    Pieces begin at the same rows however often there is time to prepare one: in every frame, every second one or none.
+    """
+    monkeypatch.setattr("fingerflow.tracker.points.ROWS", 2)
     engine = KnownSkin(START)
     points = _points(engine, lag)
     change = UPDATE_PX / (engine.settings.window_px // 2)
@@ -153,9 +163,11 @@ def test_templates_are_updated_eight_frames_after_they_were_found_to_have_change
             engine.updates.clear()
         guess = points.expect()
         points.accept(IMAGE, points.resolve(IMAGE, guess, points.look(IMAGE, guess)), 1, index)
-        points.prepare_ahead()
+        if index % every == 0:
+            points.prepare_ahead()
         if 6 < index < 13:
-            assert engine.prepared == [1] * (index - 6)
+            times = min((index // every) - (6 // every), 3)
+            assert engine.prepared == [2] * times
     assert list(updated) == [16]
     np.testing.assert_array_equal(updated[16], np.arange(6))
     np.testing.assert_allclose(engine.inverse[:6] @ _stretched(1.1 * change / 2**0.5)[:6], _stretched(0)[:6], atol=1e-6)
@@ -206,3 +218,15 @@ def test_an_update_that_fails_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         points.prepare_ahead()
     with pytest.raises(MemoryError, match="no room"):
         points.update_due(2 * MOST_FRAMES)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_points_without_neighbours_are_followed(make_engine: Callable[[EngineSettings], Engine], count: int) -> None:
+    engine = make_engine(EngineSettings())
+    rng = np.random.default_rng(0)
+    view = np.clip(ndimage.gaussian_filter(rng.standard_normal((80, 90)), 2) * 250 + 120, 0, 255).astype(np.uint8)
+    start = np.array([[45, 40]], np.float32)[:count]
+    points = Points(engine, engine.images(view[None]), start)
+    found = run_alone(points.follow(engine.images(np.roll(view, 1, axis=1)[None].repeat(3, axis=0))))
+    assert (found.status == TrackStatus.TRACKED).all()
+    np.testing.assert_allclose(found.points, np.broadcast_to(start + np.float32([1, 0]), found.points.shape), atol=1e-3)

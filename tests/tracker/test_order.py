@@ -1,0 +1,105 @@
+"""A stream gives the same numbers in whatever order its frames begin and end, within its lag."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.tracker.stream import (
+    CONTACT_VIEW,
+    TOPOGRAPHY_VIEW,
+    Event,
+    Frame,
+    Outcome,
+    StreamSettings,
+    StreamTracker,
+)
+
+Array = np.ndarray[Any, Any]
+Make = Callable[[EngineSettings], Engine]
+HEIGHT, WIDTH, FRAMES = 144, 176, 30
+JUMPS = 17  # frame in which all skin jumps by 6 px, and stays: it is in doubt until the next one has come
+ACROSS, DOWN = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Array]:
+    """Skin that stretches by 0.6 % a frame, so that templates are updated within eight frames."""
+    rng = np.random.default_rng(0)
+    skin = sum(ndimage.gaussian_filter(rng.standard_normal((400, 400)), size) * size for size in (1.8, 12.0))
+    skin = 120 + 45 * skin / skin.std()
+    views = []
+    for k in range(FRAMES):
+        moved = 6.0 * (k >= JUMPS) + 0.2 * k
+        places = [200 + (one - one.mean() - moved) / (1 + 0.006 * k) for one in (DOWN, ACROSS)]
+        view = ndimage.map_coordinates(skin, places, order=3)
+        views.append(np.clip(np.round(view), 0, 255).astype(np.uint8)[None, None])
+    return views
+
+
+def tracker_of(engine: Engine, lag: int = 1) -> StreamTracker:
+    region = np.zeros((HEIGHT, WIDTH), bool)
+    region[24:-24, 24:-24] = True
+    settings = StreamSettings(
+        points=80, bit_depth=8, mm_per_px=0.05, topography_to_contact=np.eye(2, 3), region=region, threshold=0.3
+    )
+    return StreamTracker(engine, settings, np.full((HEIGHT, WIDTH), 200.0), np.zeros((HEIGHT, WIDTH)), lag)
+
+
+def frame_of(tracker: StreamTracker, topography: Array, number: int, lines_lost: bool = False) -> Frame:
+    contact = np.full((1, 1, HEIGHT, WIDTH), 190, np.uint8)
+    contact[:, :, 60:80] *= not lines_lost
+    frame = Frame({CONTACT_VIEW: contact, TOPOGRAPHY_VIEW: topography}, number)
+    tracker.inspect(frame)
+    return frame
+
+
+def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[Outcome], list[Event]]:
+    """Outcomes and events where up to `beside` frames, at most the lag, have begun before the first of them ends."""
+    tracker = tracker_of(engine, lag)
+    passed: list[Event | Outcome] = []
+    works = []
+    for number, topography in enumerate(frames):
+        frame = frame_of(tracker, topography, number)
+        while works and (len(works) == beside or tracker.must_wait(frame)):
+            passed += tracker.finish(works.pop(0))
+        work, before = tracker.begin(frame)
+        passed += before
+        tracker.compute(work)
+        works.append(work)
+    for work in works:
+        passed += tracker.finish(work)
+    passed += tracker.settle()
+    return [one for one in passed if isinstance(one, Outcome)], [one for one in passed if isinstance(one, Event)]
+
+
+@pytest.mark.parametrize("lag", [2, 3])
+def test_numbers_do_not_depend_on_which_frames_have_begun(make_engine: Make, frames: list[Array], lag: int) -> None:
+    engine = make_engine(EngineSettings())
+    (alone, events), (beside, same) = (played(engine, frames, lag, count) for count in (1, lag))
+    assert len(alone) == len(beside) == FRAMES
+    assert events == same
+    for one, other in zip(alone, beside, strict=True):
+        assert one.status == other.status == FRAME_STATUS.index("usable")
+        assert one.found is not None
+        assert other.found is not None
+        assert one.tracked > 50
+        for ours, theirs in zip(one.found, other.found, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_frames_before_the_first_usable_one_are_not_called_usable(make_engine: Make, frames: list[Array]) -> None:
+    """Lines of the contact view are lost from the first frame on; some of these frames are far from the others."""
+    tracker = tracker_of(make_engine(EngineSettings()))
+    found = []
+    for number, (place, lost) in enumerate([(0, True), (29, True), (0, True), (29, True), (0, False), (1, False)]):
+        work, passed = tracker.begin(frame_of(tracker, frames[place], number, lost))
+        tracker.compute(work)
+        found += [*passed, *tracker.finish(work)]
+    told = [FRAME_STATUS[one.status] for one in found if isinstance(one, Outcome)]
+    assert told == ["jumps_and_returns"] * 4 + ["usable"] * 2
+    assert [one for one in found if isinstance(one, Event)] == [Event("restart", 4, {"cause": "start", "points": 80})]
