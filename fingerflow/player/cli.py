@@ -18,7 +18,7 @@ from typing import Any
 
 from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
 from fingerflow.errors import FingerflowError
-from fingerflow.kernels.library import set_threads
+from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.bundle import load_bundle
 from fingerflow.player.contract.unfinished import remove, unfinished
 from fingerflow.player.errors import PlayerError, first_line
@@ -75,8 +75,8 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
     parallel = options.parallel_frames
-    if options.threads:
-        set_threads(options.threads)
+    # One core is left to what runs beside the tracking: reading frames, results of the frame before, the page.
+    set_threads(options.threads or max(1, threads() - 1))
     # Frames beside each other share the threads inside operators, beside the one that each has itself.
     inside = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
     of_onnx = parallel > 1 or options.provider is not None
@@ -221,7 +221,7 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
     add(
         "--provider", help="execution provider of ONNX Runtime, such as cpu, cuda or openvino; default: the first there"
     )
-    add("--threads", type=_count, default=0, help="threads of the engine; default one a core")
+    add("--threads", type=_count, default=0, help="threads of the engine; default one a core, less one for all else")
     add(
         "--parallel-frames",
         type=_count,

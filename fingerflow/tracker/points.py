@@ -108,7 +108,7 @@ class Points:
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         # Of the skin at the last check, and as templates have it.
         self._warp, self._inverse_warp = unchanged, unchanged.copy()
-        self._last_warp: Array = unchanged  # in the last frame, NaN where it is not known
+        self._last: Corrected | None = None  # of the last frames that were followed
         self._interval = MOST_FRAMES if self._by_key else 1  # frames to the next check of templates
         self._pending: list[_Pending] = []
         self._preparing = threading.Lock()
@@ -347,6 +347,8 @@ class Points:
         numbers, inverse_warp = self._known_of_templates(others)
         judged = yield from self._judged(found)
         corrected: Corrected = yield Call(self._engine.correct, (self._every, judged, numbers, inverse_warp))
+        if not others:
+            return corrected
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
@@ -388,16 +390,13 @@ class Points:
         self._gap = 0
         self._followed += frames
         self._index += frames
-        found = corrected.found
-        warp = corrected.warp[-1]
-        self._last_warp = np.where(known_of(corrected.expected[-1])[:, None, None], warp, np.float32(np.nan))
+        found, self._last = corrected.found, corrected
         if not self._by_key:
             assert image is not None
             self._key = self._engine.key(image)
             self._templates = yield Call(self._engine.prepare, (self._key, found.points[0], None))
-            self._last_warp = warp
         elif self._followed % MOST_FRAMES == 0 or self._followed - self._checked >= self._interval:
-            self._check_templates(warp, corrected.shift[-1])
+            self._check_templates(corrected.warp[-1], corrected.shift[-1])
         return found._replace(estimate=_last_seen(found.points, before))
 
     def _check_templates(self, warp: Array, shift: Array) -> None:
@@ -424,11 +423,11 @@ class Points:
     def _verified(self, images: Images, found: Found) -> Steps[Found]:
         """The same after the verification, with the variance since the key frame; all NaN of points that fail."""
         if self._knowledge.ahead:
-            failed = yield from self._verification.check(images, found.points, found.status, self._last_warp)
+            failed = yield from self._verification.check(images, found.points, found.status, self._last_warp())
         else:
             failed = self._verification.failed
             if self._followed % MOST_FRAMES == 0:
-                yield from self._verification.check(images, found.points, found.status, self._last_warp)
+                yield from self._verification.check(images, found.points, found.status, self._last_warp())
                 failed = self._verification.failed
         covariance = found.covariance
         if not self._by_key:
@@ -440,6 +439,12 @@ class Points:
         points[differs] = covariance[differs] = np.nan
         status[differs] = TrackStatus.WINDOW_DIFFERS
         return found._replace(points=points, covariance=covariance, status=status)
+
+    def _last_warp(self) -> Array:
+        """(N, 2, 2) deformation gradient in the last frame, NaN where it is not known."""
+        assert self._last is not None
+        warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
+        return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp
 
     def _since_start(self, variance: Array) -> Array:
         """Variance (n, N) of positions relative to the skin that was seeded, from frame to frame that of all steps."""
