@@ -92,11 +92,17 @@ def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
     assert np.isnan(result["displacement"].values[:, never]).all()
 
 
-def test_displacement_is_zero_at_onset(result: xr.Dataset) -> None:
-    onset = result["onset_frame"].values
-    touched = np.flatnonzero(onset >= 0)
+def test_displacement_counts_from_the_way_to_the_onset(result: xr.Dataset) -> None:
+    """In the first frame with contact it is a part of the step from the frame before, half of it on average."""
+    onset, position = result["onset_frame"].values, result["position"].values
+    touched = np.flatnonzero((onset > 0) & np.isfinite(position[onset - 1, np.arange(len(onset))]).all(-1))
     assert len(touched) > 100
-    assert (result["displacement"].values[onset[touched], touched] == 0).all()
+    moved = result["displacement"].values[onset[touched], touched]
+    step = position[onset[touched], touched] - position[onset[touched] - 1, touched]
+    share = (moved * step).sum(-1) / (step**2).sum(-1)
+    np.testing.assert_allclose(moved, share[:, None] * step, atol=1e-9)
+    assert ((share > -1e-9) & (share < 1 + 1e-9)).all()
+    assert 0.3 < share.mean() < 0.7
 
 
 def test_global_displacement_takes_each_component(result: xr.Dataset) -> None:

@@ -7,7 +7,7 @@ just touches. A border that is off all around moves the onset of the outermost p
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.tracker.entry import BORDER_MM, Border
+from fingerflow.tracker.border import BORDER_MM, Border
 
 Values = NDArray[np.floating]
 

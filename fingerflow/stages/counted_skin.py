@@ -27,10 +27,11 @@ class CountedSkin:
         places_px: (P, 2) px of the topographic view, the same.
         noise: (P,) mm^2, as `DisplacementStage.noise`.
         of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
+        by_onsets: as there.
     """
 
     def __init__(self, stage: DisplacementStage, results: Store, frames: int) -> None:
-        self._stage, self._position = stage, results["position"]
+        self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
         onset = np.where(stage.onset < 0, frames, stage.onset)
         reference, places = stage.reference.copy(), stage.reference_px.copy()
         reference[stage.entered] = places[stage.entered] = np.nan

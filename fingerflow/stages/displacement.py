@@ -16,9 +16,11 @@ from fingerflow.stages.series import nanmedian
 from fingerflow.stages.stage import Batch, Stage, Trial
 from fingerflow.stages.tracking import TrackingStage
 from fingerflow.store import Values
-from fingerflow.tracker.entry import BORDER_MM, Border, advected
-from fingerflow.tracker.onset import Touches
+from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.tracker.entry import advected
+from fingerflow.tracker.onset import Touches, Touching
 
+_ELLIPSE_MM = 0.035  # of the ellipse of the border; measured on presses at 40 to 300 frames/s
 _LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
 _FRAMES = 64  # read at a time
 Points = NDArray[np.float64]
@@ -41,14 +43,11 @@ class DisplacementStage(Stage):
 
     [fields] reference says what that is: each point's own onset of contact, which is uncertain, or one frame for all.
 
-    The reference is the first frame with contact, on average half a frame after it, as the papers count. What the skin
-    has moved by then is missing: on synthetic presses at 300, 60 and 40 frames/s displacement is 1.2, 3.2 and 4.0 µm
-    too short in the last frame, which `late` is the estimate of, and the median divergence 0.2, 1.3 and 1.7 µm/mm too
-    low, of up to 119. The deviation of the medians holds that (`MedianBias`), and that of the points does not. Counted
-    from half way between that frame and the one before, displacement is 0.7, 1.0 and 0.8 µm too short, and the strain
-    energy is further off. Followed forward and backward in time it is the same: at 40 frames/s both give the median
-    divergence to 1 % and the energy to 6 %, as they choose their points in another picture, and as many points more or
-    fewer change as much.
+    The first frame with contact comes half a frame after the contact, on average, and what the skin has moved by then
+    would be missing: at 40 frames/s places of onset are off by 8.7 um at the border of a press, and by 4.8 where the
+    reference is the place at which the border passed the point (`tracker.onset`). Followed forward and backward in time
+    it is the same: at 40 frames/s both give the median divergence to 1 % and the energy to 6 %, as they choose their
+    points in another picture, and as many points more or fewer change as much.
 
     Attributes:
         since: that.
@@ -64,9 +63,6 @@ class DisplacementStage(Stage):
         reference_px: (N, 2) the same, px of the topographic view.
         noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
         of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 by a frame.
-        late: (N, 2) mm, how far skin moves at onset in half the time between two usable frames: the first frame with
-            contact comes so much after the contact, on average. Of neighbours it is the same, and no part of the errors
-            of a gradient. 0 by a frame.
     """
 
     name = "displacement"
@@ -90,7 +86,6 @@ class DisplacementStage(Stage):
     reference_px: Points
     noise: Points
     of_onset: Points
-    late: Points
 
     def __init__(self, trial: Trial) -> None:
         super().__init__(trial)
@@ -112,16 +107,16 @@ class DisplacementStage(Stage):
         self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
         if self.since.frame is not None:
             self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
+        self._border = Border.of(self.trial.stage(ContactStage).series)
         self._find_onsets()
         moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
         if self.by_onsets:
             self._find_errors_of_onset()
             gauge = inputs.scene.fields.gauge_length_mm
             self.places = self._common.places
-            border = Border.of(self.trial.stage(ContactStage).series)
-            moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, border)
+            moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
         else:
-            self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
+            self.of_onset = np.zeros((points, 2, 2))
             self._warn_of_unknown()
         self.entered = np.flatnonzero(moves_in)
         self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
@@ -132,8 +127,8 @@ class DisplacementStage(Stage):
         for name in ("displacement", "displacement_std"):
             self.results.create(name, self._attributes)
         self._touch = Touches(points)
-        of_onset = np.trace(self.of_onset, axis1=1, axis2=2) + (self.late**2).sum(1)
-        self._of_onset = of_onset.astype(np.float32) / 2  # (N,) mean square of a component
+        # (N,) mean square of a component
+        self._of_onset = np.trace(self.of_onset, axis1=1, axis2=2).astype(np.float32) / 2
 
     def step(self, batch: Batch) -> Moved:
         moved = self._since_touch(self._touch, batch.indices)
@@ -189,8 +184,8 @@ class DisplacementStage(Stage):
         touched = came >= 0
         self.reference = np.where(stays[:, None], touch.place, touch.first_place)
         self.reference[self._inside] = np.nan
-        self.reference_px = at_frames(self.results["position_px"], np.maximum(came, 0))
-        self.reference_px[~touched] = np.nan
+        self.reference[~touched] = np.nan
+        self.reference_px = self.inputs.on_topography(self.reference)
         known_then = stays & np.isfinite(self.reference).all(-1)
         self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
         if self._fixed is not None:
@@ -221,51 +216,57 @@ class DisplacementStage(Stage):
         variance = self.results["position_std_px"][indices] ** 2
         some = np.flatnonzero(self._usable[indices])  # another one ends no touch
         if len(some) == len(indices):
-            place, then, touching, begins = touch.go_on(indices, covered, position, variance)
+            touching = touch.go_on(indices, covered, position, variance, self._border.at(indices))
         else:
-            place, then = np.full_like(position, np.nan), np.full_like(variance, np.nan)
-            touching, begins = np.zeros((2, *variance.shape), dtype=bool)
+            floats = (np.full((*variance.shape, *extra), np.nan, np.float32) for extra in ((2,), (), (), ()))
+            touching = Touching(*floats, *np.zeros((2, *variance.shape), dtype=bool))
+            touching = touching._replace(place=np.full_like(position, np.nan))
             if len(some):
-                gone_on = touch.go_on(indices[some], covered[some], position[some], variance[some])
-                place[some], then[some], touching[some], begins[some] = gone_on
+                frames = indices[some]
+                gone_on = touch.go_on(frames, covered[some], position[some], variance[some], self._border.at(frames))
+                for whole, part in zip(touching, gone_on, strict=True):
+                    whole[some] = part
         if self._fixed is not None:
-            place, then[:] = np.where(touching[..., None], self._fixed.place, np.nan), self._fixed.deviation_px**2
-            begins[:] = (indices == self.since.frame)[:, None]
-        moved = np.subtract(position, place, out=place)
-        noise = self._noise(variance, then, begins)
+            place = np.where(touching.touching[..., None], self._fixed.place, np.nan)
+            exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
+            begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
+            touching = Touching(place, np.ones_like(variance), exact, exact, touching.touching, begins)
+        moved = np.subtract(position, touching.place, out=touching.place)
+        noise = self._noise(variance, touching)
         noise *= np.float32(self._scale**2)
         noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
         return Moved(moved, noise)
 
-    def _noise(
-        self, now: NDArray[np.float32], then: NDArray[np.float32], begins: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """Variance (n, N) px^2 of a component of the displacement, from those of the position now and then.
+    def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
+        """Variance (n, N) px^2 of a component of the displacement, from those of the position now and of the two that
+        the reference is a mean of, of which the last is the position now where a touch begins.
 
         Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
         of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
         variances add up.
         """
+        rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
         if self._template == "previous":
-            return abs(now - then)
-        result: NDArray[np.float32] = np.where(begins, 0, np.where(then > 0, (now + then) / 2, now))
+            added: NDArray[np.float32] = abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
+            return added
+        then, earlier = (np.where(one > 0, one, now) for one in (touch.variance, touch.earlier))
+        since = now + np.square(touch.share) * then
+        result: NDArray[np.float32] = (np.where(touch.begins, rest * now, since) + rest * earlier) / 2
         return result
 
     def _find_errors_of_onset(self) -> None:
-        """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time; and its
-        mean.
+        """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time.
 
-        The time is known to a frame, uniformly within it: 1/12 frame^2, or the square of the frames since the last
-        usable one over 12; and the place of the border to `BORDER_MM`, which takes it as many frames as neighbouring
-        points are apart in time. Both change from one neighbour to the next, as the border crosses several between two
-        frames or one ridge after the other, so errors are taken as independent. A point that touches in the first frame
-        has no onset: its displacement counts from that frame.
+        The place of the border is known to `BORDER_MM`, of d frames as neighbouring points are apart in time. It says
+        between which frames a point touches, and its ellipse when: the error is 0 where the ellipse is passed between
+        them, else how far they are from it, of a mean square that d^3 / (d + 1.4) is to a tenth; and that of the
+        ellipse, which matters the less the more often they decide. Errors change from one neighbour to the next, as the
+        border crosses one ridge after the other, and are taken as independent. A point that touches in the first frame
+        has no onset: its displacement counts from there.
         """
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)
         after_first = onset > usable[0]
-        gap = onset - usable[np.maximum(np.searchsorted(usable, onset) - 1, 0)]  # 1, of points with an onset
-        gap = np.where(after_first, gap, 1)
         known = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
         slope = local_gradients(
             known,
@@ -273,7 +274,8 @@ class DisplacementStage(Stage):
             gauge_length=self.inputs.scene.fields.gauge_length_mm,
         ).gradient[0, :, 0]
         frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
-        variance = gap**2 / 12 + (BORDER_MM * frames_per_mm) ** 2
+        rough = BORDER_MM * frames_per_mm
+        variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
         reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
         # Both sides at once: each look at places reads all frames.
         every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
@@ -292,7 +294,6 @@ class DisplacementStage(Stage):
         share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
         speed = speed * np.sqrt(share)[:, None]
         self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
-        self.late = gap[:, None] * speed / 2
 
     def _place(self, frames: NDArray[np.integer]) -> Points:
         """(..., N, 2) mm, of each point in its frames (..., N), -1 for the last."""

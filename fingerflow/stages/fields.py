@@ -14,7 +14,8 @@ from fingerflow.stages.displacement import DisplacementStage, Moved
 from fingerflow.stages.median_bias import MedianBias
 from fingerflow.stages.series import nanmedian, rate
 from fingerflow.stages.stage import Batch, Stage, Trial
-from fingerflow.tracker.entry import Border, EntryGradients
+from fingerflow.tracker.border import Border
+from fingerflow.tracker.entry import EntryGradients
 
 _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
     ("divergence", 0, True),

@@ -63,6 +63,12 @@ class Inputs:
         result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
         return result
 
+    def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 2) mm on the glass to px of the topographic view."""
+        matrix = self.topography_to_contact
+        result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        return result
+
     @property
     def topography_mm_per_px(self) -> float:
         """Mean scale of the topographic view."""

@@ -36,7 +36,7 @@ class MarkerDisplacementStage(DisplacementStage):
         touched = self.results["in_contact"][:] > 0
         self.reference_px, self.reference = markers.rest, self.inputs.on_glass(markers.rest)
         self.onset = self.begins = np.where(touched.any(0), touched.argmax(0), -1).astype(np.int32)
-        self.of_onset, self.late = np.zeros((points, 2, 2)), np.zeros((points, 2))
+        self.of_onset = np.zeros((points, 2, 2))
         self._at_rest = (self.results["position_std_px"][markers.rest_frame : markers.rest_frame + 1][0]) ** 2
         variance = self.results["position_std_px"][:] ** 2
         known = np.isfinite(variance)

@@ -1,5 +1,4 @@
-"""What medians over the contact are uncertain by beside the errors of the points: gauge, border, the first contact, and
-what is not known.
+"""What medians over the contact are uncertain by beside the errors of the points: gauge, border, and what is not known.
 
 None of it falls as there are more points. Tests with truth: a press, a slide and a contact through which skin passes.
 """
@@ -12,13 +11,9 @@ from torch import Tensor
 from fingerflow.graphs import GrossEllipse
 from fingerflow.graphs.fields import Fields
 from fingerflow.ops.area_medians import Apart, area_medians
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.ops.tensors import finite
 from fingerflow.stages.displacement import DisplacementStage
-from fingerflow.stages.series import medians_among
 from fingerflow.stages.stage import Batch
-from fingerflow.tracker.entry import BORDER_MM
+from fingerflow.tracker.border import BORDER_MM
 
 EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at so often, and between linear
 
@@ -26,7 +21,7 @@ EVERY = 8  # frames: what changes as slowly as skin and contact do is looked at 
 class MedianBias:
     """Of medians over T frames of divergence, curl and strain (exx, eyy, exy).
 
-    It has five parts:
+    It has four parts:
 
     - the difference to medians by twice the gauge length. Of smoothing alone it is three times the error, as that goes
       with the square of the length; where the contact has skin of two kinds, so that the median lies in the flank of
@@ -38,8 +33,6 @@ class MedianBias:
       fields of such a point, which change by as much as those of the whole contact within half of a gauge length, it is
       a draw on which side of the median the area lies that it stands for; and neighbours share errors of their entry,
       so that four of them are about one. The number is from slides with truth.
-    - the median of the gradient of what skin has moved in half the time between two frames at its onset
-      (`DisplacementStage.late`), which displacement is too short by.
 
     The first two are differences of noisy numbers: what the points' errors make of them, by the deviation of the
     median, is taken off their squares.
@@ -50,16 +43,7 @@ class MedianBias:
         self._reference = torch.from_numpy(moved.reference)[None]
         self._looks = np.unique([*range(0, frames, EVERY), frames - 1])  # frames that are looked at
         self._seen = np.full((len(self._looks), 5), np.nan)  # square, of the first two
-        self._square = np.zeros((frames, 5))  # of what is not known, and of the onset
-        self._late: NDArray[np.float64] | None = None
-        if moved.late.any():
-            counts = moved.reference.copy()
-            counts[moved.entered] = np.nan
-            late = torch.from_numpy(moved.late)
-            fit = local_gradients(torch.from_numpy(counts)[None], late[None], gauge_length=gauge_mm)
-            gradient = fit.gradient[0]
-            first = divergence(gradient)[:, None], curl(gradient)[:, None]
-            self._late = torch.cat((*first, green_lagrange(gradient, measure)), dim=1).numpy()
+        self._square = np.zeros((frames, 5))  # of what is not known
 
     def look(
         self, batch: Batch, found: Fields, displacement: Tensor, ellipse: GrossEllipse, entered: Tensor | None = None
@@ -69,10 +53,6 @@ class MedianBias:
         assert found.median_std is not None
         count = None if entered is None else (entered & found.divergence.isfinite()).sum(1).cpu().numpy()
         self._square[batch.indices] = of_ranks(found, count)
-        if self._late is not None:
-            across, down = displacement.unbind(-1)
-            known = finite(across + down).cpu().numpy()
-            self._square[batch.indices] += medians_among(self._late, known) ** 2
         some = np.flatnonzero(np.isin(batch.indices, self._looks))
         if not len(some):
             return

@@ -16,23 +16,6 @@ def nanmedian(values: NDArray[np.floating]) -> NDArray[np.float64]:
     return _middle(ordered.ravel(), first, known)
 
 
-def medians_among(values: NDArray[np.float64], among: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Medians (F, K) of columns of values (N, K), in each of F times of the rows that are `among` (F, N), of what is
-    not NaN; NaN where nothing is.
-
-    As `nanmedian` of the values themselves, which are the same at all times: they are put in order once.
-    """
-    order = np.argsort(values, axis=0).T
-    ordered = np.take_along_axis(values.T, order, axis=1)
-    counts = among[:, order] & ~np.isnan(ordered)  # (F, K, N)
-    known = counts.sum(2)
-    places = np.flatnonzero(counts) % ordered.size  # in `ordered`, one time after the other
-    if not len(places):
-        return np.full(known.shape, np.nan)
-    end = known.cumsum().reshape(known.shape)
-    return _middle(ordered.ravel()[places], end - known, known)
-
-
 def _middle(
     ordered: NDArray[np.floating], first: NDArray[np.integer], known: NDArray[np.integer]
 ) -> NDArray[np.float64]:

@@ -18,7 +18,12 @@ from fingerflow.stages.displacement import DisplacementStage
 from fingerflow.stages.missing_energy import MissingEnergy
 from fingerflow.stages.series import rate
 from fingerflow.stages.stage import Batch, Stage, Trial
-from fingerflow.tracker.entry import Border
+from fingerflow.tracker.border import Border
+
+# Correlation of displacements whose references are 0, 1, and 2 or more frames apart: of positions in a frame, and of
+# means of those in two frames, x + s (y - x) with s anywhere from 0 to 1, of variance 2/3.
+_OF_FRAMES = np.array([1.0, 0.5, 0.5])
+_OF_ONSETS = np.array([1 + 1 / 2, 1 + 1 / 4, 1]) / (1 + 2 / 3)
 
 
 class StrainStage(Stage):
@@ -135,8 +140,9 @@ def _shared_errors(
 
     Errors of tracking come from the noise of the pixels of a window, and correlate by the share that two windows have
     in common: on a press where it is a fifth, two fifths and two thirds by 0.2, 0.4 and 0.6 to 0.75. Half of a
-    displacement's noise is that of its reference, which is another one where points count from other frames. Errors of
-    the time of onset are independent: of neighbours on a press they correlate by less than 0.1.
+    displacement's noise is that of its reference, which is another one where points count from other frames; with a
+    mean of two positions for the reference, anywhere between them, it is two fifths (`_OF_ONSETS`). Errors of the time
+    of onset are independent: of neighbours on a press they correlate by less than 0.1.
     """
     begins, places, triangles = skin.since, skin.places_px, skin.corners
     of_onset = np.trace(skin.of_onset, axis1=1, axis2=2) / 2
@@ -144,7 +150,8 @@ def _shared_errors(
 
     def correlation(one: NDArray[np.integer], other: NDArray[np.integer]) -> NDArray[np.float32]:
         apart = np.abs(places[one] - places[other]) / window_px
-        common = np.clip(1 - apart, 0, 1).prod(-1) * np.where(begins[one] == begins[other], 1, 0.5)
+        later = np.minimum(abs(begins[one] - begins[other]), 2)
+        common = np.clip(1 - apart, 0, 1).prod(-1) * np.take(_OF_ONSETS if skin.by_onsets else _OF_FRAMES, later)
         result: NDArray[np.float32] = np.nan_to_num(common * share[one] * share[other]).astype(np.float32)
         return result
 

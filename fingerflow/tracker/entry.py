@@ -9,14 +9,14 @@ with F the gradient of its position by the place in a common frame, F(t) F(entry
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Engine
 from fingerflow.kernels.arrays import inverse_2x2
+from fingerflow.tracker.border import BORDER_MM, Border
 
 Array = NDArray[Any]
 
@@ -27,39 +27,6 @@ NEAR = 1 / 2
 LEAST_AREA = 0.5  # of places of onset over that of the skin: below, when points entered shapes it more than the skin
 _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
-# Standard deviation of the place of the contact's border: it runs between ridges, which lie 0.4 to 0.5 mm apart.
-# Measured on the shipped press, where the border is known.
-BORDER_MM = 0.06
-
-
-class Border(NamedTuple):
-    """Ellipses of the apparent (gross) contact, frame by frame; NaN where nothing touches."""
-
-    center: Array  # (frames, 2) mm
-    semi_axes: Array  # (frames, 2) mm
-    angle: Array  # (frames,) rad, of the first semi-axis, from x towards y
-
-    @classmethod
-    def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
-        """That of results by name, `ellipse_center` and so on."""
-        return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
-
-    def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """That of some frames."""
-        return Border(*(one[frames] for one in self))
-
-    def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(frames, P) mm, how far places (frames, P, 2) are inside the border, to first order: exact on it."""
-        # By components: NumPy takes several times as long for sums over an axis of two.
-        (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
-        cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]
-        right, down = places[..., 0] - center_x, places[..., 1] - center_y
-        along, across = (right * cosine + down * sine) / first, (down * cosine - right * sine) / second
-        radius = np.sqrt(along * along + across * across)
-        along, across = along / first, across / second
-        slope = np.sqrt(along * along + across * across)
-        distance: NDArray[np.float64] = (1 - radius) * radius / np.maximum(slope, 1e-12)
-        return distance
 
 
 class Values(Protocol):
@@ -203,17 +170,17 @@ class Entries:
         self.entered = np.zeros(len(places), dtype=bool)
         self._at_entry = np.full((len(places), 2, 2), np.nan)
 
-    def see(self, position: Array, begins: Array, touching: Array, border: Border) -> Array | None:
+    def see(self, position: Array, begins: Array, touching: Array, reference: Array, border: Border) -> Array | None:
         """A frame, in which points are at `position` (N, 2) mm, NaN where lost, a touch `begins` (N,) or lasts
-        (`touching`): the gradients (N, 2, 2) since the own entry, NaN but for points that have entered; None where
-        there are none.
+        (`touching`), which began at `reference` (N, 2) mm: the gradients (N, 2, 2) since the own entry, NaN but for
+        points that have entered; None where there are none.
         """
         row = self._frames % self.KEPT
         self._position[row] = position
         for kept, new in zip(self._border, border, strict=True):
             kept[row] = new[0]
         self._onset[~touching], self.entered[~touching] = -1, False
-        self._onset[begins], self._reference[begins] = self._frames, position[begins]
+        self._onset[begins], self._reference[begins] = self._frames, reference[begins]
         self._at_entry[begins] = np.nan  # of an earlier touch
         if begins.any():
             self._judge(begins)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.engines.engine import Contact, Ellipse, Engine, Entered, Found
-from fingerflow.tracker.entry import Border, Entries
+from fingerflow.tracker.border import Border
+from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.slip_flag import SlipFlag
 
@@ -107,8 +108,9 @@ class FrameResults:
     def _since_onset(self, found: Found, covered: Array, ellipse: Ellipse) -> dict[str, Any]:
         """Fields of the displacement since each point's own onset of contact."""
         position = self._on_glass(found.points)
-        touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance.astype(np.float32))
-        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], Border(*ellipse))
+        border = Border(*ellipse)
+        touch = self._touches.go_on(np.array([self._frames]), covered, position, found.variance, border)
+        since = self._entries.see(position[0], touch.begins[0], touch.touching[0], touch.place[0], border)
         among = self._entries.entered[None] & touch.touching
         entered = None
         if since is not None and among.any():

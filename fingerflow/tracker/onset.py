@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fingerflow.tracker.border import Border
+
 Array = NDArray[Any]
 
 #: Frames in a row that the contact covers a point to count as its onset.
@@ -18,13 +20,17 @@ class Touching(NamedTuple):
     """The touch that N points have in F frames.
 
     Attributes:
-        place: (F, N, 2) mm, of the point at the beginning of its touch, NaN where it has none.
-        variance: (F, N) px^2, of the point then.
+        place: (F, N, 2) mm, of the point as its touch began, between two frames; NaN where it has none.
+        share: (F, N) of the way from the frame before to the first frame of the touch, at which that was.
+        variance, earlier: (F, N) px^2, of the point in the first frame of its touch, and in the frame before; 0 where
+            that says nothing.
         touching, begins: (F, N) bool, whether a point has a touch, and whether it begins there.
     """
 
     place: Array
+    share: Array
     variance: Array
+    earlier: Array
     touching: Array
     begins: Array
 
@@ -35,10 +41,13 @@ class Touches:
     A touch of fewer than `LASTING` frames is forgotten: whether the border grazes a point is chance, and the skin moves
     on until it comes to stay. What has come to stay counts, whatever becomes of the contact.
 
+    A touch begins where the border of the apparent contact passed the point on its way from the frame before: half a
+    frame before the first frame that shows it, on average.
+
     Attributes:
         length: (N,) frames in a row that the contact has covered each point, `LASTING` once it did for so many.
         start: (N,) number of the frame in which the touch began, -1 for none.
-        place: (N, 2) mm, of the point then; variance (N,) px^2.
+        place, share, variance, earlier: (N, ...) of the present touch, as for `Touching`.
         first, first_place: the same of the first touch of all.
     """
 
@@ -47,22 +56,33 @@ class Touches:
         self.length = np.zeros(points, np.uint8)
         self.start = np.full(points, -1)
         self.place = np.full((points, 2), np.nan)
-        self.variance = np.full(points, np.nan, np.float32)
+        self.share, self.variance, self.earlier = np.full((3, points), np.nan, np.float32)
         self.first = np.full(points, -1)
         self.first_place = np.full((points, 2), np.nan)
+        # In the frame before.
+        self._before, self._variance_before = np.full((1, points, 2), np.nan), np.zeros((1, points), np.float32)
+        self._border_before = Border(np.full((1, 2), np.nan), np.full((1, 2), np.nan), np.full(1, np.nan))
 
-    def go_on(self, frames: Array, covered: Array, position: Array, variance: Array) -> Touching:
+    def go_on(self, frames: Array, covered: Array, position: Array, variance: Array, border: Border) -> Touching:
         """F frames more, by their numbers (F,): whether the contact covers each point (F, N), where these are (F, N, 2)
-        mm, NaN where lost, and the variance (F, N) of a component, px^2.
+        mm, NaN where lost, the variance (F, N) of a component, px^2, and the border of the contact.
         """
+        before = np.concatenate((self._before, position))
+        borders = Border(*(np.concatenate(pair) for pair in zip(self._border_before, border, strict=True)))
+        variances = np.concatenate((self._variance_before, variance))
+        self._before, self._border_before = before[-1:].copy(), borders.at(slice(-1, None))
+        self._variance_before = variances[-1:].copy()
         steps, goes_on = len(frames), self.length > 0
         touching, begins = np.repeat(goes_on[None], steps, axis=0), np.zeros((steps, self.points), dtype=bool)
         place = np.repeat(np.where(goes_on[:, None], self.place, np.nan)[None], steps, axis=0)
-        spread = np.repeat(np.where(goes_on, self.variance, np.float32(np.nan))[None], steps, axis=0)
+        share, spread, earlier = (
+            np.repeat(np.where(goes_on, one, np.float32(np.nan))[None], steps, axis=0)
+            for one in (self.share, self.variance, self.earlier)
+        )
         # Most have come to stay, or are out of the contact in all of these frames.
         some = np.flatnonzero((self.length < LASTING) & (goes_on | covered.any(0)))
         if not len(some):
-            return Touching(place, spread, touching, begins)
+            return Touching(place, share, spread, earlier, touching, begins)
         number = np.arange(1, steps + 1, dtype=np.int32)[:, None]
         # The frames since the last one without contact, unless it has come to stay.
         left = np.maximum.accumulate(np.where(covered[:, some], 0, number), axis=0)
@@ -71,20 +91,49 @@ class Touches:
         length = np.where(stays, LASTING, length).astype(np.uint8)
         begin = (length == 1) & (np.concatenate((self.length[None, some], length[:-1])) == 0)
         touching[:, some], begins[:, some] = length > 0, begin
+        at_border, passed = _at_border(before, borders, begins)
         came = np.flatnonzero(begin.any(0) & (self.first[some] < 0))
         first, points = begin[:, came].argmax(0), some[came]
-        self.first[points], self.first_place[points] = frames[first], position[first, points]
+        self.first[points], self.first_place[points] = frames[first], at_border[first, points]
         began = np.maximum.accumulate(np.where(begin, number, 0), axis=0)
         here, new, at = length > 0, began > 0, np.maximum(began - 1, 0)
         at = at * self.points + some
         for values, given, none in (
-            (_pairs(place), _pairs(position), _NO_PAIR),
+            (_pairs(place), _pairs(at_border), _NO_PAIR),
+            (share, passed, np.float32(np.nan)),
             (spread, variance, np.float32(np.nan)),
+            (earlier, np.nan_to_num(variances[:-1]), np.float32(np.nan)),
         ):
             values[:, some] = np.where(here, np.where(new, given.ravel()[at], values[:, some]), none)
         self.start[some] = np.where(new[-1], frames[began[-1] - 1], self.start[some])
-        self.length[some], self.place, self.variance = length[-1], place[-1].copy(), spread[-1].copy()
-        return Touching(place, spread, touching, begins)
+        self.length[some], self.place = length[-1], place[-1].copy()
+        self.share, self.variance, self.earlier = share[-1].copy(), spread[-1].copy(), earlier[-1].copy()
+        return Touching(place, share, spread, earlier, touching, begins)
+
+
+def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
+    """(F, N, 2) mm, positions (F + 1, N, 2) from the second frame on, where a touch begins (F, N) that at which the
+    border passed the point since the frame before; and the share (F, N) of the way at which it did.
+
+    Depths inside the border are taken to change evenly between frames. What covers a point and the ellipse of its
+    border may differ by a frame: the end of the way that is nearer to the ellipse counts then. Of a contact without an
+    ellipse in the frame before it is the middle, and of a point that was lost there its place now.
+    """
+    share = np.ones(begins.shape, np.float32)
+    if not begins.any():
+        return position[1:], share
+    frame, point = np.nonzero(begins)
+    now, before = position[frame + 1, point], position[frame, point]
+    outside, inside = (
+        border.at(row).inside(place[:, None])[:, 0] for row, place in ((frame, before), (frame + 1, now))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passed = np.where(inside > outside, np.clip(outside / (outside - inside), 0, 1), 0.5)
+    known = np.isfinite(before).all(-1)
+    share[frame, point] = np.where(known, passed, 1)
+    places = position[1:].copy()
+    places[frame[known], point[known]] += (passed[known, None] - 1) * (now - before)[known]
+    return places, share
 
 
 def _pairs(places: Array) -> NDArray[np.complex128]:

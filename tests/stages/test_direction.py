@@ -40,24 +40,26 @@ def test_both_directions_agree(results: dict[str, xr.Dataset]) -> None:
         assert abs(backward / forward - 1) < limit, name
 
 
-def test_both_lie_as_far_below_the_truth(results: dict[str, xr.Dataset]) -> None:
-    """6.4 % and 7.1 % were measured, of 34 µm/mm."""
+def test_both_give_the_truth(results: dict[str, xr.Dataset]) -> None:
+    """Of 34 µm/mm, at 40 frames a second."""
     truth = PRESS.truth.medians(39).divergence
     for direction in DIRECTIONS:
-        assert 0.88 < float(results[direction]["median_divergence"][-1]) / truth < 0.98, direction
+        assert 0.94 < float(results[direction]["median_divergence"][-1]) / truth < 1.06, direction
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_what_is_missing_is_half_a_frame_of_motion(results: dict[str, xr.Dataset], direction: str) -> None:
-    """Displacement from the true onset, by the motion between two frames, is on average that of half of them."""
+def test_no_motion_before_the_first_frame_with_contact_is_missing(
+    results: dict[str, xr.Dataset], direction: str
+) -> None:
+    """What displacement since the true onset exceeds it by is, on average, no part of the motion between two frames."""
     result = results[direction]
     position, onset = result["position"].values, result["onset_frame"].values
     touched = np.flatnonzero((onset > 0) & np.isfinite(position[-1]).all(-1))
     first, before = position[onset[touched], touched], position[onset[touched] - 1, touched]
     material = PRESS.truth.material(position[-1, touched], 39)
     exact = PRESS.truth.displacement(material, 39)
-    missing = exact - (position[-1, touched] - first)
+    missing = exact - (position[-1, touched] - result["reference_position"].values[touched])
     step = first - before
     known = np.isfinite(missing).all(-1) & np.isfinite(step).all(-1)
     share = (missing[known] * step[known]).sum() / (step[known] ** 2).sum()
-    assert 0.3 < share < 0.7
+    assert abs(share) < 0.15

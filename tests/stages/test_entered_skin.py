@@ -16,7 +16,8 @@ from fingerflow.ops.area_medians import Apart, area_medians
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.player.contract.variables import ENTRY
 from fingerflow.synthetic import Slide, write_recording
-from fingerflow.tracker.entry import Border, Entries
+from fingerflow.tracker.border import Border
+from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches
 
 SLIDE = Slide(n_frames=90, frame_rate=90.0, travel=1.0)
@@ -52,8 +53,8 @@ def streamed(result: xr.Dataset) -> list[Streamed]:
     for k in range(SLIDE.n_frames):
         now = slice(k, k + 1)
         covered = ((onset >= 0) & (onset <= k))[None]
-        touch = touches.go_on(np.array([k]), covered, position[now], unknown)
-        since = entries.see(position[k], touch.begins[0], touch.touching[0], border.at(now))
+        touch = touches.go_on(np.array([k]), covered, position[now], unknown, border.at(now))
+        since = entries.see(position[k], touch.begins[0], touch.touching[0], touch.place[0], border.at(now))
         among = entries.entered[None] & touch.touching
         gradient = (
             np.full((1, len(onset), 2, 2), np.nan) if since is None else np.where(among[..., None, None], since, np.nan)

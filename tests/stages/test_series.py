@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from fingerflow.stages.series import medians_among, nanmedian, rate
+from fingerflow.stages.series import nanmedian, rate
 
 STEP = 1 / 300
 
@@ -33,16 +33,3 @@ def test_medians_are_those_of_numpy() -> None:
         given = values.astype(kind)
         np.testing.assert_array_equal(nanmedian(given), np.nanmedian(given, axis=1))
     np.testing.assert_array_equal(nanmedian(values[:, :0]), np.full((6, 2), np.nan))
-
-
-@pytest.mark.filterwarnings("ignore:All-NaN slice")
-def test_medians_of_the_same_values_at_other_times() -> None:
-    random = np.random.default_rng(6)
-    values, among = random.normal(size=(31, 5)), random.random((40, 31)) < 0.5
-    values[3:9, 1], values[:, 2] = np.nan, np.nan
-    values[20, 3] = values[21, 3]
-    among[[0, 7, 39]], among[11] = False, np.arange(31) == 4  # no point, and one that is NaN in some columns
-    expected = np.nanmedian(np.where(among[..., None], values, np.nan), axis=1)
-    np.testing.assert_array_equal(medians_among(values, among), expected)
-    np.testing.assert_array_equal(medians_among(values, among & False), np.full((40, 5), np.nan))
-    np.testing.assert_array_equal(medians_among(values[:0], among[:, :0]), np.full((40, 5), np.nan))

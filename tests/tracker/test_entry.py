@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fingerflow.tracker.entry import Border, advected, with_neighbours
+from fingerflow.tracker.border import Border
+from fingerflow.tracker.entry import advected, with_neighbours
 
 Row = tuple[float, ...]
 

@@ -13,6 +13,7 @@ import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
 from fingerflow.stages.inputs import Inputs
+from fingerflow.tracker.border import Border
 from fingerflow.tracker.onset import Touches
 from fingerflow.tracker.points import STREAM
 from tests.small_trials import SPOILED, recipe_of_trials, write_library_bundle, write_trial
@@ -152,7 +153,8 @@ def _without_passing_touch(recorded: xr.Dataset) -> Array:
     """(F,) frames in which each point that is touched is where it will count from."""
     position, covered = recorded["position"].values, recorded["in_contact"].values
     touches = Touches(recorded.sizes["point"])
-    seen = touches.go_on(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32))
+    border = Border.of({name: recorded[name].values for name in recorded.data_vars if name.startswith("ellipse_")})
+    seen = touches.go_on(np.arange(len(position)), covered, position, np.zeros(covered.shape, np.float32), border)
     elsewhere = (seen.place != recorded["reference_position"].values).any(-1)
     result: Array = ~(seen.touching & elsewhere).any(1)
     return result

@@ -54,7 +54,10 @@ EQUATIONS: dict[str, str] = {
         "over the glass by more than half of what both approached each other"
     ),
     "onset_frame": "first frame of the first three in a row that the gross contact covers the point",
-    "reference_position": "X = position in the frame from which displacement counts",
+    "reference_position": (
+        "X = position in the frame from which displacement counts; by onset x₀ + (x₁ − x₀) d₀/(d₀ − d₁) between the "
+        "frame before and that of onset, d the depth inside the ellipse of the gross contact"
+    ),
     "displacement": "u = x(t) − X",
     "displacement_std": "√(σ²(x(t)) + σ²(X) + tr(Σ of the time of onset)/2)",
     "global_displacement_vector": "(median u, median v) over the points",

@@ -182,7 +182,8 @@ DISPLACEMENT = (
         "reference_position",
         ("point", "xy"),
         "mm",
-        "position from which displacement counts (fields.reference), by default that at onset; of points that are "
+        "position from which displacement counts (fields.reference), by default that at onset, where the border of the "
+        "contact passed the point between two frames; of points that are "
         "touched in passing alone, where they were then",
     ),
     Variable("displacement", ("frame", "point", "xy"), "mm", f"displacement {SINCE}"),
@@ -194,8 +195,8 @@ DISPLACEMENT = (
 _MEDIAN = "over the area of the gross contact"
 _ERROR = "standard deviation of the"
 _ALONE = (
-    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, what skin "
-    "has moved by in half a frame at its onset, the share that is not known, and points that moved in"
+    "by the errors of the points, the difference to medians by twice the gauge length, a border 0.06 mm off, the share "
+    "that is not known, and points that moved in"
 )
 FIELDS = (
     Variable("divergence", FRAME_POINT, "1", f"divergence of the displacement {SINCE}", "f4"),
