@@ -13,7 +13,7 @@ void fingerflow_covered(const float* density_margin, std::int64_t batch, std::in
     // To the nearest cell, and the first of two.
     const auto placed = [](float place, float cells, float& part) {
         const float within = std::min(std::max(place, 0.0f), cells - 1);
-        const float first = std::min(std::floor(within), std::max(cells - 2, 0.0f));
+        const float first = std::min(static_cast<float>(static_cast<std::int32_t>(within)), std::max(cells - 2, 0.0f));
         part = within - first;
         return static_cast<std::int64_t>(first);
     };

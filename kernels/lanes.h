@@ -6,6 +6,8 @@
 #include <immintrin.h>
 #endif
 
+#include "prefetch.h"
+
 #if defined(_MSC_VER) && !defined(__clang__)
 #define FINGERFLOW_RESTRICT __restrict
 #define FINGERFLOW_INDEPENDENT __pragma(loop(ivdep))
@@ -15,13 +17,6 @@
 #else
 #define FINGERFLOW_RESTRICT __restrict__
 #define FINGERFLOW_INDEPENDENT _Pragma("GCC ivdep")
-#endif
-
-// Asks for the cache line at an address, which may be any, before it is needed.
-#if defined(__GNUC__) || defined(__clang__)
-#define FINGERFLOW_PREFETCH(address) __builtin_prefetch(address)
-#else
-#define FINGERFLOW_PREFETCH(address)
 #endif
 
 namespace fingerflow {

@@ -36,7 +36,7 @@ __all__ = [
 Array = NDArray[Any]
 
 _LANES = 16  # points that the compiled kernel judges at a time
-_ROWS = 256  # points whose distances to all others are in memory at a time
+_ROWS = 32  # points whose distances to all others are in memory at a time
 
 
 class CorrectedPoints(NamedTuple):
@@ -156,15 +156,18 @@ def find_neighbours(positions: Array, gauge_length: float) -> Neighbours:
     x, y, within = (np.zeros(number.shape, np.float32) for _ in range(3))
     for first in range(0, count, _ROWS):
         own = np.arange(first, min(first + _ROWS, count))
-        away = positions - positions[own, None]
-        distance = np.square(away).sum(2)
+        away_x, away_y = (positions[:, k] - positions[own, k, None] for k in range(2))
+        distance = away_x * away_x + away_y * away_y
         near = distance <= np.float32((gauge_length / 2) ** 2)  # NaN is nowhere near
-        distance = np.where(near & (own[:, None] != np.arange(count)), distance, np.float32(np.inf))
-        nearest = np.argsort(distance, axis=1, kind="stable")[:, :most]
-        counts = np.take_along_axis(distance, nearest, 1) < np.inf
-        offset = np.where(counts[..., None], np.take_along_axis(away, nearest[..., None], 1), np.float32(0))
+        near[own - first, own] = False
+        distance[~near] = np.inf
+        # By distance, then by number: the bits of floats that are not negative have their order.
+        order = (distance.view(np.int32).astype(np.int64) << 32) + np.arange(count)
+        nearest = np.sort(np.partition(order, most - 1, axis=1)[:, :most], axis=1) & 0xFFFFFFFF
+        counts = np.take_along_axis(near, nearest, 1)
         number[:, own], within[:, own] = nearest.T, counts.T
-        x[:, own], y[:, own] = offset[..., 0].T, offset[..., 1].T
+        for to, away in ((x, away_x), (y, away_y)):
+            to[:, own] = np.where(counts, np.take_along_axis(away, nearest, 1), np.float32(0)).T
     return Neighbours(number, x, y, within)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import Engine, Images
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.tracker.windows import correlation, deformed_alike
+from fingerflow.tracker.windows import Centred, correlation_of, deformed_alike
 
 Array = NDArray[Any]
 
@@ -41,6 +41,7 @@ class Verification:
         self._engine = engine
         straight = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         self._first = engine.windows(image, np.zeros(len(points), np.int64), points, straight, STEP)
+        self._centred = Centred.of(self._first)
         self._variance = self._first.var(1, ddof=1)
         self.failed = np.zeros(len(points), dtype=bool)
 
@@ -88,5 +89,6 @@ class Verification:
     ) -> Steps[Array]:
         """1 - correlation of subsets now with those then, of all points or some rows."""
         now = yield from self._sampled(images, number, places, warp)
-        result: Array = 1 - correlation(self._first if rows is None else self._first[rows], now)
+        then = self._centred if rows is None else Centred(*(one[rows] for one in self._centred))
+        result: Array = 1 - correlation_of(then, Centred.of(now))
         return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,28 @@ _BESIDE = 0.5  # px, over which a slope is taken
 _FARTHEST = 0.15  # by which a round may change a number of a deformation
 
 
+class Centred(NamedTuple):
+    """Windows (N, m) less the mean of each, and their variance (N,)."""
+
+    part: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, windows: Array) -> Centred:
+        """Those of windows (N, m)."""
+        part = windows - windows.mean(1, keepdims=True)
+        return cls(part, np.square(part).mean(1))
+
+
 def correlation(one: Array, other: Array) -> Array:
     """Return the normalised correlation (N,) of windows (N, m): whatever gain and offset; NaN where one is blank."""
-    first, second = (part - part.mean(1, keepdims=True) for part in (one, other))
-    variances = np.square(first).mean(1) * np.square(second).mean(1)
-    found = (first * second).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
+    return correlation_of(Centred.of(one), Centred.of(other))
+
+
+def correlation_of(first: Centred, second: Centred) -> Array:
+    """Return the same of windows that are centred."""
+    variances = first.variance * second.variance
+    found = (first.part * second.part).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
     result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))
     return result
 

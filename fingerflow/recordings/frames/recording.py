@@ -6,6 +6,7 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, overload
@@ -249,11 +250,9 @@ class _View(Recording):
         stack, indices = self._file._memory_map(), self._indices
         if stack is None or not len(indices):
             return None
-        first, last = indices[0], indices[-1]
-        step = indices[1] - first if len(indices) > 1 else 1
+        step, *others = _steps(indices) or {1}
         # Tensors have no strides below zero.
-        even = step > 0 and last - first == step * (len(indices) - 1) and np.all(np.diff(indices) == step)
-        return stack[first : last + 1 : step] if even else None
+        return stack[indices[0] : indices[-1] + 1 : step] if step > 0 and not others else None
 
     def _view(self, indices: Sequence[int]) -> Recording:
         # A view of a view points to the file at once, so that a chain of slices stays as fast as one.
@@ -267,8 +266,15 @@ def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
     """Every second frame of 300 Hz is 150 Hz; frames picked unevenly have no rate."""
     if rate is None or len(indices) < 2:
         return rate
-    steps = np.abs(np.diff(np.asarray(indices)))
-    return rate / int(steps[0]) if steps[0] > 0 and np.all(steps == steps[0]) else None
+    step, *others = {abs(one) for one in _steps(indices)}
+    return rate / step if step > 0 and not others else None
+
+
+def _steps(indices: Sequence[int]) -> set[int]:
+    """Differences of neighbours; of a few numbers Python tells sooner than NumPy."""
+    if isinstance(indices, range):
+        return {indices.step} if len(indices) > 1 else set()
+    return {after - before for before, after in pairwise(indices)}
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:

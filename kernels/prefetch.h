@@ -1,0 +1,8 @@
+// Asks for the cache line at an address, which may be any, before it is needed.
+#pragma once
+
+#if defined(__GNUC__) || defined(__clang__)
+#define FINGERFLOW_PREFETCH(address) __builtin_prefetch(address)
+#else
+#define FINGERFLOW_PREFETCH(address)
+#endif
