@@ -337,5 +337,7 @@ def _filled(array: Array, count: int) -> Array:
     missing = count - array.shape[1]
     if not missing:
         return array
-    nothing = np.nan if array.dtype.kind == "f" else 0
-    return np.concatenate((array, np.full((1, missing, *array.shape[2:]), nothing, array.dtype)), axis=1)
+    filled = np.empty((1, count, *array.shape[2:]), array.dtype)
+    filled[:, :-missing] = array
+    filled[:, -missing:] = np.nan if array.dtype.kind == "f" else 0
+    return filled

@@ -60,26 +60,27 @@ class Session:
 
     def __call__(self, given: Mapping[str, Any]) -> dict[str, Array]:
         """Outputs by name, floating point as float32, from arrays or values that are `kept`."""
-        feed = {name: self._value(name, given[name], "cpu") for name in self.inputs}
+        feed = {name: self._array(name, given[name]) for name in self.inputs}
         try:
-            results = self._session.run_with_ort_values(self._names, feed)
+            results = self._session.run(self._names, feed)  # arrays: to wrap them takes longer than a small graph
         except Exception as error:
             raise FingerflowError(
                 f"{self._path}: onnxruntime cannot run it here ({_first_line(error)}); choose another provider"
             ) from None
-        return {name: _single(one.numpy()) for name, one in zip(self._names, results, strict=True)}
+        return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
     def kept(self, name: str, array: Array) -> Any:
         """An input that is given call after call, in the memory of the provider."""
-        return self._value(name, array, self._device)
+        return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
-    def _value(self, name: str, array: Any, device: str) -> Any:
+    def _array(self, name: str, array: Any) -> Any:
+        """As the graph takes it, in one piece; what is `kept` as it is."""
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]
         if array.shape != shape:
             raise ValueError(f"{self._path}: {name} is {array.shape} where the graph takes {shape}")
-        return ort.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(array, dtype), device)
+        return np.ascontiguousarray(array, dtype)
 
 
 class Sessions:

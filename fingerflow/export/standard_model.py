@@ -51,6 +51,7 @@ def standard_model(
         onnxscript.optimizer.fold_constants(program.model)
         onnxscript.optimizer.remove_unused_nodes(program.model)
     model = program.model_proto
+    _take_by_short_numbers(model.graph)
     for node in model.graph.node:  # stack traces of this machine
         node.doc_string = ""
         del node.metadata_props[:]
@@ -66,6 +67,25 @@ def standard_model(
         name = type(module).__name__
         raise FingerflowError(f"the graph of {name} is not of standard operators of opset {OPSET}: {sorted(foreign)}")
     return model
+
+
+def _take_by_short_numbers(graph: Any) -> None:
+    """Lets nodes gather by int32 where the exporter has cast it to int64, which is written and read for nothing."""
+    import onnx
+
+    kinds = {value.name: value.type.tensor_type.elem_type for value in graph.value_info}
+    short = {
+        node.output[0]: node.input[0]
+        for node in graph.node
+        if node.op_type == "Cast" and kinds.get(node.input[0]) == onnx.TensorProto.INT32
+        if node.attribute[0].i == onnx.TensorProto.INT64
+    }
+    for node in graph.node:
+        if node.op_type in ("Gather", "GatherElements") and node.input[1] in short:
+            node.input[1] = short[node.input[1]]
+    used = {name for node in graph.node for name in node.input} | {value.name for value in graph.output}
+    for node in [node for node in graph.node if node.output[0] in short and node.output[0] not in used]:
+        graph.node.remove(node)
 
 
 def need_packages() -> None:

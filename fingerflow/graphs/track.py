@@ -11,7 +11,7 @@ from fingerflow.ops.outliers import Neighbours, Outliers, find_outliers
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.point_gradients import neighbour_planes, neighbours_support
 from fingerflow.ops.templates import Found, Templates, find_templates
-from fingerflow.ops.tensors import sum_rows
+from fingerflow.ops.tensors import finite, sum_rows
 
 _TINY = 1e-20
 
@@ -67,14 +67,14 @@ class DeformationGraph(nn.Module):
         second = second.flatten(2).mT
         laplacian = second[:, ::4] + second[:, 3::4]
         identity = torch.eye(2, dtype=points.dtype, device=points.device).reshape(4, 1)
-        warp = identity + gradient.flatten(2).mT.contiguous().nan_to_num(0.0, 0.0, 0.0)
+        warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
         unknown = multiplied(warp, inverse_warp.flatten(2).mT.contiguous()) - identity
         of = numbers.mT.contiguous()
         leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
-        bulge = laplacian.nan_to_num(0.0, 0.0, 0.0) * ((self.window**2 - 1) / 24)
+        bulge = _or_zero(laplacian) * ((self.window**2 - 1) / 24)
         shift = self.window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt()
         corrected = found._replace(
-            points=points - (leaning + bulge).mT, covariance=self._less_bending(found.covariance, unknown, numbers.mT)
+            points=points - (leaning + bulge).mT, covariance=self._less_bending(found.covariance, unknown, of)
         )
         return Deformed(corrected, warp.mT.unflatten(2, (2, 2)), shift, start + expected)
 
@@ -115,6 +115,11 @@ class TrackGraph(nn.Module):
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
         """Templates of (B, N) points, (B, 1, H, W) view, (B, N, 2) px."""
         return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
+
+
+def _or_zero(values: Tensor) -> Tensor:
+    """Values, 0 where they are not finite."""
+    return torch.where(finite(values), values, 0.0)
 
 
 def multiplied(a: Tensor, b: Tensor) -> Tensor:

@@ -81,11 +81,12 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
     kind = cells.dtype
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
-    steep = _slope(density).clamp_min(1e-6)
+    flat = 1 / _slope(density)
+    height = density * flat + 0.5
 
     def inside(limit: Tensor | float) -> Tensor:
         """The part of each cell that lies inside, were the density a plane across it."""
-        return ((density - limit) / steep + 0.5).clamp(0, 1)
+        return (height - flat * limit).clamp(0.0, 1.0)
 
     def share(part: Tensor) -> Tensor:
         # All that a border cell has of the pattern lies in the part of it that is inside.
@@ -134,7 +135,9 @@ _kept_boxes = functools.lru_cache(16)(_boxes)
 
 
 def _slope(density: Tensor) -> Tensor:
-    """Length of the density's gradient, a cell: half the difference of two neighbours, zeros beyond the frame."""
+    """Length of the density's gradient, a cell, 1e-6 at least: half the difference of two neighbours, zeros beyond the
+    frame.
+    """
     along, down = functional.pad(density, (1, 1)), functional.pad(density, (0, 0, 1, 1))
     x, y = along[..., 2:] - along[..., :-2], down[..., 2:, :] - down[..., :-2, :]
     return ((x * x + y * y) / 4 + 1e-12).sqrt()

@@ -154,10 +154,10 @@ def medians_of_components(
         fields = torch.where(nearest.apart, nearest.fields, fields)
         known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
     count = known.to(fields.dtype).sum(2, keepdim=True)
-    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2], dim=2).values
+    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
     # The same place twice where the count is odd.
-    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor().clamp_max(fields.shape[2] - 1)
+    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
     median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)

@@ -9,18 +9,20 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.tensors import bytes_of
+
 
 def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
     """Means (B, 1, h, w) of cells of `cell` x `cell` px of an image (B, 1, H, W), zeros beyond it."""
     height, width = image.shape[-2:]
     exporting = torch.compiler.is_exporting()
     # Of a mask four lines are added as bytes: a sum of floats takes five times as long.
-    values = image.view(torch.uint8) if image.dtype == torch.bool and not exporting else image.to(precision)
+    values = bytes_of(image) if image.dtype == torch.bool else image.to(precision)
     if height % cell or width % cell:
         values = functional.pad(values, (0, -width % cell, 0, -height % cell))
     lines = values.unflatten(2, (-1, cell))
     # Down first, in whole lines. The runtimes of ONNX reduce; torch adds slices faster than it reduces short axes.
-    down = lines.sum(3) if exporting else sum_of(lines.unbind(3))
+    down = sum_of(lines.unbind(3))
     columns = down.to(precision).unflatten(3, (-1, cell))
     return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
 

@@ -55,12 +55,12 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """(B, N) means over blocks, of every fourth line."""
+    """(B, N) sums over blocks, of every fourth line."""
     height, width = lines.shape[-2:]
     rows = block // _STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
     down = cut.unflatten(2, (-1, rows)).sum(3)
-    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(1) / (rows * block)
+    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(1)
     return result
 
 
@@ -69,7 +69,7 @@ def _uppermost_mode(passed: Tensor, light: Tensor, passed_squared: Tensor, light
     quotient = torch.where(lit, passed / torch.where(lit, light, 1.0), 0.0)
     variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient
     quotient = torch.where(variance < _ROUGH**2, quotient, 0.0)
-    number = lit.sum(1, keepdim=True).to(quotient.dtype)
+    number = lit.to(quotient.dtype).sum(1, keepdim=True)
     # The third part of the hundred blocks that are brightest: reflections stand above it.
     kept = max(1, round(_TOP * quotient.shape[1]))
     gain = quotient.topk(kept, dim=1).values[:, -1:]

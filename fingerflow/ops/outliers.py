@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import outlier_limits as limits
+from fingerflow.ops.tensors import finite
 
 _LEAST = 1e-30
 
@@ -77,78 +78,89 @@ def find_outliers(neighbours: Neighbours, displacement: Tensor, position_std: Te
     index, offset, within = neighbours
     # (P, k, N), broadcast over frames; each by itself in memory: pairs side by side are gone through one by one.
     x, y = (part.contiguous() for part in offset.unbind(-1))
-    known = (displacement.sum(-1) + position_std).isfinite()
+    known = finite(displacement.sum(-1) + position_std)[:, None]  # (B, 1, N), as all that is of points
     one = known.to(displacement.dtype)
-    sure = torch.where(known, position_std, 1.0).clamp_min(limits.LEAST_DEVIATION)
-    u, v = (part.contiguous() for part in torch.where(known[..., None], displacement, 0.0).unbind(-1))
+    sure = torch.where(known, position_std[:, None], 1.0).clamp_min(limits.LEAST_DEVIATION)
+    u, v = torch.where(known, displacement.mT, 0.0).split(1, dim=1)
     there_u, there_v, variance, there = _of_neighbours(index, u, v, sure.square(), one)
     weight = there * within
-    number = weight.sum(1)  # (B, N)
-    u, v = there_u - u[:, None], there_v - v[:, None]
-    precision = 1 / (variance + sure.square()[:, None])
+    number = _total(weight)
+    u, v = there_u - u, there_v - v
+    precision = 1 / (variance + sure.square())
 
     distance, level = _agreement(u, v, precision, weight, number)
-    slope = _plane(x, y, u, v, weight / (1 + distance / (limits.SPREAD * level[:, None])))
+    slope = _plane(x, y, u, v, weight / (1 + distance / (limits.SPREAD * level)))
     _, fitted = _agreement(*_above(slope, x, y, u, v), precision, weight, number)
     trust = one / fitted.square()
     donated = (*(part * trust for part in slope), trust)
     *slopes, total = (
-        (part * within).sum(1) + own for part, own in zip(_of_neighbours(index, *donated), donated, strict=True)
+        _total(part * within) + own for part, own in zip(_of_neighbours(index, *donated), donated, strict=True)
     )
     total = total.clamp_min(_LEAST)
     _, borrowed = _agreement(*_above([part / total for part in slopes], x, y, u, v), precision, weight, number)
     disagreement = torch.minimum(torch.minimum(level, fitted), borrowed).sqrt()
     # Harmonic means over the neighbours of their disagreement and deviation: the outliers among them hardly count.
     usual, usual_deviation = (
-        number / (part * weight).sum(1).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
+        number / _total(part * weight).clamp_min(_LEAST) for part in _of_neighbours(index, 1 / disagreement, 1 / sure)
     )
     judged = known & (number >= limits.LEAST_NEIGHBOURS)
     return Outliers(
-        judged & (disagreement > limits.MOST_DISAGREEMENT * usual),
-        judged & (sure > limits.MOST_UNCERTAINTY * usual_deviation),
+        (judged & (disagreement > limits.MOST_DISAGREEMENT * usual)).squeeze(1),
+        (judged & (sure > limits.MOST_UNCERTAINTY * usual_deviation)).squeeze(1),
     )
 
 
 def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
-    """Values (B, N) each of the neighbours, (B, k, N) each, by numbers (1 or B, k, N)."""
-    batch = values[0].shape[0]
-    if index.shape[0] == 1:
-        there = torch.stack(values).flatten(0, 1).index_select(1, index.flatten())
-        return there.reshape(len(values), batch, *index.shape[1:]).unbind()
-    return tuple(one.gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
+    """Values (B, 1, N) each of the neighbours, (B, k, N) each, by numbers (1 or B, k, N)."""
+    batch, _, points = values[0].shape
+    if index.shape[0] != 1:
+        return tuple(one[:, 0].gather(1, index.flatten(1)).unflatten(1, index.shape[1:]) for one in values)
+    rows, number = torch.cat(values, dim=1), index.flatten()
+    if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
+        there = rows.gather(2, number.to(torch.int32).expand(batch, len(values), -1))
+    else:
+        there = rows.index_select(2, number)
+    count = index.shape[1]
+    result: tuple[Tensor, ...] = there.reshape(batch, len(values) * count, points).split(count, dim=1)
+    return result
+
+
+def _total(values: Tensor) -> Tensor:
+    """Sum (B, 1, N) of values (B, k, N) over the neighbours."""
+    return values.sum(1, keepdim=True)
 
 
 def _agreement(u: Tensor, v: Tensor, precision: Tensor, weight: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """z^2 (B, k, N) of differences, and the harmonic mean (B, N) of 1 + z^2 over the neighbours, 1 where none are."""
+    """z^2 (B, k, N) of differences, and the harmonic mean (B, 1, N) of 1 + z^2 over the neighbours, 1 without any."""
     distance = (u * u + v * v) * precision
-    agreeing = (weight / (1 + distance)).sum(1)
+    agreeing = _total(weight / (1 + distance))
     return distance, torch.where(number > 0, number / agreeing.clamp_min(_LEAST), 1.0)
 
 
 def _plane(x: Tensor, y: Tensor, u: Tensor, v: Tensor, weight: Tensor) -> list[Tensor]:
-    """Slopes (B, N) du/dx, du/dy, dv/dx, dv/dy of the planes through differences (B, k, N) at offsets x and y, by least
-    squares with weights (B, k, N).
+    """Slopes (B, 1, N) du/dx, du/dy, dv/dx, dv/dy of the planes through differences (B, k, N) at offsets x and y, by
+    least squares with weights (B, k, N).
     """
     by_x, by_y = weight * x, weight * y
-    total, sum_x, sum_y = (part.sum(1) for part in (weight, by_x, by_y))
+    total, sum_x, sum_y = (_total(part) for part in (weight, by_x, by_y))
     total = total.clamp_min(_LEAST)
     mean_x, mean_y = sum_x / total, sum_y / total
-    xx = (by_x * x).sum(1) - mean_x * sum_x
-    xy = (by_x * y).sum(1) - mean_x * sum_y
-    yy = (by_y * y).sum(1) - mean_y * sum_y
+    xx = _total(by_x * x) - mean_x * sum_x
+    xy = _total(by_x * y) - mean_x * sum_y
+    yy = _total(by_y * y) - mean_y * sum_y
     ridge = limits.RIDGE * (xx + yy) + _LEAST
     xx, yy = xx + ridge, yy + ridge
     determinant = (xx * yy - xy * xy).clamp_min(_LEAST)
     slopes = []
     for moved in (u, v):
-        rise = (weight * moved).sum(1)
-        along_x = (by_x * moved).sum(1) - mean_x * rise
-        along_y = (by_y * moved).sum(1) - mean_y * rise
+        rise = _total(weight * moved)
+        along_x = _total(by_x * moved) - mean_x * rise
+        along_y = _total(by_y * moved) - mean_y * rise
         slopes += [(yy * along_x - xy * along_y) / determinant, (xx * along_y - xy * along_x) / determinant]
     return slopes
 
 
 def _above(slope: list[Tensor], x: Tensor, y: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """What differences (B, k, N) leave above planes of slopes (B, N)."""
-    ux, uy, vx, vy = (part[:, None] for part in slope)
+    """What differences (B, k, N) leave above planes of slopes (B, 1, N)."""
+    ux, uy, vx, vy = slope
     return u - ux * x - uy * y, v - vx * x - vy * y

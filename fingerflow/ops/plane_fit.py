@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
-from fingerflow.ops.tensors import finite, sum_rows
+from fingerflow.ops.tensors import components_first, finite, sum_rows
 
 _TINY = 1e-20
 _ONE = 2.0**-60  # what counts as one: less than any number that is not 0 here, so that clamping makes it of them all
@@ -98,10 +98,8 @@ def fit_planes(
     sums = _product(monomials, weights)
     known = count > MINIMUM_POINTS - 0.5
     mass = torch.where(known, sums[:, :1], 1.0)
-    mean = sums / mass
-    centroid, motion = mean[:, 1:3], mean[:, 6 : 6 + channels]
-    spread = mean[:, 3:6] - squares(centroid)
-    cross = mean[:, 6 + channels :] - _mixed(motion, centroid)
+    _, centroid, square, motion, mixed = (sums / mass).split((1, 2, 3, channels, 2 * channels), dim=1)
+    spread, cross = square - squares(centroid), mixed - _mixed(motion, centroid)
     xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
     determinant = xx * yy - xy * xy
     half = (xx + yy) / 2  # of the trace
@@ -161,4 +159,7 @@ def _product(rows: Tensor, matrix: Tensor) -> Tensor:
     if matrix.shape[0] == 1 and rows.shape[0] != 1:
         result: Tensor = _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
         return result
-    return rows @ matrix.mT if rows.shape[1] == 1 else (matrix @ rows.mT).mT
+    if rows.shape[1] == 1:
+        return rows @ matrix.mT
+    product = matrix @ rows.mT
+    return components_first(product) if torch.compiler.is_exporting() else product.mT

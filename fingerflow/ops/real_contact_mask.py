@@ -2,10 +2,10 @@
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.box_sum import box_sum
+from fingerflow.ops.tensors import bytes_of
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
@@ -59,11 +59,7 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
 def majority(holds: Tensor, size: int) -> Tensor:
     """Where more than half of the `size` x `size` window around a pixel holds: (B, 1, H, W) bool of bool."""
     half = size // 2
-    if torch.compiler.is_exporting():
-        # No runtime of ONNX adds bytes, and none sums windows of floats faster than by pooling.
-        padded = functional.pad(holds.to(torch.float32), (half, half, half, half), mode="replicate")
-        return functional.avg_pool2d(padded, size, 1) > 0.5
-    bits = holds.view(torch.uint8)
+    bits = bytes_of(holds)
     for axis in (2, 3):
         first, last = bits.narrow(axis, 0, 1), bits.narrow(axis, -1, 1)
         shape = [-1] * 4

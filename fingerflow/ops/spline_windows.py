@@ -20,16 +20,19 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     Pixels beyond the border repeat the border; a window that would reach farther than they do is moved inwards.
     """
     side = size + 2 * MARGIN
-    # Bytes are gathered as they are, a quarter of the memory; torch gathers no uint16.
+    # Few bytes are gathered as they are, a quarter of the memory; torch gathers no uint16.
     border = max(MARGIN + 2, side - min(view.shape[-2:]))  # found inside, a window may stand beside a pixel outside
-    plane = _bordered(view if view.dtype == torch.uint8 else view.to(dtype), border)
+    few = center.shape[2] * side * side < view.shape[2] * view.shape[3]
+    plane = _bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
-    first = row.clamp(0, height - side) * width + column.clamp(0, width - side)
+    # Between floats: a runtime has two nodes for what lies between whole numbers.
+    first = row.clamp(0.0, float(height - side)) * width + column.clamp(0.0, float(width - side))
     # One number a window and one a pixel of it: sums of pairs of rows and columns take runtimes three times as long.
-    steps = torch.arange(side, device=view.device)
+    whole = torch.int32 if torch.compiler.is_exporting() else torch.int64
+    steps = torch.arange(side, dtype=whole, device=view.device)
     pixel = (steps[:, None] * width + steps).flatten()
-    index = first.to(torch.int64).transpose(1, 2) + pixel
+    index = first.to(whole).transpose(1, 2) + pixel
     return plane.flatten(1).gather(1, index.flatten(1)).to(dtype).reshape(-1, side, side)
 
 
@@ -88,6 +91,8 @@ def _values(u: Tensor, v: Tensor) -> Tensor:
 
 def _bordered(view: Tensor, border: int) -> Tensor:
     """A view (B, 1, H, W) of any number type with its border repeated (B, 1, H + 2 border, W + 2 border)."""
+    if torch.compiler.is_exporting():  # torch itself pads no bytes
+        return functional.pad(view, (border,) * 4, mode="replicate")
     for dim in (2, 3):
         ends = view.narrow(dim, 0, 1), view.narrow(dim, view.shape[dim] - 1, 1)
         shape = [border if k == dim else -1 for k in range(4)]

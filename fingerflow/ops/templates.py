@@ -47,6 +47,15 @@ from fingerflow.ops.windows import sample_windows
 _SHIFTS = 2 * BEYOND + 1
 _TINY = 1e-20
 
+# Of the quartics that are 1 at one of -2 to 2 and 0 at the others, the factors of the powers 0 to 4.
+_QUARTIC = (
+    (0.0, 1 / 12, -1 / 24, -1 / 12, 1 / 24),
+    (0.0, -2 / 3, 2 / 3, 1 / 6, -1 / 6),
+    (1.0, 0.0, -5 / 4, 0.0, 1 / 4),
+    (0.0, 2 / 3, 2 / 3, -1 / 6, -1 / 6),
+    (0.0, -1 / 12, -1 / 24, 1 / 12, 1 / 24),
+)
+
 
 class Templates(NamedTuple):
     """Templates of B x N points in windows of n px: what a frame needs to know of the key frame.
@@ -446,15 +455,15 @@ def _look(
     start, guess = components_first(templates.start), components_first(prediction)
     given = finite(start - guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
-    numbers = templates.numbers.transpose(1, 2)
+    numbers = components_first(templates.numbers)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
     inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
     # By value: a compiler goes on for ever in search of the index that a member of an enumeration is.
     free, energy, level = of[Number.GAIN.value], of[Number.ENERGY.value], of[Number.LEVEL.value]
     center = guess.round()
-    patches = cut_patches(current, center, window, dtype) - level.flatten()[:, None, None]
+    patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
 
-    wanted = _times(templates.pixels, patches.flatten(1))  # (B, 3, N) of values, gx, gy
+    wanted = _times(templates.pixels, patches)  # (B, 3, N) of values, gx, gy
     beside = _initial_estimate(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
     looked = (-beside).clamp(-limits.REACH, limits.REACH)
 
@@ -521,9 +530,9 @@ def _initial_estimate(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tens
     cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
     value, gradient = wanted[:, :1], wanted[:, 1:]
     for _ in range(limits.ESTIMATE_STEPS):
-        x, y = _between(shift).unbind(1)  # (B, 5, N)
-        weights = (y[:, :, None] * x[:, None]).flatten(1, 2)
-        *at, own = sum_rows(cells * weights[:, None]).squeeze(2).split((2, 1), dim=1)
+        x, y = _between(shift).split(1, dim=1)  # (B, 1, 5, N)
+        weights = (y.transpose(1, 2) * x).flatten(1, 2)[:, None]
+        *at, own = sum_rows(cells * weights).squeeze(2).split((2, 1), dim=1)
         ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
         shift = shift - _symmetric(inverse, at[0] - gradient / torch.where(free > 0, ratio, 1.0))
         shift = shift.clamp(-limits.ESTIMATE_REACH, limits.ESTIMATE_REACH)
@@ -532,6 +541,11 @@ def _initial_estimate(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tens
 
 def _between(shift: Tensor) -> Tensor:
     """Weights (B, 2, 5, N) of the values at -2 to 2 for the quartic through them at shifts (B, 2, N) (Lagrange)."""
+    if torch.compiler.is_exporting():  # a product in place of twenty nodes
+        line = shift[:, :, None]
+        square = line * line
+        powers = torch.cat((torch.ones_like(line), line, square, square * line, square * square), dim=2)
+        return shift.new_tensor(_QUARTIC) @ powers
     square = shift * shift
     beyond, beside = square - 4, square - 1
     inner, outer = beyond * shift / -6, beside * shift / 24
@@ -549,7 +563,7 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
     """(B, 3, N) of the residual D = M - a T - b of windows M (P, samples): the sum of D^2, and those of D grad D in x
     and y, half the differences of D^2 between opposite edges.
     """
-    own = samples[:, :, 0].flatten(0, 1)
+    own = samples.narrow(2, 0, 1).flatten(0, 2)
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
     place = torch.arange(size, device=samples.device)
     edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
@@ -558,9 +572,10 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
-    """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, m)."""
+    """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, ...) of m."""
     batch, count = samples.shape[:2]
-    return components_first((samples.flatten(0, 1) @ windows[..., None]).reshape(batch, count, 3))
+    columns = windows.reshape(-1, samples.shape[3], 1)
+    return components_first((samples.flatten(0, 1) @ columns).reshape(batch, count, 3))
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:

@@ -23,3 +23,8 @@ def finite(values: Tensor) -> Tensor:
 def sum_rows(values: Tensor) -> Tensor:
     """(..., 1, P) of (..., K, P), K fixed, as a product with ones: a sum over such an axis is ten times as slow."""
     return values.new_ones(1, values.shape[-2]) @ values
+
+
+def bytes_of(mask: Tensor) -> Tensor:
+    """Bytes of 0 and 1 of a mask (...) bool: the same memory, but where a graph is exported."""
+    return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)

@@ -137,5 +137,5 @@ def _sample_piece(
 def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
     """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` (P, ...) says."""
     if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
-        return flat.gather(0, index.flatten() + later).reshape(index.shape)
+        return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
     return flat[later:].take(index)  # the same index from a later start

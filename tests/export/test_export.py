@@ -72,6 +72,14 @@ def test_graph_is_standard_and_says_what_it_is(name: str, bundle_of_trials: Path
     assert {"fingerflow.version", "fingerflow.recipe", "fingerflow.coordinates", "fingerflow.hash"} <= set(facts)
 
 
+def test_pixels_are_gathered_by_short_numbers(bundle_of_trials: Path) -> None:
+    nodes = onnx.load(bundle_of_trials / "track.onnx").graph.node
+    gathers = {node.input[1] for node in nodes if node.op_type == "GatherElements"}
+    casts = [node for node in nodes if node.op_type == "Cast"]
+    assert gathers
+    assert not gathers & {node.output[0] for node in casts if node.attribute[0].i == onnx.TensorProto.INT64}
+
+
 def test_verification_covers_every_output(bundle_of_trials: Path) -> None:
     recipe, verification = beside(bundle_of_trials)
     rows = [Difference(**one) for one in json.loads(verification.read_text(encoding="utf-8"))]
