@@ -455,7 +455,7 @@ def _look(
     start, guess = components_first(templates.start), components_first(prediction)
     given = finite(start - guess)[:, :1]
     guess = torch.where(finite(guess), guess, 0.0)
-    numbers = components_first(templates.numbers)
+    numbers = templates.numbers.transpose(1, 2)
     of = numbers[:, : Number.LEAN].split(1, dim=1)
     inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
     # By value: a compiler goes on for ever in search of the index that a member of an enumeration is.
