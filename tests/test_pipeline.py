@@ -93,7 +93,7 @@ def test_before_contact_nothing_is_made_up(result: xr.Dataset) -> None:
 
 
 def test_displacement_counts_from_the_way_to_the_onset(result: xr.Dataset) -> None:
-    """In the first frame with contact it is a part of the step from the frame before, half of it on average."""
+    """At onset, displacement is a fraction of the step from the previous frame, 1/2 on average."""
     onset, position = result["onset_frame"].values, result["position"].values
     touched = np.flatnonzero((onset > 0) & np.isfinite(position[onset - 1, np.arange(len(onset))]).all(-1))
     assert len(touched) > 100

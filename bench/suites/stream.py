@@ -37,7 +37,7 @@ def run(quick: bool) -> list[Row]:
 
 
 def _free(bundle: Path, engine: str, parallel: int, quick: bool) -> dict[str, Any]:
-    """The run of median speed."""
+    """Return the run of median rate, with the slowest and fastest rate."""
     runs = [_played(bundle, engine, parallel, None, quick) for _ in range(1 if quick else 5)]
     runs.sort(key=lambda run: run["rate_hz"])
     return runs[len(runs) // 2] | {"slowest_hz": runs[0]["rate_hz"], "fastest_hz": runs[-1]["rate_hz"]}

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-ROWS = 64  # that graphs of some of the points take in a call, and that are searched for in a frame of a stream
+# Points per call of the graphs that take a subset of them; also the most that a stream searches for in one frame.
+ROWS = 64
 Images = Any  # frames (K, 1, H, W) as an engine holds them: they have a length, and slices of frames
 
 

@@ -74,7 +74,7 @@ class Session:
         return ort.OrtValue.ortvalue_from_numpy(self._array(name, array), self._device)
 
     def _array(self, name: str, array: Any) -> Any:
-        """As the graph takes it, in one piece; what is `kept` as it is."""
+        """Return an array contiguous and of the dtype of the input; a value that is `kept` is returned unchanged."""
         if not isinstance(array, np.ndarray):
             return array
         shape, dtype = self.inputs[name]

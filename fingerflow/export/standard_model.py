@@ -70,7 +70,7 @@ def standard_model(
 
 
 def _take_by_short_numbers(graph: Any) -> None:
-    """Lets nodes gather by int32 where the exporter has cast it to int64, which is written and read for nothing."""
+    """Let Gather nodes take int32 indices directly, without the cast to int64 that the exporter puts before them."""
     import onnx
 
     kinds = {value.name: value.type.tensor_type.elem_type for value in graph.value_info}

@@ -118,7 +118,7 @@ class TrackGraph(nn.Module):
 
 
 def _or_zero(values: Tensor) -> Tensor:
-    """Values, 0 where they are not finite."""
+    """Return the values with 0 in place of those that are not finite."""
     return torch.where(finite(values), values, 0.0)
 
 

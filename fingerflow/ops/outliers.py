@@ -126,7 +126,7 @@ def _of_neighbours(index: Tensor, *values: Tensor) -> tuple[Tensor, ...]:
 
 
 def _total(values: Tensor) -> Tensor:
-    """Sum (B, 1, N) of values (B, k, N) over the neighbours."""
+    """Return the sums (B, 1, N) of values (B, k, N) over the k neighbours."""
     return values.sum(1, keepdim=True)
 
 

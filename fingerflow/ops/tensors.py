@@ -26,5 +26,5 @@ def sum_rows(values: Tensor) -> Tensor:
 
 
 def bytes_of(mask: Tensor) -> Tensor:
-    """Bytes of 0 and 1 of a mask (...) bool: the same memory, but where a graph is exported."""
+    """Return a mask (...) bool as uint8, 0 or 1: a view of the same memory, or a cast while a graph is exported."""
     return mask.to(torch.uint8) if torch.compiler.is_exporting() else mask.view(torch.uint8)

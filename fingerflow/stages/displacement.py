@@ -218,9 +218,8 @@ class DisplacementStage(Stage):
         if len(some) == len(indices):
             touching = touch.go_on(indices, covered, position, variance, self._border.at(indices))
         else:
-            floats = (np.full((*variance.shape, *extra), np.nan, np.float32) for extra in ((2,), (), (), ()))
-            touching = Touching(*floats, *np.zeros((2, *variance.shape), dtype=bool))
-            touching = touching._replace(place=np.full_like(position, np.nan))
+            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
             if len(some):
                 frames = indices[some]
                 gone_on = touch.go_on(frames, covered[some], position[some], variance[some], self._border.at(frames))
@@ -238,8 +237,10 @@ class DisplacementStage(Stage):
         return Moved(moved, noise)
 
     def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
-        """Variance (n, N) px^2 of a component of the displacement, from those of the position now and of the two that
-        the reference is a mean of, of which the last is the position now where a touch begins.
+        """Return the variance (n, N) px^2 of a component of the displacement.
+
+        The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
+        of them is the position `now` itself.
 
         Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
         of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
@@ -255,14 +256,14 @@ class DisplacementStage(Stage):
         return result
 
     def _find_errors_of_onset(self) -> None:
-        """Covariance (N, 2, 2) mm^2 of the place of onset, the skin's speed then times the error of the time.
+        """Compute the covariance (N, 2, 2) mm^2 of the place of onset: the speed then times the error of the time.
 
-        The place of the border is known to `BORDER_MM`, of d frames as neighbouring points are apart in time. It says
-        between which frames a point touches, and its ellipse when: the error is 0 where the ellipse is passed between
-        them, else how far they are from it, of a mean square that d^3 / (d + 1.4) is to a tenth; and that of the
-        ellipse, which matters the less the more often they decide. Errors change from one neighbour to the next, as the
-        border crosses one ridge after the other, and are taken as independent. A point that touches in the first frame
-        has no onset: its displacement counts from there.
+        The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
+        takes d frames to cross. The ellipse gives the moment between these frames. The error is 0 where the ellipse is
+        crossed between the selected frames, and otherwise their distance from that crossing; its mean square is
+        d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
+        larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
+        point that touches in the first frame has no onset: its displacement counts from there.
         """
         onset, frames = self.onset, len(self.trial)
         usable = np.flatnonzero(self._usable)

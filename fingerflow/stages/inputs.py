@@ -64,7 +64,7 @@ class Inputs:
         return result
 
     def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(..., 2) mm on the glass to px of the topographic view."""
+        """Return positions (..., 2) px in the topographic view of places (..., 2) mm on the glass."""
         matrix = self.topography_to_contact
         result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
         return result

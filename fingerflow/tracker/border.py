@@ -24,15 +24,15 @@ class Border(NamedTuple):
 
     @classmethod
     def of(cls, series: Mapping[str, NDArray[np.float64]]) -> Self:
-        """That of results by name, `ellipse_center` and so on."""
+        """Return the border from results by name, `ellipse_center` and so on."""
         return cls(*(series[f"ellipse_{name}"] for name in cls._fields))
 
     def at(self, frames: slice | NDArray[np.intp]) -> Border:
-        """That of some frames."""
+        """Return the border in some frames."""
         return Border(*(one[frames] for one in self))
 
     def inside(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(frames, P) mm, how far places (frames, P, 2) are inside the border, to first order: exact on it."""
+        """Return the depth (frames, P) mm of places (frames, P, 2) inside the border, to first order: exact on it."""
         # By components: NumPy takes several times as long for sums over an axis of two.
         (center_x, center_y), (first, second) = (one.T[..., None] for one in (self.center, self.semi_axes))
         cosine, sine = np.cos(self.angle)[:, None], np.sin(self.angle)[:, None]

@@ -112,12 +112,12 @@ class Touches:
 
 
 def _at_border(position: Array, border: Border, begins: Array) -> tuple[Array, Array]:
-    """(F, N, 2) mm, positions (F + 1, N, 2) from the second frame on, where a touch begins (F, N) that at which the
-    border passed the point since the frame before; and the share (F, N) of the way at which it did.
+    """Return positions (F, N, 2) mm, interpolated to the border where a touch begins, and the shares (F, N).
 
-    Depths inside the border are taken to change evenly between frames. What covers a point and the ellipse of its
-    border may differ by a frame: the end of the way that is nearer to the ellipse counts then. Of a contact without an
-    ellipse in the frame before it is the middle, and of a point that was lost there its place now.
+    The first of the positions (F + 1, N, 2) and borders belong to the frame before. A share is the fraction of the step
+    from the previous frame at which the border passed the point: depth inside the ellipse is interpolated linearly
+    between both frames. Where the ellipse is not crossed between them, the nearer end of the step is taken; without an
+    ellipse in the previous frame, its middle; and for a point that was lost there, its position now.
     """
     share = np.ones(begins.shape, np.float32)
     if not begins.any():

@@ -181,8 +181,10 @@ class Points:
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
     def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> Found:
-        """Learns from a frame (1, N) that counts, and verifies it. `index` is the number, in a stream, of the frame
-        that has just been looked at: as many frames behind it as the lag says may have begun.
+        """Update motion and templates from a frame (1, N) that counts, and verify its points.
+
+        `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
+        begun.
         """
         if index is not None:
             self._index = index
@@ -197,11 +199,10 @@ class Points:
         run_alone(self._updated(index))
 
     def prepare_ahead(self) -> None:
-        """Prepares a part of the templates that are to be updated, so that no frame waits for all; in any thread,
-        while others look at frames.
+        """Prepare a part of the templates that are due later, so that no frame waits for all of them.
 
-        Parts are whole calls of a graph of some of the points: its sums differ in the last digit by a row's place in a
-        call, and how many frames this thread has had time for must not change a number.
+        Any thread may call it while others track frames. A part is always a multiple of `ROWS`: sums of an exported
+        graph differ in the last digit by a row's place in a call, and the pace of this thread must not change results.
         """
         with self._preparing:
             for pending in self._pending[:1]:
@@ -441,7 +442,7 @@ class Points:
         return found._replace(points=points, covariance=covariance, status=status)
 
     def _last_warp(self) -> Array:
-        """(N, 2, 2) deformation gradient in the last frame, NaN where it is not known."""
+        """Return the deformation gradient (N, 2, 2) in the last frame, NaN where it is not known."""
         assert self._last is not None
         warp, known = self._last.warp[-1], known_of(self._last.expected[-1])
         return np.where(known[:, None, None], warp, np.float32(np.nan)) if self._by_key else warp

@@ -249,7 +249,9 @@ class StreamTracker:
         )
 
     def begin(self, frame: Frame) -> tuple[Work, list[Event | Outcome]]:
-        """Makes ready to compute a frame; and what has changed before it, and became of one that was in doubt."""
+        """Prepare a frame for computing and return its work, with the events (seeding, key frame) before it and the
+        outcome of a deferred frame.
+        """
         passed: list[Event | Outcome] = []
         if self.must_wait(frame):
             assert not self.under_way
@@ -272,8 +274,8 @@ class StreamTracker:
             work.measured = found if physical else math.nan
 
     def finish(self, work: Work) -> list[Event | Outcome]:
-        """What became of a frame that was computed, and before it of one that was in doubt; none where it is in doubt
-        itself. And what happened with it.
+        """Return the outcomes that are known once a frame was computed, and events: the outcome of a deferred frame
+        before it, and its own unless it is deferred too.
         """
         passed: list[Event | Outcome] = [*self.settle(work.frame)]
         frame, points = work.frame, self._points
@@ -289,7 +291,7 @@ class StreamTracker:
         return passed
 
     def _judged(self, work: Work, points: Points) -> list[Outcome]:
-        """What became of a frame; nothing yet where the next one has to say it."""
+        """Return the outcome of a frame; none while it is deferred until its successor has arrived."""
         frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
         if work.found is not None and work.guess is not None and frame.status in MEASURED:

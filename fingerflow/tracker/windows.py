@@ -21,14 +21,14 @@ _FARTHEST = 0.15  # by which a round may change a number of a deformation
 
 
 class Centred(NamedTuple):
-    """Windows (N, m) less the mean of each, and their variance (N,)."""
+    """Windows (N, m) with their mean subtracted, and their variance (N,)."""
 
     part: Array
     variance: Array
 
     @classmethod
     def of(cls, windows: Array) -> Centred:
-        """Those of windows (N, m)."""
+        """Subtract the mean of each window (N, m)."""
         part = windows - windows.mean(1, keepdims=True)
         return cls(part, np.square(part).mean(1))
 
@@ -39,7 +39,7 @@ def correlation(one: Array, other: Array) -> Array:
 
 
 def correlation_of(first: Centred, second: Centred) -> Array:
-    """Return the same of windows that are centred."""
+    """Return the normalised correlation (N,) of centred windows; NaN where one is blank."""
     variances = first.variance * second.variance
     found = (first.part * second.part).mean(1) / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
     result: Array = np.where(variances > _LEAST_VARIANCE, found, np.float32(np.nan))

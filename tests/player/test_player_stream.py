@@ -246,7 +246,7 @@ def _darkened(level: int, elsewhere: int = 0) -> Any:
 def test_a_threshold_that_is_not_given_is_measured(
     stream: Stream, request: pytest.FixtureRequest, setting: str, lag: int
 ) -> None:
-    """Measure the threshold in the first of every four frames that shows contact: 0.4 of the light, half of the loss.
+    """The threshold is measured in the first fourth frame with contact: 0.4 of the light, half of the intensity loss.
 
     It counts from that frame on, whether or not frames are computed beside it; darker frames keep it.
     """

@@ -51,7 +51,7 @@ def test_both_give_the_truth(results: dict[str, xr.Dataset]) -> None:
 def test_no_motion_before_the_first_frame_with_contact_is_missing(
     results: dict[str, xr.Dataset], direction: str
 ) -> None:
-    """What displacement since the true onset exceeds it by is, on average, no part of the motion between two frames."""
+    """Displacement since the true onset minus the measured one is uncorrelated with the step at onset."""
     result = results[direction]
     position, onset = result["position"].values, result["onset_frame"].values
     touched = np.flatnonzero((onset > 0) & np.isfinite(position[-1]).all(-1))

@@ -256,8 +256,8 @@ def test_a_point_that_was_lost_at_its_onset_has_none() -> None:
 
 
 def test_a_touch_in_passing_counts_by_itself_and_is_forgotten() -> None:
-    """Two frames are no onset; what is measured meanwhile counts from half way to their first, with the noise of both
-    ends of the way."""
+    """A touch of two frames is no onset. Displacement during it counts from the middle of the step to its first frame,
+    and its noise is that of the positions at both ends of the step."""
     position = np.zeros((7, 1, 2)) + np.arange(7)[:, None, None] ** 2
     deviation = np.sqrt(np.array([[1.0], [2], [3], [4], [5], [6], [7]], np.float32))
     covered = np.array([[0], [1], [1], [0], [1], [1], [1]], dtype=bool)
@@ -330,8 +330,8 @@ def test_energy_in_a_strip_along_the_border() -> None:
 
 
 def test_medians_miss_nothing_before_the_onset() -> None:
-    """Counted from the first frame with contact, half a frame late on average, all medians would be off to one side by
-    what skin is stretched meanwhile, 0.8 um/mm here."""
+    """The median divergence has no bias from the onset. With the first frame with contact as the reference, half a
+    frame late on average, the bias would be 0.8 um/mm here."""
     motion, points = Motion((0.0, 0.0), ((0.001, 0.0), (0.0, 0.001)), 0.005), material()
     found = measured(tracked(motion, points, 0))
     true = exact(motion, points, found, False)
