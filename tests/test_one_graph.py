@@ -59,7 +59,7 @@ def said(tmp_path_factory: pytest.TempPathFactory, bundle_of_trials: Path, asked
     recorded = [fingerflow.process(scene, engine=engine) for engine in ("torch", "onnx")]
     played = []
     for engine in ("onnx", "native"):
-        options = ["--output", str(folder / engine), "--page", "off", "--engine", engine, "--no-spin"]
+        options = ["--output", str(folder / engine), "--page", "off", "--engine", engine]
         assert player.main([str(bundle_of_trials), "--scene", str(scene_file), "--threads", "1", *options]) == 0
         played.append(player.read_results(folder / engine))
         assert not played[-1].header["warnings"]

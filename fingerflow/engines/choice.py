@@ -67,16 +67,18 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device, module
     return TorchEngine(settings, device, modules or as_it_is)
 
 
-def engine_of_stream(bundle: Bundle, name: str | None, **onnx: Any) -> Engine:
+def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
     """The engine of a stream; one line of the log says which, and why.
 
     Native is tried first: it serves where the library loads and gives the numbers of the bundle's built-in frame. Else
-    ONNX Runtime does, with the graphs of the bundle.
+    ONNX Runtime does, with the graphs of the bundle, by the first execution provider that runs them and gives these
+    numbers too.
 
     Args:
         bundle: whose settings and graphs are taken.
         name: of `STREAM_ENGINES`, which insists; None for the first that serves.
-        onnx: provider, threads and spin of `engines.onnx.OnnxEngine`.
+        provider: of ONNX Runtime, by its short name, which insists; None for the first that serves.
+        threads: inside an operator of ONNX Runtime.
 
     Raises:
         FingerflowError: the engine that is insisted on does not serve, or none does.
@@ -93,13 +95,21 @@ def engine_of_stream(bundle: Bundle, name: str | None, **onnx: Any) -> Engine:
             raise FingerflowError(f"--engine native: {why}; leave the option out, or take --engine onnx")
     try:
         from fingerflow.engines.onnx import OnnxEngine
+        from fingerflow.engines.providers import CPU, installed_providers
     except ModuleNotFoundError as error:
         raise FingerflowError(
             f"no engine serves here: native does not ({why}), and onnxruntime cannot be loaded ({error}); install it: "
             f"pip install onnxruntime"
         ) from None
-    engine = OnnxEngine(bundle.files, bundle.engine_settings, **onnx)
-    check_engine(engine, bundle.expected)
+    for one in [provider] if provider else installed_providers():
+        try:
+            engine = OnnxEngine(bundle.files, bundle.engine_settings, one, threads)
+            check_engine(engine, bundle.expected)
+            break
+        except FingerflowError as error:
+            if provider or one == CPU:
+                raise
+            log.warning("provider %s does not serve here and the next is taken: %s", one, error)
     log.info("engine: %s, as %s", engine.described, why)
     return engine
 

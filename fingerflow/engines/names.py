@@ -1,4 +1,4 @@
-"""Names of what ONNX Runtime runs and with what: known without it."""
+"""Names of the graphs of a bundle."""
 
 #: Graphs of a bundle that an engine needs, in the order in which they can run.
 GRAPHS = (
@@ -21,12 +21,3 @@ GRAPHS = (
     "fields_entered",
     "fit",
 )
-
-#: Execution providers by short name, in the order in which they are tried.
-PROVIDERS = {
-    "tensorrt": "TensorrtExecutionProvider",
-    "cuda": "CUDAExecutionProvider",
-    "directml": "DmlExecutionProvider",
-    "openvino": "OpenVINOExecutionProvider",
-    "cpu": "CPUExecutionProvider",
-}

@@ -25,8 +25,8 @@ from fingerflow.engines.engine import (
     Key,
     Light,
 )
-from fingerflow.engines.names import PROVIDERS
 from fingerflow.engines.prediction import Course
+from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import Session, Sessions
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracked_points import find_neighbours
@@ -87,11 +87,10 @@ class OnnxEngine:
     Args:
         files: of the graphs, by name.
         settings: of the recipe that the bundle was exported from (`bundle_settings`).
-        provider, threads, spin: as for `sessions.Sessions`.
+        provider, threads: as for `sessions.Sessions`.
 
     Attributes:
         points: N.
-        provider: by which it computes, a key of `names.PROVIDERS`.
 
     Raises:
         FingerflowError: as for `sessions.Sessions`.
@@ -103,14 +102,12 @@ class OnnxEngine:
         self,
         files: Mapping[str, Path],
         settings: EngineSettings,
-        provider: str | None = None,
-        threads: int = 0,
-        spin: bool = True,
+        provider: str = CPU,
+        threads: int = 1,
     ) -> None:
         self.settings = settings
-        self._sessions = Sessions(files, provider, threads, spin)
-        self.provider = self._sessions.provider
-        self.described = f"onnx ({PROVIDERS[self.provider]})"
+        self._sessions = Sessions(files, provider, threads)
+        self.described = f"onnx ({self._sessions.provider})"
         inputs = self._sessions["track"].inputs
         self.points = inputs["prediction"].shape[1]
         self._few = self._sessions["track_few"].inputs["prediction"].shape[1]

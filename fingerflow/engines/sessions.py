@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,16 +10,12 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from fingerflow.engines.names import PROVIDERS
+from fingerflow.engines.providers import CPU, plugin_devices, provider_named
 from fingerflow.errors import FingerflowError
 
 Array = NDArray[Any]
 
-log = logging.getLogger("fingerflow.engines")
-
-_PLUGINS = {"openvino": "onnxruntime_ep_openvino"}  # providers that come as a package beside onnxruntime
 _ON_GPU = ("tensorrt", "cuda")  # whose memory holds what is kept from call to call
-_FIRST = "track"  # the graph that takes longest: with it providers are tried, and its threads may spin
 _NUMPY = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -84,41 +77,25 @@ class Session:
 
 
 class Sessions:
-    """Opens graphs with one execution provider, the first that works or the one that was asked for.
+    """Opens graphs with one execution provider.
 
     Args:
         files: of the graphs, by name.
-        provider: a key of `names.PROVIDERS`, or None for the first in their order.
-        threads: inside an operator, 0 for one a core.
-        spin: threads of the graph that takes longest wait for work without sleeping. Latency falls and the cores are
-            never idle.
+        provider: short name, of `providers.installed_providers`.
+        threads: inside an operator. One is fastest: an operator of these graphs takes some microseconds, and threads
+            wait for each other at each of them.
 
     Attributes:
-        provider: a key of `names.PROVIDERS`.
+        provider: full name.
 
     Raises:
         FingerflowError: the provider is not installed or does not run here, or a file is not what its name says.
     """
 
-    def __init__(
-        self, files: Mapping[str, Path], provider: str | None = None, threads: int = 0, spin: bool = True
-    ) -> None:
-        self._files, self._threads, self._spin = files, threads, spin
-        installed = _installed_providers()
-        if provider is not None and provider not in installed:
-            raise FingerflowError(f"provider {provider!r} is not installed here; there are: {', '.join(installed)}")
-        first: Session | None = None
-        for self.provider in [provider] if provider else installed:
-            try:
-                first = self._open(_FIRST)
-                break
-            except _ProviderFailed as failure:
-                if provider or self.provider == "cpu":
-                    raise FingerflowError(f"provider {self.provider!r}: {failure}; choose another") from None
-                log.warning("provider %s is installed but does not run here (%s)", self.provider, failure)
-        assert first is not None
-        log.info("execution provider: %s (onnxruntime %s)", PROVIDERS[self.provider], ort.__version__)
-        self._sessions = {name: first if name == _FIRST else self._open(name) for name in files}
+    def __init__(self, files: Mapping[str, Path], provider: str = CPU, threads: int = 1) -> None:
+        self._files, self._threads = files, threads
+        self._short, self.provider = provider, provider_named(provider)
+        self._sessions = {name: self._open(name) for name in files}
 
     def __getitem__(self, name: str) -> Session:
         if name not in self._sessions:
@@ -129,59 +106,37 @@ class Sessions:
         if name not in self._files:
             raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
         path = self._files[name]
-        session = self._session(name, path)
+        session = self._session(path)
         properties = session.get_modelmeta().custom_metadata_map
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        return Session(session, path, "cuda" if self.provider in _ON_GPU else "cpu")
+        return Session(session, path, "cuda" if self._short in _ON_GPU else "cpu")
 
-    def _session(self, name: str, path: Path) -> ort.InferenceSession:
+    def _session(self, path: Path) -> ort.InferenceSession:
         options = ort.SessionOptions()
         options.intra_op_num_threads = self._threads
         options.log_severity_level = 3
-        # Threads of the other graphs would spin beside it.
-        options.add_session_config_entry("session.intra_op.allow_spinning", str(int(self._spin and name == _FIRST)))
-        chosen: list[Any] = [PROVIDERS[self.provider], PROVIDERS["cpu"]]
-        if self.provider == "tensorrt":
+        # Threads of the other graphs would spin beside the one that computes.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        chosen: list[Any] = [self.provider, provider_named(CPU)]
+        if self._short == "tensorrt":
             engines = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(path.parent / "tensorrt")}
-            chosen[0] = (PROVIDERS["tensorrt"], engines)
-        devices = _plugin_devices(self.provider)
+            chosen[0] = (self.provider, engines)
+        devices = plugin_devices(self.provider)
         if devices:
             options.add_provider_for_devices(devices[:1], {})
         try:
             session = ort.InferenceSession(path, options, providers=None if devices else list(dict.fromkeys(chosen)))
         except Exception as error:
-            if self.provider != "cpu":
-                raise _ProviderFailed(_first_line(error)) from None
+            what = "export it again" if self._short == CPU else f"provider {self._short!r} fails: choose another"
+            raise FingerflowError(f"{path}: onnxruntime cannot load it ({_first_line(error)}); {what}") from None
+        if self.provider not in session.get_providers():
             raise FingerflowError(
-                f"{path}: onnxruntime cannot load it ({_first_line(error)}); export it again"
-            ) from None
-        if PROVIDERS[self.provider] not in session.get_providers():
-            raise _ProviderFailed("onnxruntime fell back to another one; its libraries are missing")
+                f"provider {self._short!r}: onnxruntime fell back to another one, as its libraries are missing; choose "
+                "another"
+            )
         return session
-
-
-class _ProviderFailed(Exception):
-    """An execution provider cannot run a graph here."""
-
-
-def _installed_providers() -> list[str]:
-    """Keys of PROVIDERS, in their order."""
-    available = ort.get_available_providers()
-    if PROVIDERS["cuda"] in available:
-        ort.preload_dlls()  # CUDA's libraries where they were installed as Python packages
-    return [name for name, full in PROVIDERS.items() if full in available or _plugin_devices(name)]
-
-
-def _plugin_devices(provider: str) -> list[Any]:
-    """Devices of an execution provider that is installed as a plugin package."""
-    if provider not in _PLUGINS or importlib.util.find_spec(_PLUGINS[provider]) is None:
-        return []
-    full = PROVIDERS[provider]
-    if not any(device.ep_name == full for device in ort.get_ep_devices()):
-        ort.register_execution_provider_library(full, importlib.import_module(_PLUGINS[provider]).get_library_path())
-    return [device for device in ort.get_ep_devices() if device.ep_name == full]
 
 
 def _input(argument: Any, path: Path) -> Input:

@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import math
-import os
 import signal
 import sys
 import threading
@@ -77,8 +76,6 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     parallel = options.parallel_frames
     # One core is left to what runs beside the tracking: reading frames, results of the frame before, the page.
     set_threads(options.threads or max(1, threads() - 1))
-    # Frames beside each other share the threads inside operators, beside the one that each has itself.
-    inside = options.threads or (max(1, (os.cpu_count() or 1) - parallel + 1) if parallel > 1 else 0)
     of_onnx = parallel > 1 or options.provider is not None
     if options.engine == "native" and of_onnx:
         raise PlayerError(
@@ -86,13 +83,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
             "on all threads; leave them out, or take --engine onnx"
         )
     try:
-        engine = engine_of_stream(
-            bundle,
-            "onnx" if of_onnx else options.engine,
-            provider=options.provider,
-            threads=inside,
-            spin=options.spin,
-        )
+        engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
     except FingerflowError as error:
         raise error if isinstance(error, PlayerError) else PlayerError(str(error)) from None
     # ONNX Runtime gives the same numbers with one frame after the other and with two beside each other.
@@ -221,7 +212,12 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
     add(
         "--provider", help="execution provider of ONNX Runtime, such as cpu, cuda or openvino; default: the first there"
     )
-    add("--threads", type=_count, default=0, help="threads of the engine; default one a core, less one for all else")
+    add(
+        "--threads",
+        type=_count,
+        default=0,
+        help="threads of the engine; default one a core less one, of ONNX Runtime one",
+    )
     add(
         "--parallel-frames",
         type=_count,
@@ -229,7 +225,6 @@ def _parser(prog: str | None) -> argparse.ArgumentParser:
         metavar="N",
         help="with ONNX Runtime: compute N frames beside each other",
     )
-    add("--no-spin", dest="spin", action="store_false", help="let waiting threads sleep: slower, but cores are free")
     add("--output", type=Path, help="new folder of the results; default stream.output of the scene, or results-TIME")
     add("--json", type=Path, metavar="FILE", help="write the summary to FILE too")
     add("--page", type=_address, default=("127.0.0.1", 8765), metavar="[HOST:]PORT", help="of the live page, or `off`")

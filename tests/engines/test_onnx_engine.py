@@ -1,8 +1,10 @@
 """The engine that runs a bundle by ONNX Runtime beside the one that runs torch: the same numbers, method by method."""
 
 import dataclasses
+import logging
 import subprocess
 import sys
+import types
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,13 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import onnx
+import onnxruntime as ort
 import pytest
 import torch
 
+from fingerflow.engines import choice, providers
 from fingerflow.engines import engine as arrays
 from fingerflow.engines.check import check_engine
-from fingerflow.engines.names import GRAPHS, PROVIDERS
+from fingerflow.engines.names import GRAPHS
 from fingerflow.engines.onnx import OnnxEngine
+from fingerflow.engines.providers import installed_providers
 from fingerflow.engines.sessions import Session
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
@@ -48,7 +53,7 @@ def bundle(bundle_of_trials: Path) -> Bundle:
 
 @pytest.fixture(scope="module")
 def engines(bundle: Bundle) -> Both:
-    onnx_engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu", threads=1, spin=False)
+    onnx_engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu")
     return Both(onnx_engine, TorchEngine(bundle.engine_settings, torch.device("cpu")))
 
 
@@ -197,7 +202,7 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
     bundle: Bundle, points: Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of its own, which here is a copy."""
-    engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu", 1, False)
+    engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu")
     of_array = Session.kept
     monkeypatch.setattr(Session, "kept", lambda session, name, array: of_array(session, name, array.copy()))
     engine._sessions["track"].shares_memory = False
@@ -357,12 +362,56 @@ def test_damaged_numbers_are_named(engines: Both, bundle: Bundle) -> None:
 def test_a_provider_that_is_not_there_is_named(bundle: Bundle) -> None:
     with pytest.raises(FingerflowError, match=r"provider 'tpu' is not installed here; there are: .*cpu"):
         OnnxEngine(bundle.files, bundle.engine_settings, "tpu")
-    assert list(PROVIDERS)[-1] == "cpu"
+    assert list(installed_providers())[-1] == "cpu"
+
+
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_a_provider_with_other_numbers_is_passed_over(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And one that does not load; but one that is asked for is not replaced."""
+    full = installed_providers()["cpu"]
+    monkeypatch.setattr(
+        providers, "installed_providers", lambda: {"broken": "NoExecutionProvider", "odd": full, "cpu": full}
+    )
+    wrong = [True, False, True]
+
+    def check(engine: OnnxEngine, expected: Any) -> None:
+        if wrong.pop(0):
+            raise FingerflowError("its numbers are not those of the bundle")
+
+    monkeypatch.setattr(choice, "check_engine", check)
+    with caplog.at_level(logging.WARNING):
+        assert choice.engine_of_stream(bundle, "onnx").described == "onnx (CPUExecutionProvider)"
+    assert [message.split(" does not serve")[0] for message in caplog.messages] == ["provider broken", "provider odd"]
+    with pytest.raises(FingerflowError, match="its numbers are not"):
+        choice.engine_of_stream(bundle, "onnx", "odd")
+
+
+def test_the_provider_of_a_plugin_package_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One that cannot be loaded is named, and the others serve."""
+    (tmp_path / "onnxruntime_ep_other.py").write_text("def get_library_path():\n    return 'other.so'\n")
+    (tmp_path / "onnxruntime_ep_torn.py").write_text("import nothing_of_this_name\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(providers, "_registered", set())
+    device = types.SimpleNamespace(ep_name="OtherExecutionProvider")
+    plugged: list[str] = []
+    monkeypatch.setattr(ort, "register_execution_provider_library", lambda name, path: plugged.append(path))
+    monkeypatch.setattr(ort, "get_ep_devices", lambda: [device] * len(plugged))
+    for _ in range(2):
+        names = installed_providers()
+        assert list(names.items())[-2:] == [("other", device.ep_name), ("cpu", "CPUExecutionProvider")]
+    assert plugged == ["other.so"]
+    assert [message for message in caplog.messages if "onnxruntime_ep_torn" in message]
+    assert providers.plugin_devices(device.ep_name) == [device]
+    assert providers.plugin_devices("CPUExecutionProvider") == []
 
 
 def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Path) -> None:
     def opened(**files: Path) -> OnnxEngine:
-        return OnnxEngine({**bundle.files, **files}, bundle.engine_settings, "cpu", 1, False)
+        return OnnxEngine({**bundle.files, **files}, bundle.engine_settings, "cpu")
 
     with pytest.raises(FingerflowError, match=r"contact\.onnx: holds 'contact' where the graph 'track' is expected"):
         opened(track=bundle.files["contact"])
@@ -375,7 +424,7 @@ def test_files_that_are_none_of_a_bundle_are_named(bundle: Bundle, tmp_path: Pat
     with pytest.raises(FingerflowError, match="no fingerflow metadata"):
         opened(fit=tmp_path / "fit.onnx")
     few = dataclasses.replace(bundle, files={name: file for name, file in bundle.files.items() if name != "fit"})
-    engine = OnnxEngine(few.files, few.engine_settings, "cpu", 1, False)
+    engine = OnnxEngine(few.files, few.engine_settings, "cpu")
     with pytest.raises(FingerflowError, match="has no graph 'fit'"):
         engine.fit(np.zeros((3, 2)), np.zeros((1, 3, 2)), np.zeros((3, 2)), 1.6)
 
@@ -391,7 +440,7 @@ from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.sessions import Session
 from fingerflow.player.bundle import load_bundle
 bundle = load_bundle(Path(sys.argv[1]))
-check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu", 1, False), bundle.expected)
+check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu"), bundle.expected)
 """
     command = [sys.executable, "-c", code, str(bundle.folder)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, env=None)

@@ -64,7 +64,7 @@ class Stream:
 
     def run(self, *arguments: str) -> Ended:
         output = self.folder / "results"
-        given = [str(self.bundle), "--output", str(output), "--threads", "1", "--no-spin", *arguments]
+        given = [str(self.bundle), "--output", str(output), "--threads", "1", *arguments]
         code = self.play(given if "--page" in arguments else [*given, "--page", "off"])
         said = self._capsys.readouterr()
         results = player.read_results(output) if output.exists() else None

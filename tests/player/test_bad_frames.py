@@ -46,7 +46,7 @@ class Small(NamedTuple):
         np.save(self.folder / "played.npy", frames)
         shutil.rmtree(self.folder / "out", ignore_errors=True)
         options = ["--scene", str(self.folder / "trial" / "scene.toml"), "--source", str(self.folder / "played.npy")]
-        options += ["--output", str(self.folder / "out"), "--page", "off", "--threads", "1", "--no-spin"]
+        options += ["--output", str(self.folder / "out"), "--page", "off", "--threads", "1"]
         assert player.main([str(self.bundle), *options, *arguments]) == 0
         found = player.read_results(self.folder / "out")
         return found._replace(records=np.array(found.records))

@@ -21,7 +21,7 @@ class Runtime(NamedTuple):
     def play(self, name: str, *arguments: str) -> player.StreamResults:
         output = self.scene.parent / name
         options = ["--scene", str(self.scene), "--output", str(output), "--page", "off", "--engine", "onnx"]
-        given = [str(self.bundle), *options, "--threads", "1", "--no-spin", *arguments]
+        given = [str(self.bundle), *options, "--threads", "1", *arguments]
         assert player.main(given if "--provider" in arguments else [*given, "--provider", "cpu"]) == 0
         return player.read_results(output)
 

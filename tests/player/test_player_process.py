@@ -25,7 +25,7 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _command(python: Path, stream: Stream, *arguments: str) -> tuple[list[str], dict[str, str]]:
     """The player of the bundle's folder, as a technician starts it."""
     carry_rooms(stream.bundle)
-    options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1", "--no-spin"]
+    options = ["--output", str(stream.folder / "results"), "--page", "off", "--threads", "1"]
     return [str(python), "-m", "fingerflow.player", *options, *arguments], variables()
 
 

@@ -17,7 +17,7 @@ from fingerflow import player
 from fingerflow.player import cli
 from fingerflow.player import stream as stream_module
 
-START = ("--threads", "1", "--no-spin")
+START = ("--threads", "1")
 
 
 def _wrong_frames(stream: Stream) -> tuple[str, ...]:

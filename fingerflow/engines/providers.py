@@ -1,0 +1,67 @@
+"""Execution providers of ONNX Runtime on this computer: those built into it, and plugin packages beside it."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import pkgutil
+from typing import Any
+
+import onnxruntime as ort
+
+from fingerflow.errors import FingerflowError
+
+log = logging.getLogger("fingerflow.engines")
+
+#: Short name of the processor's own provider, which is everywhere.
+CPU = "cpu"
+_SUFFIX = "ExecutionProvider"
+_PLUGINS = "onnxruntime_ep_"  # how the names of plugin packages begin
+_REMOTE = "AzureExecutionProvider"  # computes nothing here
+
+
+def installed_providers() -> dict[str, str]:
+    """Return full names of the execution providers by short name ("CUDAExecutionProvider" by "cuda"), in the order in
+    which they are to be tried: built-in ones as ONNX Runtime orders them, those of plugin packages, the processor.
+    """
+    built_in = [name for name in ort.get_available_providers() if name != _REMOTE]
+    if any(name.startswith("CUDA") for name in built_in):
+        ort.preload_dlls()  # CUDA's libraries where they were installed as Python packages
+    _register_plugins()
+    plugged = [device.ep_name for device in ort.get_ep_devices() if device.ep_name not in built_in]
+    names = {full.removesuffix(_SUFFIX).lower(): full for full in (*built_in, *plugged)}
+    return {**{name: full for name, full in names.items() if name != CPU}, CPU: names[CPU]}
+
+
+def provider_named(name: str) -> str:
+    """Return the full name of an installed provider.
+
+    Raises:
+        FingerflowError: it is not installed here.
+    """
+    installed = installed_providers()
+    if name not in installed:
+        raise FingerflowError(f"provider {name!r} is not installed here; there are: {', '.join(installed)}")
+    return installed[name]
+
+
+def plugin_devices(full: str) -> list[Any]:
+    """Return the devices of the provider of a plugin package; none of a built-in one."""
+    if full in ort.get_available_providers():
+        return []
+    return [device for device in ort.get_ep_devices() if device.ep_name == full]
+
+
+def _register_plugins() -> None:
+    """Make ONNX Runtime know the provider of each plugin package that is installed, once."""
+    for module in pkgutil.iter_modules():
+        if module.name.startswith(_PLUGINS) and module.name not in _registered:
+            _registered.add(module.name)
+            try:
+                library = importlib.import_module(module.name).get_library_path()
+                ort.register_execution_provider_library(module.name, library)
+            except Exception as error:  # whatever a foreign package raises, the other providers still serve
+                log.warning("the package %s is installed but its provider cannot be loaded (%s)", module.name, error)
+
+
+_registered: set[str] = set()
