@@ -32,6 +32,9 @@ inline Matrix operator*(const Matrix& a, const Matrix& b) {
 // What is not a number becomes `low`: nothing else is ever made an index.
 inline float clamped(float value, float low, float high) { return value > low ? (value < high ? value : high) : low; }
 
+// px of coefficients around a window that is sampled up to a pixel beside a whole place.
+constexpr int kMargin = 2;
+
 // Weights of the four taps around a position, the first one before its floor, and their derivatives.
 constexpr int kOrder = 3, kTaps = kOrder + 1;
 template <class Number>
@@ -92,11 +95,12 @@ inline void cut_around(const Frames& frames, std::int64_t image, Vector center, 
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
 }
 
-// A window in rows of `window` numbers, one behind the other.
+// A window, its rows so many numbers apart.
 struct Sampled {
     float* value;
     float* along_x;
     float* along_y;
+    int row;
 };
 
 class WindowSampler {
@@ -139,7 +143,7 @@ public:
         cubic_taps(shift.x - whole.x, across, across_slope);
         cubic_taps(shift.y - whole.y, down, down_slope);
         const int n = window_, span = whole_floats(n), stride = patch_span(side(n));
-        cut_around(frames, image, center, n / 2 + kBeyond, n + 2 * kBeyond, level_, lines_, wide_, stride);
+        cut_around(frames, image, center, n / 2 + kMargin, n + 2 * kMargin, level_, lines_, wide_, stride);
         finite_ = frames.kind != kFloat32 || all_finite(wide_, side(n), side(n), stride);
         const float* from = wide_ + (static_cast<int>(whole.y) + 1) * stride + static_cast<int>(whole.x) + 1;
         for (int r = 0; r < n + kTaps - 1; ++r, from += stride)
@@ -176,20 +180,20 @@ public:
         image_ = image;
         sample_somewhere(place, warp);
         close_up(to);
-        finite_ = frames.kind != kFloat32 || all_finite(to.value, 1, window_ * window_, 0);
+        finite_ = frames.kind != kFloat32 || all_finite(to.value, window_, window_, to.row);
     }
 
 private:
-    static int side(int window) { return window + 2 * kBeyond; }
+    static int side(int window) { return window + 2 * kMargin; }
     static int wide(int window) { return patch_span(2 * side(window)); }  // side of what a warped window may reach over in one patch
     static int wide_buffer(int window) { return wide(window) * wide(window) + 2 * kPatchBlock; }
 
-    // Rows of whole vectors to rows of `window` numbers.
+    // Rows of whole vectors to rows of their own distance.
     void close_up(const Sampled& to) const {
         float* const all_of[3] = {to.value, to.along_x, to.along_y};
         const int n = window_, span = whole_floats(n);
         for (int k = 0; k < 3; ++k)
-            for (int r = 0; r < n; ++r) std::memcpy(all_of[k] + r * n, padded_[k] + r * span, static_cast<std::size_t>(n) * sizeof(float));
+            for (int r = 0; r < n; ++r) std::memcpy(all_of[k] + r * to.row, padded_[k] + r * span, static_cast<std::size_t>(n) * sizeof(float));
     }
 
     static float pixel(const Frames& frames, std::int64_t image, Vector place) {

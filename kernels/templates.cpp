@@ -49,22 +49,22 @@ void share_out(Function* function, const Work& work, std::int64_t count, int win
 
 void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width, std::int64_t points,
                                   float* start, const float* inverse_warp, const float* variance, int window, int gain_offset,
-                                  float rounding, float* samples, float* table, float* numbers, int threads) {
+                                  float rounding, float* samples, float* numbers, int threads) {
     using namespace fingerflow;
     const std::vector<std::int64_t> order = in_bands(start, image->count * points, points, height);
     const TemplatesToPrepare work{frames_of(*image, height, width), order.data(), points, window, gain_offset, rounding, start, inverse_warp,
-                                  variance, samples, table, numbers};
+                                  variance, samples, numbers};
     share_out(FINGERFLOW_PICK(prepare_templates), work, image->count * points, window, threads);
 }
 
 void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width, std::int64_t batch,
                                std::int64_t points, std::int64_t steps, int window, int rounds, const float* start, const float* samples,
-                               const float* table, const float* numbers, const float* variance, float* place, float* speed,
+                               const float* numbers, const float* variance, float* place, float* speed,
                                float rounding, float forward_backward_limit, float mismatch_limit, float* found, float* error,
                                float* covariance, unsigned char* status, float* estimate, int threads) {
     using namespace fingerflow;
     const std::vector<std::int64_t> order = in_bands(place, batch * points, points, height);
-    const TemplatesToFind work{frames_of(*frames, height, width), order.data(), batch, points, steps, window, rounds, start, samples, table,
+    const TemplatesToFind work{frames_of(*frames, height, width), order.data(), batch, points, steps, window, rounds, start, samples,
                                numbers, variance, place, speed, rounding, forward_backward_limit, mismatch_limit, found, error,
                                covariance, status, estimate};
     share_out(FINGERFLOW_PICK(find_templates), work, batch * points, window, threads);

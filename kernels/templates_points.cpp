@@ -1,5 +1,5 @@
 // build: each instruction set, fused
-// Templates prepared and found by two steps of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
+// Templates prepared and found by steps of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
 // the equations. Sums run in another order than there, so results differ by rounding.
 #include "templates_points.h"
 
@@ -18,26 +18,26 @@ namespace FINGERFLOW_ISA {
 namespace {
 
 constexpr float kTiny = 1e-20f;
-constexpr int kShifts = 2 * kBeyond + 1, kSquare = kShifts * kShifts;
 
 // --- preparation --------------------------------------------------------------------------------------------------------
 
 class Preparer {
+    static constexpr int kPadding = 4;  // zeros: the reach of the weights that pixels have in a sample, twice
+
 public:
-    Preparer(const TemplatesToPrepare& all, float* memory) : all_(all), n_(all.window), wide_(n_ + 2 * kBeyond), sampler_(wide_, memory) {
-        memory += WindowSampler::floats(wide_);
+    Preparer(const TemplatesToPrepare& all, float* memory) : all_(all), n_(all.window), wide_(n_ + kPadding), sampler_(n_, memory) {
+        memory += WindowSampler::floats(n_);
         const auto take = [&](int count) {
             float* piece = memory;
             memory += whole_floats(count);
             for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
             return piece;
         };
-        // Rows lie as far apart as those of the wide window, so that one index runs over both; zeros end each row, and
-        // lie before the first.
+        // Zeros end each row, and lie before the first.
         for (float*& one : of_) one = take(flat(n_));
         for (float*& one : slope_) one = take(flat(n_));
         for (float*& one : padded_) one = take(kFloats + flat(n_)) + kFloats;
-        for (float*& one : lines_) one = take(kFloats + flat(n_ + 2 * 2 * kBeyond)) + kFloats;
+        for (float*& one : lines_) one = take(kFloats + flat(n_ + 2 * kPadding)) + kFloats;
         right_ = take(flat(n_));
         down_ = take(flat(n_));
         inside_ = reinterpret_cast<std::int32_t*>(take(flat(n_)));
@@ -47,15 +47,11 @@ public:
                 down_[r * wide_ + c] = static_cast<float>(r - n_ / 2);
                 inside_[r * wide_ + c] = -1;
             }
-        const int beyond = flat(wide_ + kShifts);
-        sampled_ = {take(beyond), take(beyond), take(beyond)};
     }
 
     static std::int64_t floats(int n) {
-        const int wide = n + 2 * kBeyond;
-        const auto flat = [&](int rows) { return whole_floats(wide * rows + kFloats); };
-        return WindowSampler::floats(wide) + 10 * flat(n) + 2 * (kFloats + flat(n)) + 2 * (kFloats + flat(n + 2 * 2 * kBeyond)) +
-               3 * flat(wide + kShifts);
+        const auto flat = [&](int rows) { return whole_floats((n + kPadding) * rows + kFloats); };
+        return WindowSampler::floats(n) + 10 * flat(n) + 2 * flat(n + 2 * kPadding) + 4 * kFloats;
     }
 
     void prepare(std::int64_t point) {
@@ -68,25 +64,22 @@ public:
         }
         const bool known = is_finite(start) && is_finite(inverse_warp);
         float* const samples = all_.samples + point * 3 * n_ * n_;
-        float* const table = all_.table + point * kTable;
         float* const numbers = all_.numbers + point * kNumbers;
         if (!known) {
             for (int k = 0; k < 3 * n_ * n_; ++k) samples[k] = 0.0f;
-            for (int k = 0; k < kTable; ++k) table[k] = 0.0f;
             for (int k = 0; k < kNumbers; ++k) numbers[k] = 0.0f;
             all_.start[2 * point] = all_.start[2 * point + 1] = NAN;
             return;
         }
-        if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled_);
-        else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled_);
-        if (!sampler_.finite())
-            for (int k = 0; k < wide_ * wide_; ++k) sampled_.value[k] = sampled_.along_x[k] = sampled_.along_y[k] = NAN;
-        numbers[kLevel] = sampler_.level() + take_inner();
+        const Sampled sampled{of_[0], slope_[0], slope_[1], wide_};
+        if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled);
+        else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled);
+        if (!sampler_.finite()) of_[0][0] = NAN;  // and through the mean all others
+        numbers[kLevel] = sampler_.level() + take_mean();
         project();
         measure(all_.variance[image], numbers);
         numbers[kInside] = contains(start, all_.image, n_) ? 1.0f : 0.0f;
         numbers[kGain] = all_.gain_offset ? 1.0f : 0.0f;
-        correlate(table);
         for (int k = 0; k < 3; ++k)
             for (int r = 0; r < n_; ++r)
                 std::memcpy(samples + (k * n_ + r) * n_, of_[k] + r * wide_, static_cast<std::size_t>(n_) * sizeof(float));
@@ -97,20 +90,12 @@ private:
     int flat(int rows) const { return whole_floats(wide_ * rows + kFloats); }
     int steps() const { return whole_floats(n_ * wide_); }
 
-    // The window out of the wide one, less its mean, as is the wide one then; returns the mean.
-    float take_inner() {
-        const float* const from[3] = {sampled_.value, sampled_.along_x, sampled_.along_y};
-        float* const to[3] = {of_[0], slope_[0], slope_[1]};
-        for (int k = 0; k < 3; ++k)
-            for (int r = 0; r < n_; ++r)
-                std::memcpy(to[k] + r * wide_, from[k] + (r + kBeyond) * wide_ + kBeyond, static_cast<std::size_t>(n_) * sizeof(float));
+    // Takes the mean off the values and returns it.
+    float take_mean() {
         Floats sum[kFloats] = {};
         for (int k = 0; k < steps(); k += kFloats) sum[0] += load(of_[0] + k);
         const float mean = folded<kFloats>(sum)[0] / count();
         for (int k = 0; k < steps(); k += kFloats) store(of_[0] + k, kept(load(of_[0] + k) - all(mean), inside_ + k));
-        for (int k = 0; k < whole_floats(wide_ * wide_); k += kFloats) store(sampled_.value + k, load(sampled_.value + k) - all(mean));
-        // What lies behind it is read too, times zero: it must be a number.
-        for (int k = wide_ * wide_; k < whole_floats(wide_ * wide_); ++k) sampled_.value[k] = 0.0f;
         return mean;
     }
 
@@ -138,25 +123,23 @@ private:
     }
 
     void measure(float variance, float* numbers) {
-        Floats of[whole_floats(15)] = {};
+        Floats of[whole_floats(13)] = {};
         for (int k = 0; k < steps(); k += kFloats) {
             const Floats value = load(of_[0] + k), x = load(of_[1] + k), y = load(of_[2] + k);
             const Floats slope_x = load(slope_[0] + k), slope_y = load(slope_[1] + k), right = load(right_ + k), down = load(down_ + k);
             of[0] += x * x;
             of[1] += x * y;
             of[2] += y * y;
-            of[3] += x;
-            of[4] += y;
-            of[5] += x * value;
-            of[6] += y * value;
+            of[3] += x * value;
+            of[4] += y * value;
             const Floats bent[4] = {slope_x * right, slope_x * down, slope_y * right, slope_y * down};
             FINGERFLOW_UNROLL
             for (int i = 0; i < 4; ++i) {
-                of[7 + i] += x * bent[i];
-                of[11 + i] += y * bent[i];
+                of[5 + i] += x * bent[i];
+                of[9 + i] += y * bent[i];
             }
         }
-        float sum_of[whole_floats(15)];
+        float sum_of[whole_floats(13)];
         sums(of, sum_of);
         const float xx = sum_of[0], xy = sum_of[1], yy = sum_of[2];
         const float determinant = xx * yy - xy * xy;
@@ -169,18 +152,16 @@ private:
         numbers[kInverseXy] = inverse.xy;
         numbers[kInverseYy] = inverse.yy;
         numbers[kEnergy] = energy_;
-        numbers[kPixelsX] = sum_of[3] * numbers[kLevel];
-        numbers[kPixelsY] = sum_of[4] * numbers[kLevel];
-        numbers[kConstantX] = sum_of[5];
-        numbers[kConstantY] = sum_of[6];
+        numbers[kConstantX] = sum_of[3];
+        numbers[kConstantY] = sum_of[4];
         numbers[kNoise] = variance;
         numbers[kTextured] = regular && smaller > least ? 1.0f : 0.0f;
         for (int i = 0; i < 4; ++i) {
-            const Vector lean = inverse * Vector{sum_of[7 + i], sum_of[11 + i]};
+            const Vector lean = inverse * Vector{sum_of[5 + i], sum_of[9 + i]};
             numbers[kLean + i] = lean.x;
             numbers[kLean + 4 + i] = lean.y;
         }
-        bend(sum_of + 7, numbers);
+        bend(sum_of + 5, numbers);
         const Matrix spread = inverse * (energy_of_pixels() * inverse);
         numbers[kCovarianceXx] = spread.xx;
         numbers[kCovarianceXy] = spread.xy;
@@ -229,12 +210,12 @@ private:
         for (int i = 0; i < 2; ++i) {
             // Shifted by up to four numbers a line ends in the zeros behind it.
             for (int k = 0; k < steps(); k += kFloats) store(padded_[i] + k, load(of_[1 + i] + k));
-            float* const lines = lines_[i] + 4 * wide_;
+            float* const lines = lines_[i] + kPadding * wide_;
             for (int k = 0; k < steps(); k += kFloats) store(lines + k, spread(padded_[i] + k, 1));
         }
         Floats of[whole_floats(3)] = {};
         for (int k = 0; k < wide_ * wide_; k += kFloats) {
-            const Floats x = spread(lines_[0] + 4 * wide_ + k, wide_), y = spread(lines_[1] + 4 * wide_ + k, wide_);
+            const Floats x = spread(lines_[0] + kPadding * wide_ + k, wide_), y = spread(lines_[1] + kPadding * wide_ + k, wide_);
             of[0] += x * x;
             of[1] += x * y;
             of[2] += y * y;
@@ -242,46 +223,6 @@ private:
         float sum_of[whole_floats(3)];
         sums(of, sum_of);
         return {sum_of[0], sum_of[1], sum_of[1], sum_of[2]};
-    }
-
-    // Sums of gx, gy and the values times the wide template, shifted: component by component, row by row.
-    void correlate(float* table) const {
-        constexpr int kAtOnce = kFloats == 16 ? kShifts : 3;  // shifts whose sums stay in registers
-        for (int row = 0; row < kShifts; ++row) {
-            Floats products[whole_floats(3 * kShifts)] = {};
-            const float* const from = sampled_.value + row * wide_;
-            add_products<kAtOnce>(from, products);
-            if constexpr (kAtOnce < kShifts) add_products<kShifts - kAtOnce>(from + kAtOnce, products + kAtOnce);
-            float summed[whole_floats(3 * kShifts)];
-            sums(products, summed);
-            for (int component = 0; component < 3; ++component)
-                for (int k = 0; k < kShifts; ++k)
-                    table[component * kSquare + row * kShifts + k] = summed[component * kShifts + k];
-        }
-    }
-
-    // Those of so many shifts along x, kShifts apart by component.
-    template <int kCount>
-    void add_products(const float* from, Floats* products) const {
-        Floats with_x[kCount], with_y[kCount], with_value[kCount];
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < kCount; ++k) with_x[k] = with_y[k] = with_value[k] = all(0);
-        for (int i = 0; i < steps(); i += kFloats) {
-            const Floats x = load(of_[1] + i), y = load(of_[2] + i), value = load(of_[0] + i);
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kCount; ++k) {
-                const Floats sample = held(load(from + i + k));
-                with_x[k] += x * sample;
-                with_y[k] += y * sample;
-                with_value[k] += value * sample;
-            }
-        }
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < kCount; ++k) {
-            products[k] = with_x[k];
-            products[kShifts + k] = with_y[k];
-            products[2 * kShifts + k] = with_value[k];
-        }
     }
 
     const TemplatesToPrepare& all_;
@@ -294,7 +235,6 @@ private:
     float* right_ = nullptr;
     float* down_ = nullptr;
     std::int32_t* inside_ = nullptr;  // which of a window's numbers are samples, -1, and which only fill, 0
-    Sampled sampled_{};
     float energy_ = 0;
 };
 
@@ -308,7 +248,7 @@ struct Look {
 
 class Finder {
 public:
-    Finder(const TemplatesToFind& all, float* memory) : all_(all), n_(all.window), row_(whole_floats(n_)), stride_(patch_span(n_ + 2 * kBeyond)) {
+    Finder(const TemplatesToFind& all, float* memory) : all_(all), n_(all.window), row_(whole_floats(n_)), stride_(patch_span(n_ + 2 * kMargin)) {
         const auto take = [&](int count) {
             float* piece = memory;
             memory += whole_floats(count);
@@ -316,22 +256,20 @@ public:
             return piece;
         };
         for (float*& one : samples_) one = take(n_ * row_);
-        for (float*& one : table_) one = take(kCells);
-        patch_ = take((n_ + 2 * kBeyond) * stride_ + 2 * kPatchBlock);
+        patch_ = take((n_ + 2 * kMargin) * stride_ + 2 * kPatchBlock);
         matched_ = take(n_ * row_);
         lines_ = memory;
     }
 
     static std::int64_t floats(int n) {
-        const int stride = patch_span(n + 2 * kBeyond), side = n + 2 * kBeyond;
-        return 4 * whole_floats(n * whole_floats(n)) + 3 * kCells + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
+        const int stride = patch_span(n + 2 * kMargin), side = n + 2 * kMargin;
+        return 4 * whole_floats(n * whole_floats(n)) + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
     }
 
     // Names the point after this one: where points are found in a single frame, its template is fetched from a far cache line by
     // line while this one is found. All at once, or without it, takes an eighth longer.
     void expect(std::int64_t point) {
         awaited_ = reinterpret_cast<std::uintptr_t>(all_.samples + point * 3 * n_ * n_);
-        for (int k = 0; k < kTable; k += 16) FINGERFLOW_PREFETCH(all_.table + point * kTable + k);
         for (int k = 0; k < kNumbers; k += 16) FINGERFLOW_PREFETCH(all_.numbers + point * kNumbers + k);
     }
 
@@ -349,13 +287,7 @@ public:
             Look look = not_given(guess);
             if (step + 1 < all_.steps) fetch(image + all_.batch, guess);
             if (is_finite(start) && is_finite(guess))
-                for (int round = 0; round < all_.rounds; ++round) {
-                    look = all_.steps == 1 ? this->look<true>(image, guess) : this->look<false>(image, guess);
-                    const Vector away{look.estimate.x - rintf(guess.x), look.estimate.y - rintf(guess.y)};
-                    const bool beyond = fabsf(away.x) >= kReach || fabsf(away.y) >= kReach;
-                    if (look.status != kNotConverged || !beyond || round + 1 == all_.rounds) break;
-                    guess = look.estimate;
-                }
+                look = this->look(image, guess);
             write(step * count + point, look);
             const bool tracked = look.status == kTracked;
             if (tracked) {
@@ -378,8 +310,6 @@ public:
     }
 
 private:
-    static constexpr int kRow = whole_floats(kShifts), kCells = kShifts * kRow;  // of a table's component, each row in whole vectors
-
     static Look not_given(Vector guess) { return {{NAN, NAN}, is_finite(guess) ? guess : Vector{0, 0}, NAN, NAN, kNotFinite}; }
 
     void begin(std::int64_t point) {
@@ -398,9 +328,6 @@ private:
                 for (int c = 0; c < whole; c += kFloats) store(to + c, load(from + c));
                 store(to + whole, rest.of(load(from + whole)));
             }
-        for (int k = 0; k < 3; ++k)
-            for (int r = 0; r < kShifts; ++r)
-                std::memcpy(table_[k] + r * kRow, all_.table + point * kTable + k * kSquare + r * kShifts, kShifts * sizeof(float));
         numbers_ = all_.numbers + point * kNumbers;
         spread_ = {numbers_[kCovarianceXx], numbers_[kCovarianceXy], numbers_[kCovarianceXy], numbers_[kCovarianceYy]};
     }
@@ -425,7 +352,7 @@ private:
     void fetch(std::int64_t image, Vector guess) const {
         if (!is_finite(guess)) return;
         const Frames& frames = all_.frames;
-        const int side = n_ + 2 * kBeyond + 2;
+        const int side = n_ + 2 * kMargin + 2;
         const auto half = static_cast<float>(side / 2);
         const std::int64_t left = pixel_of(guess.x - half, frames.width, side), top = pixel_of(guess.y - half, frames.height, side);
         if (left < 0 || top < 0 || left + side > frames.width || top + side > frames.height) return;
@@ -445,116 +372,22 @@ private:
         *address += 64;
     }
 
-    template <bool kFetch>
+    // Steps from the guess on, each from where the one before has led, until one is short.
     Look look(std::int64_t image, Vector guess) {
-        const Vector center{rintf(guess.x), rintf(guess.y)};
-        cut_around(all_.frames, image, center, n_ / 2 + kBeyond, n_ + 2 * kBeyond, numbers_[kLevel], lines_, patch_, stride_);
-        if (!is_finite(numbers_[kLevel]) || (all_.frames.kind == kFloat32 && !all_finite(patch_, n_ + 2 * kBeyond, n_ + 2 * kBeyond, stride_)))
-            return {{NAN, NAN}, guess, NAN, NAN, is_within(guess) ? kNotFinite : kLeftFrame};
-        const Vector beside = initial_estimate(first_sums<kFetch>(), {center.x - guess.x, center.y - guess.y});
-        const Vector looked{clamped(-beside.x, -kReach, kReach), clamped(-beside.y, -kReach, kReach)};
-        Sums of;
-        second_sums<kFetch>(looked, &of);
-        return judge(image, guess, center, beside, looked, of);
+        Look result = all_.steps == 1 ? one_step<true>(image, guess) : one_step<false>(image, guess);
+        for (int round = 1; round < all_.rounds && result.status == kNotConverged; ++round) result = one_step<false>(image, result.estimate);
+        return result;
     }
 
-    struct Wanted {
-        float value, x, y;
-    };
-
-    // Sums of the samples times the spline on the window around the whole pixel: [1 4 1] / 6 along and down.
     template <bool kFetch>
-    Wanted first_sums() {
-        constexpr float kScale = 1.0f / 36;
-        Floats of[whole_floats(3)] = {};
-        int block = 0;
-        for (; block + kFloats < n_; block += 2 * kFloats) first_block_sums<2, kFetch>(block, of);
-        if (block < n_) first_block_sums<1, kFetch>(block, of);
-        float sum_of[whole_floats(3)];
-        sums(of, sum_of);
-        return {sum_of[0] * kScale, sum_of[1] * kScale, sum_of[2] * kScale};
-    }
-
-    // Those of so many vectors of columns: sums of one would wait for one another.
-    template <int kVectors, bool kFetch>
-    void first_block_sums(int block, Floats* of) {
-        const int stride = stride_, row = row_;
-        std::uintptr_t awaited = awaited_;
-        const float* from = patch_ + kBeyond * stride - stride + kBeyond - 1 + block;
-        const float *own = samples_[0] + block, *x = samples_[1] + block, *y = samples_[2] + block;
-        const auto along = [](const float* place) { return load(place) + load(place + 2) + load(place + 1) * all(4); };
-        Floats with_own[kVectors], with_x[kVectors], with_y[kVectors], above[kVectors], here[kVectors];
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < kVectors; ++k) {
-            with_own[k] = with_x[k] = with_y[k] = all(0);
-            above[k] = along(from + k * kFloats);
-            here[k] = along(from + stride + k * kFloats);
-        }
-        from += 2 * stride;
-        for (int r = 0; r < n_; ++r, from += stride, own += row, x += row, y += row) {
-            if constexpr (kFetch) {
-                fetch_line(&awaited);
-                fetch_line(&awaited);
-            }
-            FINGERFLOW_UNROLL
-            for (int k = 0; k < kVectors; ++k) {
-                const Floats below = along(from + k * kFloats), sample = above[k] + below + here[k] * all(4);
-                with_own[k] += sample * load(own + k * kFloats);
-                with_x[k] += sample * load(x + k * kFloats);
-                with_y[k] += sample * load(y + k * kFloats);
-                above[k] = here[k];
-                here[k] = below;
-            }
-        }
-        awaited_ = awaited;
-        FINGERFLOW_UNROLL
-        for (int k = 0; k < kVectors; ++k) {
-            of[0] += with_own[k];
-            of[1] += with_x[k];
-            of[2] += with_y[k];
-        }
-    }
-
-    // Weights of the values at -2 to 2 for the quartic through them (Lagrange), in whole vectors.
-    static void between(float shift, float* weights) {
-        alignas(64) static constexpr float kByPower[5][whole_floats(kShifts)] = {
-            {0, 0, 1, 0, 0},
-            {1.0f / 12, -2.0f / 3, 0, 2.0f / 3, -1.0f / 12},
-            {-1.0f / 24, 2.0f / 3, -1.25f, 2.0f / 3, -1.0f / 24},
-            {-1.0f / 12, 1.0f / 6, 0, -1.0f / 6, 1.0f / 12},
-            {1.0f / 24, -1.0f / 6, 0.25f, -1.0f / 6, 1.0f / 24},
-        };
-        const float square = shift * shift;
-        for (int k = 0; k < kRow; k += kFloats) {
-            const Floats even = load(kByPower[0] + k) + (load(kByPower[2] + k) + load(kByPower[4] + k) * square) * square;
-            store(weights + k, even + (load(kByPower[1] + k) + load(kByPower[3] + k) * square) * shift);
-        }
-    }
-
-    // The shift at which the table equals what is wanted.
-    Vector initial_estimate(const Wanted& wanted, Vector shift) const {
-        const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
-        alignas(64) float across[kRow], down[kRow];
-        for (int step = 0; step < kEstimateSteps; ++step) {
-            between(shift.x, across);
-            between(shift.y, down);
-            Floats of[whole_floats(3)] = {};
-            for (int k = 0; k < kRow; k += kFloats)
-                for (int component = 0; component < 3; ++component) {
-                    const float* const table = table_[component] + k;
-                    Floats column = load(table) * down[0];
-                    FINGERFLOW_UNROLL
-                    for (int r = 1; r < kShifts; ++r) column += load(table + r * kRow) * down[r];
-                    of[component] += column * load(across + k);
-                }
-            float at[whole_floats(3)];
-            sums(of, at);
-            float gain = 1;
-            if (numbers_[kGain] > 0) gain = clamped(fabsf(at[2]) > kTiny ? wanted.value / at[2] : 1.0f, 1 / kMostGain, kMostGain);
-            const Vector move = inverse * Vector{at[0] - wanted.x / gain, at[1] - wanted.y / gain};
-            shift = {clamped(shift.x - move.x, -kEstimateReach, kEstimateReach), clamped(shift.y - move.y, -kEstimateReach, kEstimateReach)};
-        }
-        return shift;
+    Look one_step(std::int64_t image, Vector guess) {
+        const Vector center{rintf(guess.x), rintf(guess.y)};
+        cut_around(all_.frames, image, center, n_ / 2 + kMargin, n_ + 2 * kMargin, numbers_[kLevel], lines_, patch_, stride_);
+        if (!is_finite(numbers_[kLevel]) || (all_.frames.kind == kFloat32 && !all_finite(patch_, n_ + 2 * kMargin, n_ + 2 * kMargin, stride_)))
+            return {{NAN, NAN}, guess, NAN, NAN, is_within(guess) ? kNotFinite : kLeftFrame};
+        Sums of;
+        sample<kFetch>({guess.x - center.x, guess.y - center.y}, &of);
+        return judge(image, guess, of);
     }
 
     // Of the match M and the template T, gx, gy.
@@ -563,7 +396,7 @@ private:
     };
 
     template <bool kFetch>
-    void second_sums(Vector shift, Sums* result) {
+    void sample(Vector shift, Sums* result) {
         const Vector whole{shift.x < 0 ? -1.0f : 0.0f, shift.y < 0 ? -1.0f : 0.0f};
         float across[kTaps], down[kTaps], slope[kTaps];
         cubic_taps(shift.x - whole.x, across, slope);
@@ -595,7 +428,8 @@ private:
         Floats first = along(from), second = along(from + stride), third = along(from + 2 * stride);
         from += 3 * stride;
         for (int r = 0; r < n; ++r, from += stride, own += row, gx += row, gy += row, matched += row) {
-            if constexpr (kFetch) fetch_line(&awaited);
+            if constexpr (kFetch)
+                for (int k = 0; k < 3; ++k) fetch_line(&awaited);
             const Floats fourth = along(from);
             Floats m = first * down_0 + second * down_1 + third * down_2 + fourth * down_3;
             if (kInPart) m = inside.of(m);
@@ -641,20 +475,18 @@ private:
         return {(of_right[n_ - 1 - last] - of_left[0]) / 2, sum / 2};
     }
 
-    Look judge(std::int64_t image, Vector guess, Vector center, Vector beside, Vector looked, const Sums& of) const {
+    // What one step from the guess finds.
+    Look judge(std::int64_t image, Vector guess, const Sums& of) const {
         const float samples = static_cast<float>(n_ * n_), energy = numbers_[kEnergy], some_energy = energy < kTiny ? kTiny : energy;
         const bool free = numbers_[kGain] > 0;
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
-        const float gain = free ? of.tm / some_energy : 1.0f;
+        const float gain = free ? of.tm / some_energy : 1.0f, steep = gain > 1 / kMostGain ? gain : 1 / kMostGain;
         // The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
         const Vector missing{of.gx - numbers_[kConstantX], of.gy - numbers_[kConstantY]};
-        const Vector last = inverse * Vector{missing.x / gain, missing.y / gain};
-        const float step = length(last);
-        const bool settled = step < kLastStep;  // what is not a number is no root
-        const Vector shift = settled ? Vector{looked.x - last.x, looked.y - last.y} : looked;
-        const bool converged = settled && fabsf(shift.x) < kReach + kSlack && fabsf(shift.y) < kReach + kSlack;
+        const Vector last = inverse * Vector{missing.x / steep, missing.y / steep};
+        const bool converged = length(last) < kLastStep;  // what is not a number is no root
         Look result;
-        result.found = {center.x + shift.x, center.y + shift.y};
+        result.found = {guess.x - last.x, guess.y - last.y};
 
         const float bb = of.mm - of.m * of.m / samples;
         const float turn = gain * (last.x * missing.x + last.y * missing.y);
@@ -671,8 +503,7 @@ private:
         const float left_key = energy - noise_energy, left_frame = bb - noise_energy;
         const float common = (left_key < 0 ? 0 : left_key) * (left_frame < 0 ? 0 : left_frame);
         const float explained = of.tm > 0 ? (bb - unlike) * energy : 0.0f;
-        const Vector place = is_finite(result.found) ? result.found : guess;
-        if (!is_within(place)) result.status = kLeftFrame;
+        if (!is_within(converged ? result.found : guess)) result.status = kLeftFrame;
         else if (!is_finite(of.m)) result.status = kNotFinite;
         else if (!(numbers_[kTextured] > 0)) result.status = kNoTexture;
         else if (!converged) result.status = kNotConverged;
@@ -681,9 +512,8 @@ private:
         else result.status = kTracked;
         const bool none = result.status == kNotFinite || result.status == kLeftFrame || result.status == kNoTexture || result.status == kNotConverged;
         result.error = none ? NAN : error;
-        if (settled) result.estimate = place;
-        else if (is_finite(beside)) result.estimate = {center.x - beside.x, center.y - beside.y};
-        else result.estimate = guess;
+        result.estimate = guess;
+        if (is_finite(last)) result.estimate = {guess.x - clamped(last.x, -kReach, kReach), guess.y - clamped(last.y, -kReach, kReach)};
         return result;
     }
 
@@ -697,7 +527,6 @@ private:
     std::uintptr_t awaited_ = 0;  // address in the samples of the next one, from which on they are still to be fetched
     Matrix spread_{};
     float* samples_[3]{};
-    float* table_[3]{};
     float* patch_ = nullptr;
     float* matched_ = nullptr;
     float* lines_ = nullptr;

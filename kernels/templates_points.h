@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), table (P, 75), numbers (P, 34).
+// As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), numbers (P, 32).
 struct TemplatesToPrepare {
     Frames image;
     const std::int64_t* order;  // numbers of points, as they are gone through
@@ -19,7 +19,6 @@ struct TemplatesToPrepare {
     const float* inverse_warp;  // (P, 2, 2), or null: the identity
     const float* variance;      // an image
     float* samples;
-    float* table;
     float* numbers;
 };
 
@@ -31,7 +30,6 @@ struct TemplatesToFind {
     int window, rounds;
     const float* start;
     const float* samples;
-    const float* table;
     const float* numbers;
     const float* variance;  // a frame, or null: that of the key frame
     float* place;           // (P, 2), of the frame before the first, and of the last one afterwards

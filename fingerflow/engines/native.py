@@ -33,13 +33,13 @@ from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS,
 
 @dataclass
 class _Held:
-    """Templates of N points: start (1, N, 2), samples, table and numbers as `kernels.prepare_templates` gives them."""
+    """Templates of N points: start (1, N, 2), samples and numbers as `kernels.prepare_templates` gives them."""
 
-    arrays: tuple[Array, Array, Array, Array]
+    arrays: tuple[Array, Array, Array]
 
     @property
     def numbers(self) -> Array:
-        numbers: Array = self.arrays[3][0]
+        numbers: Array = self.arrays[2][0]
         return numbers
 
     def of(self, rows: Array) -> tuple[Array, ...]:

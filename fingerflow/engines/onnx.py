@@ -30,9 +30,9 @@ from fingerflow.engines.providers import CPU
 from fingerflow.engines.sessions import Session, Sessions
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracked_points import find_neighbours
-from fingerflow.kernels.tracking_limits import REACH, ROUNDS, WARP_GAUGE_PX, TrackStatus
+from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
 
-_TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "table", "numbers", "pixels"))
+_TEMPLATES = tuple(f"template_{name}" for name in ("start", "samples", "numbers"))
 _SUPPORTS = 4  # sets of points whose neighbours are remembered
 
 
@@ -57,7 +57,7 @@ class _Held:
 
     @property
     def numbers(self) -> Array:
-        """(n, 34) template statistics."""
+        """(n, 32) template statistics."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def of(self, rows: Array) -> dict[str, Array]:
@@ -184,14 +184,11 @@ class OnnxEngine:
         guess = course.expect()
         every = np.arange(len(guess)) if rows is None else rows
         found = self._look(templates, images, guess, every, whole=rows is None)
-        near = guess.copy()
         for _ in range(ROUNDS - 1):
-            beyond = (np.abs(found.estimate[0] - np.round(near)) >= REACH).any(1)
-            lost = np.flatnonzero((found.status[0] == TrackStatus.NOT_CONVERGED) & beyond)
+            lost = np.flatnonzero(found.status[0] == TrackStatus.NOT_CONVERGED)
             if not len(lost):
                 break
-            near[lost] = found.estimate[0, lost]
-            again = self._look(templates, images, near[lost], every[lost])
+            again = self._look(templates, images, found.estimate[0, lost], every[lost])
             for whole, part in zip(found, again, strict=True):
                 whole[:, lost] = part
         after = course.see(found)

@@ -35,7 +35,7 @@ from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.outliers import Neighbours, find_neighbours
 from fingerflow.ops.search import search_and_return
-from fingerflow.ops.templates import Found, Templates, further_rounds
+from fingerflow.ops.templates import Found, Templates, in_rounds
 from fingerflow.ops.window_correlation import sample_windows
 
 M = TypeVar("M", bound=nn.Module)
@@ -242,10 +242,7 @@ class TorchEngine:
         noise = self._tensor(np.array([key.noise for key in keys], np.float32))
         images = _in_a_row([key.image for key in keys])
         templates = self._key(images, self._tensor(stacked(points)), noise, warp)
-        return [
-            _Held(Templates._make(None if one is None else one[k : k + 1, : len(own)] for one in templates))
-            for k, own in enumerate(points)
-        ]
+        return [_Held(Templates._make(one[k : k + 1, : len(own)] for one in templates)) for k, own in enumerate(points)]
 
     def _follow_of(self, many: _Many) -> list[arrays.Followed]:
         held, images, places, speeds, rows = zip(*many, strict=True)
@@ -259,7 +256,7 @@ class TorchEngine:
             image = _in_a_row([one[min(k, len(one) - 1)][None] for one in images])
             guess = self._tensor(courses[k].expect().reshape(*size, 2))
             look = partial(self._look, image)
-            found = [_array(one) for one in further_rounds(look, templates, look(templates, guess), guess, ROUNDS)]
+            found = [_array(one) for one in in_rounds(look, templates, guess, ROUNDS)]
             courses.append(courses[k].see(arrays.Found(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
             every.append(found)
         joined = [np.stack(one) for one in zip(*every, strict=True)]  # (K, B, N, ...)
@@ -279,8 +276,7 @@ class TorchEngine:
         if len(every) == 1:
             return every[0]
         return Templates._make(
-            None if some[0] is None else nn.utils.rnn.pad_sequence([one[0] for one in some], True, torch.nan)
-            for some in zip(*every, strict=True)
+            nn.utils.rnn.pad_sequence([one[0] for one in some], True, torch.nan) for some in zip(*every, strict=True)
         )
 
     def _look(self, image: Tensor, templates: Templates, near: Tensor) -> Found:

@@ -63,9 +63,7 @@ UNITS = {
     **dict.fromkeys(("angle", "ellipse_angle"), "rad"),
     "response": "counts^2/px^2",
     "template_samples": "counts, counts/px",
-    "template_table": "counts^2/px, counts^2",
     "template_numbers": "see kernels.tracking_limits.Number",
-    "template_pixels": "counts, counts/px",
 }
 
 
@@ -148,7 +146,7 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
         return _all_of(renew_templates(spline, noise, points, own.window_px, warp, gain_offset=own.gain_offset))
 
     def find(*given: Tensor) -> tuple[Tensor, ...]:
-        return tuple(track(Templates(*given[:5]), *given[5:]))
+        return tuple(track(Templates(*given[:3]), *given[3:]))
 
     def support(start: Tensor) -> tuple[Tensor, ...]:
         places, _ = about_their_mean(start, WARP_GAUGE_PX / 2)

@@ -10,6 +10,8 @@ from fingerflow.engines.check import THRESHOLD, built_in
 from fingerflow.export.build import build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, Recipe
+from fingerflow.kernels.tracking_limits import ROUNDS
+from fingerflow.ops.templates import Found, Templates, in_rounds
 
 _DIGITS = 6
 
@@ -44,14 +46,21 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
     known |= run("noise")
     known |= run("prepare")
     known["topography_view"] = _picture(frame.topography)
-    found = run("track")
-    known |= {"start": known["template_start"], "found": found["points"], "found_covariance": found["covariance"]}
+    templates = Templates(*(known[f"template_{name}"] for name in Templates._fields))
+
+    def step(some: Templates, near: Tensor) -> Found:
+        known.update({f"template_{name}": one for name, one in some._asdict().items()}, prediction=near)
+        return Found(**run("track"))
+
+    found = in_rounds(step, templates, known["prediction"], ROUNDS)
+    known |= {"start": templates.start, "found": found.points, "found_covariance": found.covariance}
+    known["template_numbers"] = templates.numbers
     known |= run("support")
     corrected = run("correct")
     variance = corrected["covariance"].diagonal(dim1=-2, dim2=-1).mean(-1)
     numbers = {
         **{name: contact[name] for name in ("real_area_px", "gross_area_px", "center", "semi_axes")},
-        "found": found["points"],
+        "found": found.points,
         "corrected": corrected["points"],
         "deviation": variance.sqrt(),
     }

@@ -56,7 +56,7 @@ class DeformationGraph(nn.Module):
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
     ) -> Deformed:
-        """(1, N, 2) px in the key frame, what was found of K frames, `Templates.numbers` (1, N, 34) and F_0^-1
+        """(1, N, 2) px in the key frame, what was found of K frames, `Templates.numbers` (1, N, 32) and F_0^-1
         (1, N, 2, 2) of the templates.
         """
         support = support or self.support(start)
@@ -104,7 +104,7 @@ class AgreementGraph(nn.Module):
 
 
 class TrackGraph(nn.Module):
-    """Templates of a key frame found in a frame; settings as in `ops.find_templates`."""
+    """One step that looks for templates of a key frame in a frame; settings as in `ops.find_templates`."""
 
     point_axes: ClassVar = {"templates": 1, "prediction": 1}
 
@@ -114,7 +114,7 @@ class TrackGraph(nn.Module):
 
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
         """Templates of (B, N) points, (B, 1, H, W) view, (B, N, 2) px."""
-        return find_templates(templates, view, prediction, forward_backward_limit=self.forward_backward_limit)
+        return find_templates(templates, view, prediction, rounds=1, forward_backward_limit=self.forward_backward_limit)
 
 
 def _or_zero(values: Tensor) -> Tensor:

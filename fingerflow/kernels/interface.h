@@ -27,16 +27,16 @@ void fingerflow_median(const void* frames, void* medians, std::int64_t batch, st
 
 // Templates of points of images prepared, and found in frames, as fingerflow/ops/templates.py describes; all float32 and
 // contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
-// samples (P, 3, window, window), table (P, 75), numbers (P, 34); variance one an image or frame. Frames are (steps, batch):
+// samples (P, 3, window, window), numbers (P, 32); variance one an image or frame. Frames are (steps, batch):
 // points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
 // those after the last frame; results are (steps, batch x points, ...).
 void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t height, std::int64_t width,
                                   std::int64_t points, float* start, const float* inverse_warp, const float* variance,
-                                  int window, int gain_offset, float rounding, float* samples, float* table,
+                                  int window, int gain_offset, float rounding, float* samples,
                                   float* numbers, int threads);
 void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width,
                                std::int64_t batch, std::int64_t points, std::int64_t steps, int window, int rounds,
-                               const float* start, const float* samples, const float* table, const float* numbers,
+                               const float* start, const float* samples, const float* numbers,
                                const float* variance, float* place, float* speed, float rounding,
                                float forward_backward_limit, float mismatch_limit, float* found, float* error,
                                float* covariance, unsigned char* status, float* estimate, int threads);

@@ -16,7 +16,7 @@ from fingerflow.kernels.checks import (
     mask_of,
 )
 from fingerflow.kernels.library import entry, threads
-from fingerflow.kernels.tracking_limits import NUMBERS, TABLE
+from fingerflow.kernels.tracking_limits import NUMBERS
 
 __all__ = [
     "LARGEST_CORNER_WINDOW",
@@ -44,8 +44,8 @@ def prepare_templates(
     window: int,
     gain_offset: bool,
     rounding: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Start, samples, table and numbers of templates, as `ops.templates.Templates` has them.
+) -> tuple[Array, Array, Array]:
+    """Start, samples and numbers of templates, as `ops.templates.Templates` has them.
 
     An image (B, 1, H, W) of FRAME_KINDS, H and W at least 4; float32 points (B, N, 2), inverse_warp (B, N, 2, 2) and
     variance (B,).
@@ -64,7 +64,7 @@ def prepare_templates(
     image, variance = rows_in_one_piece(image), in_one_piece(variance)
     start = copied(points)
     samples = empty(image, "float32", batch, count, 3, window * window)
-    table, numbers = empty(image, "float32", batch, count, TABLE), empty(image, "float32", batch, count, NUMBERS)
+    numbers = empty(image, "float32", batch, count, NUMBERS)
     entry("prepare_templates")(
         **described(image),
         height=image.shape[2],
@@ -77,11 +77,10 @@ def prepare_templates(
         gain_offset=gain_offset,
         rounding=rounding,
         samples=samples,
-        table=table,
         numbers=numbers,
         threads=threads(),
     )
-    return start, samples, table, numbers
+    return start, samples, numbers
 
 
 class FollowedPoints(NamedTuple, Generic[Array]):
@@ -107,7 +106,7 @@ def find_templates(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> FollowedPoints[Array]:
-    """Templates (start, samples, table, numbers) of B x N points followed through frames.
+    """Templates (start, samples, numbers) of B x N points followed through frames.
 
     Frames (K B, 1, H, W) of FRAME_KINDS, frame k of batch b at k B + b; place (B, N, 2) expected in the first frame
     less speed (B, N, 2) px a frame; variance (K B,) float32.
@@ -120,7 +119,7 @@ def find_templates(
     if total % max(batch, 1):
         raise ValueError(f"{total} frames cannot be those of {batch} recordings")
     steps, window = total // max(batch, 1) or 1, math.isqrt(templates[1].shape[-1])
-    shapes = {"start": (2,), "samples": (3, window * window), "table": (TABLE,), "numbers": (NUMBERS,)}
+    shapes = {"start": (2,), "samples": (3, window * window), "numbers": (NUMBERS,)}
     kept = {}
     for (name, last), tensor in zip(shapes.items(), templates, strict=True):
         check_like(name, tensor, "float32", (batch, count, *last))

@@ -9,7 +9,7 @@ class TrackStatus(IntEnum):
     """
 
     TRACKED = 0
-    NOT_FINITE = 1  # the given position, or a pixel within 5 px of the window of either image, is NaN or infinite
+    NOT_FINITE = 1  # the given position, or a pixel within 3 px of the window of either image, is NaN or infinite
     LEFT_FRAME = 2  # the window does not lie inside both images
     NO_TEXTURE = 3  # blank, saturated, or structured in one direction only (aperture problem)
     NOT_CONVERGED = 4  # no root of the normal equations near the prediction
@@ -30,26 +30,20 @@ class Number(IntEnum):
     INVERSE_YY = 2
     ENERGY = 3  # sum of the squared values
     LEVEL = 4  # mean grey level, taken off the values
-    PIXELS_X = 5  # what the pixels' weights give for a blank picture of that level
-    PIXELS_Y = 6
-    CONSTANT_X = 7  # sum of g times the values
-    CONSTANT_Y = 8
-    NOISE = 9  # variance of a pixel's white noise
-    TEXTURED = 10  # 1 where the texture stands out of the noise in every direction, else 0
-    INSIDE = 11  # 1 where the window lies in the image, else 0
-    GAIN = 12  # 1 where gain and offset are free, 0 where they are not
-    LEAN = 13  # eight: d x / d E, then d y / d E, by xx, xy, yx, yy of a deformation E that the template does not know
-    COVARIANCE_XX = 21  # of a position, px^2, for white noise of variance 1 in the pixels of one image
-    COVARIANCE_XY = 22
-    COVARIANCE_YY = 23
-    BENDING = 24  # ten: of what E leaves in the residual, grey levels^2, by xx xx, xx xy, ... yx yy, yy yy
+    CONSTANT_X = 5  # sum of g times the values
+    CONSTANT_Y = 6
+    NOISE = 7  # variance of a pixel's white noise
+    TEXTURED = 8  # 1 where the texture stands out of the noise in every direction, else 0
+    INSIDE = 9  # 1 where the window lies in the image, else 0
+    GAIN = 10  # 1 where gain and offset are free, 0 where they are not
+    LEAN = 11  # eight: d x / d E, then d y / d E, by xx, xy, yx, yy of a deformation E that the template does not know
+    COVARIANCE_XX = 19  # of a position, px^2, for white noise of variance 1 in the pixels of one image
+    COVARIANCE_XY = 20
+    COVARIANCE_YY = 21
+    BENDING = 22  # ten: of what E leaves in the residual, grey levels^2, by xx xx, xx xy, ... yx yy, yy yy
 
 
-NUMBERS = 34
-
-# Whole shifts of a template's table on either side, and so many samples more than the window around it; its numbers.
-BEYOND = 2
-TABLE = 3 * (2 * BEYOND + 1) ** 2
+NUMBERS = 32
 
 # Share of a template's variance, noise discounted, that a match may leave unexplained.
 MISMATCH_SHARE = 0.05
@@ -61,24 +55,20 @@ LEAST_TEXTURE = 1e-4
 # What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient. They depend on
 # the fractional position by 2 % and less.
 VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
-# px from the whole pixel that is nearest to the prediction, in x and y, within which a point is found.
-REACH = 1.0
-# px that a window may lie beyond the border of a frame, or a point beyond REACH: what is at rest on whole pixels, or
-# has moved by one, lies on the limit itself, and rounding would decide on which side.
-SLACK = 1e-3
-# px that the initial estimate may lead, and its steps: each leaves a fifth of the error far from the root, less near.
-ESTIMATE_REACH, ESTIMATE_STEPS = 1.5, 3
-# Contrast of an image over that of the template, or the reverse.
+# px, the longest step in x and in y; and the step below which a point is found: what it misses by is a fiftieth of it.
+REACH, LAST_STEP = 1.0, 0.1
+# Steps at most that look for a point, each from where the one before has led.
+ROUNDS = 8
+# Contrast of an image over that of the template, or the reverse, up to which steps and flow follow it.
 MOST_GAIN = 8.0
-# px, the step of the refinement: a longer one says that the initial estimate did not find what is there.
-LAST_STEP = 0.25
+# px that a window may lie beyond the border of a frame: what is at rest on whole pixels lies on the limit itself, and
+# rounding would decide on which side.
+SLACK = 1e-3
 # Share of the highest correlation of a search by which others are no lower: of equal places, as in saturated skin or
 # along a straight edge, the one nearest to the guess is taken, not the one that rounding favours.
 SEARCH_TIE = 1e-4
 # Frames that the speed of a lost point is good for, and the weight of the latest displacement in a speed.
 SPEED_FRAMES, SPEED_WEIGHT = 4.0, 0.5
-# How often a point that lies further off than a look reaches is looked for, each time where this has led.
-ROUNDS = 5
 # px over which the deformation of a template is taken to be uniform.
 WARP_GAUGE_PX = 120.0
 # Variance that whole grey levels have against the light.

@@ -1,24 +1,21 @@
-"""Templates of points, prepared once in a key frame and found in many frames by two steps of Lucas-Kanade.
+"""Templates of points, prepared once in a key frame and found in many frames by steps of Lucas-Kanade.
 
 A template is the spline of the key frame on the window of a point, deformed like the skin since then: with the
 deformation gradient F its sample at the offset w of a frame is S_key(p + F^-1 w). In a frame the point lies at the y
 that solves sum_w g(w) (S(y + w) - T(w)) = 0, g the gradient of T (Lucas & Kanade 1981). With gain and offset free, g is
 taken without its parts along a constant and along T: then the equation holds whatever they are.
 
-1. *Initial estimate*, without an interpolation in the frame: where in the key frame lies the window around the whole
-   pixel c nearest to the prediction? C(s) = sum_w g(w) T(w + s), known at 5 x 5 whole shifts and interpolated between
-   them, has to equal sum_w g(w) S(c + w), one product of weights and pixels. (All that steps need to know of an image
-   computed before them: Rav-Acha & Peleg, "Lucas-Kanade without iterative warping", ICIP 2006.) The point lies at c -
-   s.
-2. *Refinement*, in the frame: the window M is sampled there once, and a step ends the way. Its slopes are taken to be
-   those of the template times the gain a, so that sum g g', known from the key frame, is all that the step asks for:
-   1e-4 px RMS from the root on a press, a fiftieth of a standard deviation at noise of 10 grey levels.
+*A step.* The window M is sampled where the point is expected. Its slopes are taken to be those of the template times
+the gain a, so that sum g g', known from the key frame, is all that a step asks for (Baker & Matthews, "Lucas-Kanade 20
+years on", IJCV 2004, the inverse additive algorithm). The step ends the search where it is short: one of 0.1 px misses
+the root by 0.001 px (window 25) to 0.002 px (window 11), a fifteenth of a standard deviation at noise of 10 grey
+levels. From where a longer one leads, another one is taken.
 
 *Backward check.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad
 D with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
 D grad D, which over a window is half the difference of D^2 between its opposite edges.
 
-Every step has a fixed cost and no branch on data, so that the portable form is what is exported.
+A step has a fixed cost and no branch on data, so that the portable form is what is exported.
 """
 
 from collections.abc import Callable
@@ -26,11 +23,10 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.tracking_limits import BEYOND, ROUNDING, Number, TrackStatus
+from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.spline_windows import (
@@ -44,17 +40,7 @@ from fingerflow.ops.spline_windows import (
 from fingerflow.ops.tensors import components_first, finite, sum_rows
 from fingerflow.ops.windows import sample_windows
 
-_SHIFTS = 2 * BEYOND + 1
 _TINY = 1e-20
-
-# Of the quartics that are 1 at one of -2 to 2 and 0 at the others, the factors of the powers 0 to 4.
-_QUARTIC = (
-    (0.0, 1 / 12, -1 / 24, -1 / 12, 1 / 24),
-    (0.0, -2 / 3, 2 / 3, 1 / 6, -1 / 6),
-    (1.0, 0.0, -5 / 4, 0.0, 1 / 4),
-    (0.0, 2 / 3, 2 / 3, -1 / 6, -1 / 6),
-    (0.0, -1 / 12, -1 / 24, 1 / 12, 1 / 24),
-)
 
 
 class Templates(NamedTuple):
@@ -63,18 +49,12 @@ class Templates(NamedTuple):
     Attributes:
         start: (B, N, 2) px in the key frame, NaN where there is no point.
         samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
-        table: (B, N, 75), sums over the window of gx, gy and the values times the template shifted by -2 to 2 px, row
-            by row.
-        numbers: (B, N, 34), see :class:`~fingerflow.kernels.tracking_limits.Number`.
-        pixels: (B, N, 3, m m), m = n + 6, the samples as weights of the pixels around a window at a whole pixel; None
-            where the compiled twin has prepared them, which does without.
+        numbers: (B, N, 32), see :class:`~fingerflow.kernels.tracking_limits.Number`.
     """
 
     start: Tensor
     samples: Tensor
-    table: Tensor
     numbers: Tensor
-    pixels: Tensor | None
 
     @property
     def window(self) -> int:
@@ -89,7 +69,7 @@ class Templates(NamedTuple):
             index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
             return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
 
-        return Templates._make(None if one is None else picked(one) for one in self)
+        return Templates._make(picked(one) for one in self)
 
 
 class Found(NamedTuple):
@@ -148,15 +128,13 @@ def prepare_templates(
     given = points.to(dtype)
     inverse = None if warp is None else inverse_2x2(warp.to(dtype))
     if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
-        return Templates(
-            *kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding), pixels=None
-        )
+        return Templates(*kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding))
     if inverse is not None:
         spline = spline_coefficients(image)
         return _of_spline(spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding)
     known = finite(given).all(-1, keepdim=True)
     place = torch.where(known, given, 0.0)
-    sampled = _straight(image, place, window + 2 * BEYOND)
+    sampled = _straight(image, place, window)
     return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
 
 
@@ -183,8 +161,7 @@ def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int
     place = torch.where(known, given, 0.0)
     batch, count = place.shape[:2]
     image_index = torch.arange(batch, device=place.device)[:, None].expand(batch, count).flatten()
-    wide = window + 2 * BEYOND
-    sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), wide, 3, inverse.flatten(0, 1))
+    sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), window, 3, inverse.flatten(0, 1))
     return _from_samples(sampled, place, known, coefficients, **settings)
 
 
@@ -198,30 +175,20 @@ def _from_samples(
     variance: Tensor,
     rounding: float,
 ) -> Templates:
-    """Templates of places (B, N, 2), known or not, from (P, wide, wide) values and (P, 2, wide, wide) slopes."""
-    value, along = sampled
-    batched = place.shape[:2]
-    window = value.shape[-1] - 2 * BEYOND
-    inner = (..., slice(BEYOND, -BEYOND), slice(BEYOND, -BEYOND))
-    # Not a number where any sample is none: the table holds them all.
-    level = value[inner].mean((1, 2), keepdim=True) + 0 * value.sum((1, 2), keepdim=True)
-    value = value - level
-    own, slope = value[inner].flatten(1), along[inner].flatten(2)
+    """Templates of places (B, N, 2), known or not, from (P, n, n) values and (P, 2, n, n) slopes."""
+    own, slope = sampled[0].flatten(1), sampled[1].flatten(2)
+    batched, window = place.shape[:2], sampled[0].shape[-1]
+    level = own.mean(1, keepdim=True)
+    own = own - level
     gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
     numbers = _numbers(
         own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
     )
-    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(value.dtype)
-    samples = torch.cat((own[:, None], gradient), dim=1)
-    pixels = onto_pixels(samples.unflatten(2, (window, window)), window).flatten(2)
-    numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = _covariance_of_noise(numbers, pixels)
-    table = _correlations(value, samples.unflatten(2, (window, window)))
+    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(own.dtype)
     return Templates(
         torch.where(known, place, torch.nan),
-        samples.unflatten(0, batched),
-        table.unflatten(0, batched),
+        torch.cat((own[:, None], gradient), dim=1).unflatten(0, batched),
         numbers.unflatten(0, batched),
-        pixels.unflatten(0, batched),
     )
 
 
@@ -230,7 +197,7 @@ def find_templates(
     current: Tensor,
     prediction: Tensor,
     *,
-    rounds: int = 1,
+    rounds: int = ROUNDS,
     forward_backward_limit: float = 1.0,
     mismatch_limit: float = limits.MISMATCH_SHARE,
     noise: Tensor | None = None,
@@ -240,9 +207,8 @@ def find_templates(
     Args:
         templates: from :func:`prepare_templates`.
         current: (B, 1, H, W).
-        prediction: (B, N, 2) px. A point is found within a pixel in x and y of the whole pixel nearest to it.
-        rounds: how often a point that lies further off is looked for, each time where the search before has led. More
-            than one depends on data: it does not export.
+        prediction: (B, N, 2) px.
+        rounds: steps at most, the longest of a pixel in x and in y. More than one depends on data: it does not export.
         forward_backward_limit: px beyond which a point is flagged.
         mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
             unexplained.
@@ -257,51 +223,37 @@ def find_templates(
     rounding = 0.0 if current.is_floating_point() else ROUNDING
     settings = (rounding, forward_backward_limit, mismatch_limit)
     if (
-        kernels.serve(current, guess, variance, *templates[:4])
+        kernels.serve(current, guess, variance, *templates)
         and current.dtype in kernels.FRAME_KINDS
-        and templates.samples.dtype == torch.float32
+        and dtype == torch.float32
     ):
-        followed = kernels.find_templates(templates[:4], current, guess, None, variance, rounds, *settings)
+        followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
         return Found(*[one[0] for one in followed[:5]])
-    if templates.pixels is None:  # prepared by the compiled twin, found elsewhere
-        square = templates.samples.unflatten(3, (templates.window, templates.window))
-        templates = templates._replace(pixels=onto_pixels(square, templates.window).flatten(3))
-    found = _look(templates, current, guess, variance, *settings)
-    if rounds == 1:
-        return found
-    return further_rounds(
-        lambda some, near: _look(some, current, near, variance, *settings), templates, found, guess, rounds
-    )
+    return in_rounds(lambda some, near: _step(some, current, near, variance, *settings), templates, guess, rounds)
 
 
-def further_rounds(
-    look: Callable[[Templates, Tensor], Found], templates: Templates, found: Found, prediction: Tensor, rounds: int
+def in_rounds(
+    step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
 ) -> Found:
-    """Looks again, up to ``rounds`` times in all, for points (B, N, 2) that lie further from their predictions than a
-    look reaches, each time where the search before has led. Depends on data: it does not export.
+    """What steps find of points (B, N, 2) near their predictions, ``rounds`` at most: those that have not converged
+    step on from where the step before has led. More than one depends on data: it does not export.
     """
-    guess = prediction
+    found = step(templates, prediction)
     for _ in range(rounds - 1):
-        lost = (found.status == TrackStatus.NOT_CONVERGED) & _went_beyond(guess, found.estimate)
+        lost = found.status == TrackStatus.NOT_CONVERGED
         if not lost.any():
             break
-        guess = torch.where(lost[..., None], found.estimate, guess)
-        chosen = first_of(lost, exactly=templates.pixels is None)
-        again = look(templates.of(chosen), guess.gather(1, chosen[..., None].expand(-1, -1, 2)))
+        chosen = first_of(lost)
+        again = step(templates.of(chosen), found.estimate.gather(1, chosen[..., None].expand(-1, -1, 2)))
         found = replaced(found, again, chosen, lost)
     return found
 
 
-def first_of(wanted: Tensor, exactly: bool) -> Tensor:
-    """Numbers (B, L) of points with those that are wanted (B, N) bool first, and not many more.
-
-    Args:
-        exactly: as few as hold all that are wanted; else L is a quarter of N, or N, so that what is exported for it
-            knows few sizes.
+def first_of(wanted: Tensor) -> Tensor:
+    """Numbers (B, L) of points with those that are wanted (B, N) bool first. L is the power of 2 that holds them, so
+    that what is compiled for it knows few sizes.
     """
-    count, most = wanted.shape[1], int(wanted.sum(1).max())
-    quarter = max(1, count // 4)
-    size = most if exactly else quarter if most <= quarter else count
+    size = 1 << (int(wanted.sum(1).max()) - 1).bit_length()
     return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
 
 
@@ -399,48 +351,32 @@ def _numbers(
     lean = inverse @ pushing
     bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean
     bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair stands for two
-    blank = gradient.sum(2) * level[:, None]
     constant = (gradient @ value[..., None]).squeeze(2)
     ones = torch.ones_like(level)
     return torch.cat(
         (
             torch.stack((inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], (value * value).sum(1), level), dim=1),
-            *(blank, constant),
+            constant,
             torch.stack((variance, textured.to(value.dtype), ones, ones * float(gain_offset)), dim=1),
             lean.flatten(1),
-            ones[:, None].expand(-1, 3),
+            _covariance_of_noise(inverse, gradient),
             *(bending[:, k, k:] for k in range(4)),
         ),
         dim=1,
     )
 
 
-def _covariance_of_noise(numbers: Tensor, pixels: Tensor) -> Tensor:
+def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
     """xx, xy, yy (P, 3) of the covariance of a position, px^2, that white noise of variance 1 in the pixels leaves:
-    H^-1 (sum w w') H^-1 with the weights w (P, 3 from the second on, m) of the pixels in sum g S.
+    H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples).
     """
-    inverse = _whole(numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1])
-    weights = pixels[:, 1:]
+    side = round(gradient.shape[2] ** 0.5)
+    weights = onto_pixels(gradient.unflatten(2, (side, side)), side).flatten(2)
     covariance = inverse @ (weights @ weights.transpose(1, 2)) @ inverse
     return torch.stack((covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]), dim=1)
 
 
-def _whole(triangle: Tensor) -> Tensor:
-    """Symmetric (P, 2, 2) from xx, xy, yy (P, 3)."""
-    result: Tensor = triangle[:, [0, 1, 1, 2]].unflatten(1, (2, 2))
-    return result
-
-
-def _correlations(value: Tensor, samples: Tensor) -> Tensor:
-    """(P, 75): gx, gy and values, of samples (P, 3, n, n), times the wide template (P, wide, wide) shifted."""
-    points = samples.shape[0]
-    if points == 0:
-        return value.new_zeros(0, limits.TABLE)
-    table = functional.conv2d(value[None], samples.flatten(0, 1)[:, None], groups=points)[0].unflatten(0, (points, 3))
-    return torch.cat((table[:, 1:], table[:, :1]), dim=1).flatten(1)
-
-
-def _look(
+def _step(
     templates: Templates,
     current: Tensor,
     prediction: Tensor,
@@ -449,7 +385,6 @@ def _look(
     forward_backward_limit: float,
     mismatch_limit: float,
 ) -> Found:
-    assert templates.pixels is not None
     window, dtype = templates.window, templates.samples.dtype
     # Components before points from here on, (B, K, N): runtimes are slow where the last axis is short.
     start, guess = components_first(templates.start), components_first(prediction)
@@ -463,11 +398,7 @@ def _look(
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
 
-    wanted = _times(templates.pixels, patches)  # (B, 3, N) of values, gx, gy
-    beside = _initial_estimate(templates.table.transpose(1, 2), wanted, inverse, free, (center - guess))
-    looked = (-beside).clamp(-limits.REACH, limits.REACH)
-
-    matched = _window(patches, looked, window)
+    matched = _window(patches, guess - center, window)
     tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
     m1 = matched.sum(1).reshape(given.shape)
     samples = window * window
@@ -477,12 +408,9 @@ def _look(
     squares, edges = _residual(matched, templates.samples, gain, offset, window).split((1, 2), dim=1)
     # The slopes there are those of the template times the gain: what they differ by counts in a short step for little.
     missing = by_slopes - numbers[:, Number.CONSTANT_X : Number.CONSTANT_Y + 1]
-    last = _symmetric(inverse, missing / gain)
-    length = _length(last)
-    settled = length < limits.LAST_STEP  # a singular matrix leaves NaN: no root
-    shift = looked - torch.where(settled, last, 0.0)
-    converged = settled & (shift.abs().amax(1, keepdim=True) < limits.REACH + limits.SLACK)
-    found = center + shift
+    last = _symmetric(inverse, missing / gain.clamp_min(1 / limits.MOST_GAIN))
+    converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: no root
+    found = guess - last
 
     # What is left of the match at the end of the last step, and how much of it contrast alone does not explain.
     left = squares - (gain * sum_rows(last * missing))
@@ -496,7 +424,7 @@ def _look(
     noise_energy = noise * (samples * limits.VALUE_NOISE)
     common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
     explained = (bb - unlike) * energy * (tm > 0)
-    place = torch.where(finite(found), found, guess)
+    place = torch.where(converged, found, guess)
     within = (of[Number.INSIDE.value] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
     textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
     status = torch.zeros_like(given, dtype=torch.uint8)
@@ -515,7 +443,7 @@ def _look(
     lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
     spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
     matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
-    estimate = torch.where(settled, place, torch.where(finite(beside), center - beside, guess))
+    estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
     return Found(
         (found + lost).transpose(1, 2),
         torch.where(given & within & readable & textured & converged, error, torch.nan).squeeze(1),
@@ -523,34 +451,6 @@ def _look(
         status.squeeze(1),
         estimate.transpose(1, 2),
     )
-
-
-def _initial_estimate(table: Tensor, wanted: Tensor, inverse: Tensor, free: Tensor, shift: Tensor) -> Tensor:
-    """The shift (B, 2, N) at which the table (B, 75, N) equals what is wanted (B, 3, N), from the shift given."""
-    cells = table.unflatten(1, (3, _SHIFTS * _SHIFTS))
-    value, gradient = wanted[:, :1], wanted[:, 1:]
-    for _ in range(limits.ESTIMATE_STEPS):
-        x, y = _between(shift).split(1, dim=1)  # (B, 1, 5, N)
-        weights = (y.transpose(1, 2) * x).flatten(1, 2)[:, None]
-        *at, own = sum_rows(cells * weights).squeeze(2).split((2, 1), dim=1)
-        ratio = torch.where(own.abs() > _TINY, value / own, 1.0).clamp(1 / limits.MOST_GAIN, limits.MOST_GAIN)
-        shift = shift - _symmetric(inverse, at[0] - gradient / torch.where(free > 0, ratio, 1.0))
-        shift = shift.clamp(-limits.ESTIMATE_REACH, limits.ESTIMATE_REACH)
-    return shift
-
-
-def _between(shift: Tensor) -> Tensor:
-    """Weights (B, 2, 5, N) of the values at -2 to 2 for the quartic through them at shifts (B, 2, N) (Lagrange)."""
-    if torch.compiler.is_exporting():  # a product in place of twenty nodes
-        line = shift[:, :, None]
-        square = line * line
-        powers = torch.cat((torch.ones_like(line), line, square, square * line, square * square), dim=2)
-        return shift.new_tensor(_QUARTIC) @ powers
-    square = shift * shift
-    beyond, beside = square - 4, square - 1
-    inner, outer = beyond * shift / -6, beside * shift / 24
-    values = (outer * (shift - 2), inner * (shift - 1), beside * beyond / 4, inner * (shift + 1), outer * (shift + 2))
-    return torch.stack(values, dim=2)
 
 
 def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
@@ -586,8 +486,3 @@ def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
 def _length(vectors: Tensor) -> Tensor:
     """(B, 1, N) of (B, 2, N)."""
     return sum_rows(vectors * vectors).sqrt()
-
-
-def _went_beyond(guess: Tensor, estimate: Tensor) -> Tensor:
-    """(B, N) whether the estimate lies out of its reach."""
-    return ((estimate - guess.round()).abs() >= limits.REACH).any(-1)

@@ -10,7 +10,6 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.tensors.torch_op import torch_op
-from fingerflow.kernels.tracking_limits import ROUNDS
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
@@ -22,7 +21,6 @@ from fingerflow.ops.templates import (
     check_window,
     find_templates,
     first_of,
-    further_rounds,
     inverse_2x2,
     prepare_templates,
     replaced,
@@ -164,7 +162,7 @@ def in_passes(
 
     def one_pass(deformation: Tensor | None, near: Tensor) -> Found:
         templates = prepare_templates(previous, points, window, deformation, gain_offset=gain_offset, noise=noise)
-        found = find(templates, current, near, rounds=ROUNDS)
+        found = find(templates, current, near)
         if search == 0:
             return found
         return search_lost(find, previous, current, templates, found, near, search, forward_backward_limit)
@@ -206,12 +204,8 @@ def search_lost(
     ahead, returns = search_and_return(key, current, image, start, near, *reach)
     everywhere = torch.full_like(templates.start, torch.nan)
     everywhere[image, point] = ahead
-    chosen = first_of(lost, exactly=templates.pixels is None)
-    near = everywhere.gather(1, chosen[..., None].expand(-1, -1, 2))
-    some = templates.of(chosen)
-    again = further_rounds(
-        lambda these, there: find(these, current, there), some, find(some, current, near), near, rounds=ROUNDS
-    )
+    chosen = first_of(lost)
+    again = find(templates.of(chosen), current, everywhere.gather(1, chosen[..., None].expand(-1, -1, 2)))
     result = replaced(found, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)
     elsewhere[image, point] = ~returns

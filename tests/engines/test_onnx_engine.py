@@ -93,13 +93,13 @@ def same(ours: Array | None, theirs: Array | None, atol: float = 1e-5, rtol: flo
         np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=atol)
 
 
-def same_found(ours: Found, theirs: Found, points: Array) -> None:
+def same_found(ours: Found, theirs: Found, points: Array, rtol: float = 1e-3) -> None:
     """Positions of hundreds of px have steps of 3e-5 px. Why a point is lost may turn on the last digit."""
     tracked = theirs.status == TrackStatus.TRACKED
     np.testing.assert_array_equal(ours.status == TrackStatus.TRACKED, tracked)
     same(ours.points, theirs.points, 1e-4)
-    same(ours.covariance, theirs.covariance, 1e-6, 1e-3)
-    same(ours.error[tracked], theirs.error[tracked], 1e-4)
+    same(ours.covariance, theirs.covariance, 1e-6, rtol)
+    same(ours.error[tracked], theirs.error[tracked], 1e-4, rtol)
     same(ours.estimate[tracked], theirs.estimate[tracked], 1e-4)
     assert np.isnan(ours.points[:, np.isnan(points[:, 0])]).all()
 
@@ -166,7 +166,9 @@ def test_points_found(engines: Both, points: Array, frame: int | str, off: float
 
     for rows in (None, np.arange(0, len(points), 3), np.arange(1, len(points))):
         ours, theirs = (follow(engine, rows) for engine in engines)
-        same_found(ours.found, theirs.found, points if rows is None else points[rows])
+        # What matches the noise of an empty frame by chance has a deviation from differences of nearly equal sums.
+        rtol = 1e-2 if frame == "empty" else 1e-3
+        same_found(ours.found, theirs.found, points if rows is None else points[rows], rtol)
         tracked = theirs.found.status[0] == TrackStatus.TRACKED
         given = np.isfinite(points if rows is None else points[rows])[:, 0]
         assert (tracked[given].mean() > 0.9) == (frame == FRAME)
@@ -193,7 +195,7 @@ def test_templates_are_updated_for_a_deformation(engines: Both, points: Array) -
     (unchanged, _), *_ = both(engines, updated)
     assert not np.array_equal(unchanged.points, ours.points, equal_nan=True)
     known = np.isfinite(points[:, 0])
-    our_numbers, numbers = (np.delete(one, range(5, 9), 1) for one in (our_numbers, numbers))  # sums that are nearly 0
+    our_numbers, numbers = (np.delete(one, range(5, 7), 1) for one in (our_numbers, numbers))  # sums that are nearly 0
     scale = np.abs(numbers[known]).max(0)
     same(our_numbers[known] / scale, numbers[known] / scale, 1e-4)
 

@@ -129,10 +129,10 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
         for (int window : {5, 21, 33})
             for (const float* deformation : {static_cast<const float*>(nullptr), static_cast<const float*>(warp.data())}) {
                 std::vector<float> places = start, ends(start.begin(), start.begin() + 2 * all), speed(2 * all, 0.5f);
-                std::vector<float> samples(3 * all * window * window), table(75 * all), numbers(34 * all), estimate(2 * all);
+                std::vector<float> samples(3 * all * window * window), numbers(32 * all), estimate(2 * all);
                 places.resize(2 * all);
-                fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), table.data(), numbers.data(), threads);
-                fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), table.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
+                fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), numbers.data(), threads);
+                fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
             }
         for (const fingerflow_image& image : {first, second})
             for (int step : {1, 3}) {

@@ -12,7 +12,7 @@ from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import DeformationGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
-from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
 from fingerflow.ops import outliers
 from fingerflow.ops.search import search_and_return
 from fingerflow.ops.templates import Found, find_templates, inverse_2x2, prepare_templates
@@ -41,10 +41,10 @@ def some_points(count: int, frames: int, seed: int = 0) -> tuple[Array, ...]:
     covariance = (random.uniform(1e-4, 1e-3, (frames, count, 1, 1)) * np.eye(2)).astype(np.float32)
     lost = random.uniform(size=(frames, count)) < 0.1
     points[lost], covariance[lost] = np.nan, np.nan
-    numbers = random.normal(0, 1, (count, 34)).astype(np.float32)
-    numbers[:, 9] = random.uniform(0.5, 2, count)
-    numbers[:, 21:24] = (1e-4, 0, 1e-4)
-    numbers[:, 24:] = random.uniform(0, 2e4, (count, 10))
+    numbers = random.normal(0, 1, (count, NUMBERS)).astype(np.float32)
+    numbers[:, Number.NOISE] = random.uniform(0.5, 2, count)
+    numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1] = (1e-4, 0, 1e-4)
+    numbers[:, Number.BENDING :] = random.uniform(0, 2e4, (count, 10))
     inverse = (np.eye(2) + random.normal(0, 0.01, (count, 2, 2))).astype(np.float32)
     if count > 5:
         start[2], numbers[2], points[:1, 3] = np.nan, np.nan, np.inf
