@@ -95,7 +95,7 @@ inline void cut_around(const Frames& frames, std::int64_t image, Vector center, 
     FINGERFLOW_FOR_PIXEL(frames.kind, frames.data, from)
 }
 
-// A window, its rows so many numbers apart.
+// A window, its rows so many whole vectors of numbers apart; zeros fill them.
 struct Sampled {
     float* value;
     float* along_x;
@@ -106,7 +106,7 @@ struct Sampled {
 class WindowSampler {
 public:
     // `memory` holds floats(window) numbers.
-    WindowSampler(int window, float* memory) : window_(window) {
+    WindowSampler(int window, float* memory) : window_(window), rest_(window % kFloats) {
         const auto take = [&](int count) {
             float* piece = memory;
             memory += whole_floats(count);
@@ -116,15 +116,12 @@ public:
         rows_ = take(whole_floats(window) + kFloats);
         values_ = take(side(window) * whole_floats(window));
         slopes_ = take(side(window) * whole_floats(window));
-        padded_[0] = take(window * whole_floats(window));
-        padded_[1] = take(window * whole_floats(window));
-        padded_[2] = take(window * whole_floats(window));
         lines_ = memory;
     }
 
     static int floats(int window) {
         return whole_floats(wide_buffer(window)) + 2 * whole_floats(whole_floats(window) + kFloats) + 2 * side(window) * whole_floats(window) +
-               3 * window * whole_floats(window) + (wide(window) + 2) * wide(window) + kFloats;
+               (wide(window) + 2) * wide(window) + kFloats;
     }
 
     // The grey level that has been taken off: float32 sums then do not cancel.
@@ -137,6 +134,7 @@ public:
     // At place + w.
     void sample_straight(const Frames& frames, std::int64_t image, Vector place, const Sampled& to) {
         level_ = pixel(frames, image, place);
+        to_ = to;
         const Vector center{rintf(place.x), rintf(place.y)}, shift{place.x - center.x, place.y - center.y};
         const Vector whole{shift.x < 0 ? -1.0f : 0.0f, shift.y < 0 ? -1.0f : 0.0f};
         float across[kTaps], across_slope[kTaps], down[kTaps], down_slope[kTaps];
@@ -170,16 +168,15 @@ public:
                 }
                 write_samples(r, c, value, along_x, along_y);
             }
-        close_up(to);
     }
 
     // At place + A w, slopes with respect to w.
     void sample_warped(const Frames& frames, std::int64_t image, Vector place, const Matrix& warp, const Sampled& to) {
         level_ = pixel(frames, image, place);
+        to_ = to;
         frames_ = &frames;
         image_ = image;
         sample_somewhere(place, warp);
-        close_up(to);
         finite_ = frames.kind != kFloat32 || all_finite(to.value, window_, window_, to.row);
     }
 
@@ -187,14 +184,6 @@ private:
     static int side(int window) { return window + 2 * kMargin; }
     static int wide(int window) { return patch_span(2 * side(window)); }  // side of what a warped window may reach over in one patch
     static int wide_buffer(int window) { return wide(window) * wide(window) + 2 * kPatchBlock; }
-
-    // Rows of whole vectors to rows of their own distance.
-    void close_up(const Sampled& to) const {
-        float* const all_of[3] = {to.value, to.along_x, to.along_y};
-        const int n = window_, span = whole_floats(n);
-        for (int k = 0; k < 3; ++k)
-            for (int r = 0; r < n; ++r) std::memcpy(all_of[k] + r * to.row, padded_[k] + r * span, static_cast<std::size_t>(n) * sizeof(float));
-    }
 
     static float pixel(const Frames& frames, std::int64_t image, Vector place) {
         const std::int64_t x = nearest(pixel_of(rintf(place.x), frames.width, 1), frames.width);
@@ -333,10 +322,11 @@ private:
     }
 
     void write_samples(int r, int c, Floats value, Floats along_x, Floats along_y) const {
-        const int place = r * whole_floats(window_) + c;
-        store(padded_[0] + place, value);
-        store(padded_[1] + place, along_x);
-        store(padded_[2] + place, along_y);
+        const int place = r * to_.row + c;
+        const bool whole = c + kFloats <= window_;
+        store(to_.value + place, whole ? value : rest_.of(value));
+        store(to_.along_x + place, whole ? along_x : rest_.of(along_x));
+        store(to_.along_y + place, whole ? along_y : rest_.of(along_y));
     }
 
     // Any window: samples are kept between the first and the last place with all its taps, which come from the cut patch, or
@@ -435,8 +425,9 @@ private:
     float* rows_ = nullptr;
     float* values_ = nullptr;
     float* slopes_ = nullptr;
-    float* padded_[3]{};
     float* lines_ = nullptr;
+    Sampled to_{};
+    const Beginning rest_;
 };
 
 }  // namespace FINGERFLOW_ISA

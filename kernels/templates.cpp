@@ -36,12 +36,13 @@ std::vector<std::int64_t> in_bands(const float* places, std::int64_t count, std:
     return order;
 }
 
-template <class Function, class Work>
-void share_out(Function* function, const Work& work, std::int64_t count, int window, int threads) {
+// work(first, last, workspace) for all points.
+template <class Work>
+void share_out(const Work& work, std::int64_t count, int window, int threads) {
     using namespace fingerflow;
     const auto bytes = static_cast<std::size_t>(FINGERFLOW_PICK(templates_workspace_bytes)(window));
     parallel_for((count + kAtATime - 1) / kAtATime, threads, [&](std::int64_t piece) {
-        function(work, piece * kAtATime, std::min(count, (piece + 1) * kAtATime), workspace(bytes));
+        work(piece * kAtATime, std::min(count, (piece + 1) * kAtATime), workspace(bytes));
     });
 }
 
@@ -54,7 +55,8 @@ void fingerflow_prepare_templates(const fingerflow_image* image, std::int64_t he
     const std::vector<std::int64_t> order = in_bands(start, image->count * points, points, height);
     const TemplatesToPrepare work{frames_of(*image, height, width), order.data(), points, window, gain_offset, rounding, start, inverse_warp,
                                   variance, samples, numbers};
-    share_out(FINGERFLOW_PICK(prepare_templates), work, image->count * points, window, threads);
+    const auto some = [&](auto... piece) { FINGERFLOW_PICK(prepare_templates)(work, piece...); };
+    share_out(some, image->count * points, window, threads);
 }
 
 void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t height, std::int64_t width, std::int64_t batch,
@@ -67,5 +69,23 @@ void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t heig
     const TemplatesToFind work{frames_of(*frames, height, width), order.data(), batch, points, steps, window, rounds, start, samples,
                                numbers, variance, place, speed, rounding, forward_backward_limit, mismatch_limit, found, error,
                                covariance, status, estimate};
-    share_out(FINGERFLOW_PICK(find_templates), work, batch * points, window, threads);
+    const auto some = [&](auto... piece) { FINGERFLOW_PICK(find_templates)(work, piece...); };
+    share_out(some, batch * points, window, threads);
+}
+
+void fingerflow_find_pairs(const void* previous, const void* current, std::int64_t batch, std::int64_t height, std::int64_t width,
+                           std::int64_t frame_stride, std::int64_t row_stride, int kind, std::int64_t points, float* start,
+                           const float* inverse_warp, const float* variance, int window, int gain_offset, int rounds, float* place,
+                           float* speed, float rounding, float forward_backward_limit, float mismatch_limit, float* numbers, float* found,
+                           float* error, float* covariance, unsigned char* status, float* estimate, int threads) {
+    using namespace fingerflow;
+    const Frames image{previous, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)};
+    Frames frames = image;
+    frames.data = current;
+    const std::vector<std::int64_t> order = in_bands(start, batch * points, points, height);
+    const TemplatesToPrepare ones{image, order.data(), points, window, gain_offset, rounding, start, inverse_warp, variance, nullptr, numbers};
+    const TemplatesToFind others{frames, order.data(), batch, points, 1, window, rounds, start, nullptr, numbers, variance, place, speed,
+                                 rounding, forward_backward_limit, mismatch_limit, found, error, covariance, status, estimate};
+    const auto some = [&](auto... piece) { FINGERFLOW_PICK(find_pairs)(ones, others, piece...); };
+    share_out(some, batch * points, window, threads);
 }

@@ -5,7 +5,9 @@
 
 #include <math.h>
 
+#include <algorithm>
 #include <cstddef>
+#include <cstring>
 
 #include "floats.h"
 #include "lanes.h"
@@ -21,40 +23,42 @@ constexpr float kTiny = 1e-20f;
 
 // --- preparation --------------------------------------------------------------------------------------------------------
 
-class Preparer {
-    static constexpr int kPadding = 4;  // zeros: the reach of the weights that pixels have in a sample, twice
+// Numbers from one row of a template to the next: whole vectors, at least four zeros behind its samples.
+constexpr int kPadding = 4;  // the reach of the weights that pixels have in a sample, twice
+constexpr int row_of(int n) { return whole_floats(n + kPadding); }
 
+class Preparer {
 public:
-    Preparer(const TemplatesToPrepare& all, float* memory) : all_(all), n_(all.window), wide_(n_ + kPadding), sampler_(n_, memory) {
+    Preparer(const TemplatesToPrepare& all, float* memory) : all_(all), n_(all.window), row_(row_of(n_)), sampler_(n_, memory) {
         memory += WindowSampler::floats(n_);
-        const auto take = [&](int count) {
+        const auto take = [&](int rows) {
             float* piece = memory;
-            memory += whole_floats(count);
-            for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
+            memory += rows * row_;
+            for (int k = 0; k < rows * row_; ++k) piece[k] = 0.0f;
             return piece;
         };
-        // Zeros end each row, and lie before the first.
-        for (float*& one : of_) one = take(flat(n_));
-        for (float*& one : slope_) one = take(flat(n_));
-        for (float*& one : padded_) one = take(kFloats + flat(n_)) + kFloats;
-        for (float*& one : lines_) one = take(kFloats + flat(n_ + 2 * kPadding)) + kFloats;
-        right_ = take(flat(n_));
-        down_ = take(flat(n_));
-        inside_ = reinterpret_cast<std::int32_t*>(take(flat(n_)));
+        for (float*& one : of_) one = take(n_);
+        for (float*& one : slope_) one = take(n_);
+        for (float*& one : padded_) one = take(n_ + 1) + row_;
+        for (float*& one : lines_) one = take(n_ + 2 * kPadding);
+        right_ = take(n_);
+        down_ = take(n_);
+        inside_ = reinterpret_cast<std::int32_t*>(take(n_));
         for (int r = 0; r < n_; ++r)
             for (int c = 0; c < n_; ++c) {
-                right_[r * wide_ + c] = static_cast<float>(c - n_ / 2);
-                down_[r * wide_ + c] = static_cast<float>(r - n_ / 2);
-                inside_[r * wide_ + c] = -1;
+                right_[r * row_ + c] = static_cast<float>(c - n_ / 2);
+                down_[r * row_ + c] = static_cast<float>(r - n_ / 2);
+                inside_[r * row_ + c] = -1;
             }
     }
 
-    static std::int64_t floats(int n) {
-        const auto flat = [&](int rows) { return whole_floats((n + kPadding) * rows + kFloats); };
-        return WindowSampler::floats(n) + 10 * flat(n) + 2 * flat(n + 2 * kPadding) + 4 * kFloats;
-    }
+    static std::int64_t floats(int n) { return WindowSampler::floats(n) + row_of(n) * (10 * n + 2 + 2 * (n + 2 * kPadding)); }
 
-    void prepare(std::int64_t point) {
+    // The values, gx and gy of the last point, n rows of row_of(n) numbers.
+    const float* const* samples() const { return of_; }
+
+    // Whether there is a point; start becomes NaN and numbers 0 where there is none.
+    bool prepare(std::int64_t point) {
         const std::int64_t image = point / all_.points_an_image;
         const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
         Matrix inverse_warp{1, 0, 0, 1};
@@ -62,16 +66,13 @@ public:
             const float* w = all_.inverse_warp + 4 * point;
             inverse_warp = {w[0], w[1], w[2], w[3]};
         }
-        const bool known = is_finite(start) && is_finite(inverse_warp);
-        float* const samples = all_.samples + point * 3 * n_ * n_;
         float* const numbers = all_.numbers + point * kNumbers;
-        if (!known) {
-            for (int k = 0; k < 3 * n_ * n_; ++k) samples[k] = 0.0f;
+        if (!is_finite(start) || !is_finite(inverse_warp)) {
             for (int k = 0; k < kNumbers; ++k) numbers[k] = 0.0f;
             all_.start[2 * point] = all_.start[2 * point + 1] = NAN;
-            return;
+            return false;
         }
-        const Sampled sampled{of_[0], slope_[0], slope_[1], wide_};
+        const Sampled sampled{of_[0], slope_[0], slope_[1], row_};
         if (all_.inverse_warp == nullptr) sampler_.sample_straight(all_.image, image, start, sampled);
         else sampler_.sample_warped(all_.image, image, start, inverse_warp, sampled);
         if (!sampler_.finite()) of_[0][0] = NAN;  // and through the mean all others
@@ -80,15 +81,12 @@ public:
         measure(all_.variance[image], numbers);
         numbers[kInside] = contains(start, all_.image, n_) ? 1.0f : 0.0f;
         numbers[kGain] = all_.gain_offset ? 1.0f : 0.0f;
-        for (int k = 0; k < 3; ++k)
-            for (int r = 0; r < n_; ++r)
-                std::memcpy(samples + (k * n_ + r) * n_, of_[k] + r * wide_, static_cast<std::size_t>(n_) * sizeof(float));
+        return true;
     }
 
 private:
     float count() const { return static_cast<float>(n_ * n_); }
-    int flat(int rows) const { return whole_floats(wide_ * rows + kFloats); }
-    int steps() const { return whole_floats(n_ * wide_); }
+    int steps() const { return n_ * row_; }
 
     // Takes the mean off the values and returns it.
     float take_mean() {
@@ -210,12 +208,12 @@ private:
         for (int i = 0; i < 2; ++i) {
             // Shifted by up to four numbers a line ends in the zeros behind it.
             for (int k = 0; k < steps(); k += kFloats) store(padded_[i] + k, load(of_[1 + i] + k));
-            float* const lines = lines_[i] + kPadding * wide_;
+            float* const lines = lines_[i] + kPadding * row_;
             for (int k = 0; k < steps(); k += kFloats) store(lines + k, spread(padded_[i] + k, 1));
         }
         Floats of[whole_floats(3)] = {};
-        for (int k = 0; k < wide_ * wide_; k += kFloats) {
-            const Floats x = spread(lines_[0] + kPadding * wide_ + k, wide_), y = spread(lines_[1] + kPadding * wide_ + k, wide_);
+        for (int k = 0; k < (n_ + kPadding) * row_; k += kFloats) {
+            const Floats x = spread(lines_[0] + kPadding * row_ + k, row_), y = spread(lines_[1] + kPadding * row_ + k, row_);
             of[0] += x * x;
             of[1] += x * y;
             of[2] += y * y;
@@ -226,7 +224,7 @@ private:
     }
 
     const TemplatesToPrepare& all_;
-    const int n_, wide_;
+    const int n_, row_;
     WindowSampler sampler_;
     float* of_[3]{};      // values, gx, gy
     float* slope_[2]{};   // before the projection
@@ -248,14 +246,14 @@ struct Look {
 
 class Finder {
 public:
-    Finder(const TemplatesToFind& all, float* memory) : all_(all), n_(all.window), row_(whole_floats(n_)), stride_(patch_span(n_ + 2 * kMargin)) {
+    Finder(const TemplatesToFind& all, float* memory) : all_(all), n_(all.window), row_(row_of(n_)), stride_(patch_span(n_ + 2 * kMargin)) {
         const auto take = [&](int count) {
             float* piece = memory;
             memory += whole_floats(count);
             for (int k = 0; k < whole_floats(count); ++k) piece[k] = 0.0f;
             return piece;
         };
-        for (float*& one : samples_) one = take(n_ * row_);
+        for (float*& one : memory_) one = take(n_ * row_);
         patch_ = take((n_ + 2 * kMargin) * stride_ + 2 * kPatchBlock);
         matched_ = take(n_ * row_);
         lines_ = memory;
@@ -263,7 +261,7 @@ public:
 
     static std::int64_t floats(int n) {
         const int stride = patch_span(n + 2 * kMargin), side = n + 2 * kMargin;
-        return 4 * whole_floats(n * whole_floats(n)) + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
+        return 4 * n * row_of(n) + whole_floats(side * stride + 2 * kPatchBlock) + (side + 2) * stride;
     }
 
     // Names the point after this one: where points are found in a single frame, its template is fetched from a far cache line by
@@ -273,13 +271,19 @@ public:
         for (int k = 0; k < kNumbers; k += 16) FINGERFLOW_PREFETCH(all_.numbers + point * kNumbers + k);
     }
 
-    void follow(std::int64_t point) {
+    // The samples of its template are those `prepared`, or else copied.
+    void follow(std::int64_t point, const float* const* prepared = nullptr) {
         const std::int64_t count = all_.batch * all_.points_an_image, batch = point / all_.points_an_image;
         const Vector start{all_.start[2 * point], all_.start[2 * point + 1]};
         float* const kept_place = all_.place + 2 * point;
         float* const kept_speed = all_.speed + 2 * point;
         Vector place{kept_place[0], kept_place[1]}, speed{kept_speed[0], kept_speed[1]};
-        if (is_finite(start)) begin(point);
+        if (is_finite(start)) {
+            if (prepared == nullptr) begin(point);
+            else std::copy(prepared, prepared + 3, samples_);
+            numbers_ = all_.numbers + point * kNumbers;
+            spread_ = {numbers_[kCovarianceXx], numbers_[kCovarianceXy], numbers_[kCovarianceXy], numbers_[kCovarianceYy]};
+        }
         bool seen = true;
         for (std::int64_t step = 0; step < all_.steps; ++step) {
             Vector guess{place.x + speed.x, place.y + speed.y};
@@ -318,9 +322,10 @@ private:
         const float* const end = from + 3 * n_ * n_;
         const int whole = n_ / kFloats * kFloats;
         const Beginning rest(n_ - whole);
-        for (int k = 0; k < 3; ++k)
+        for (int k = 0; k < 3; ++k) {
+            samples_[k] = memory_[k];
             for (int r = 0; r < n_; ++r, from += n_) {
-                float* const to = samples_[k] + r * row_;
+                float* const to = memory_[k] + r * row_;
                 if (end - from < whole + kFloats) {
                     std::memcpy(to, from, static_cast<std::size_t>(n_) * sizeof(float));
                     continue;
@@ -328,8 +333,7 @@ private:
                 for (int c = 0; c < whole; c += kFloats) store(to + c, load(from + c));
                 store(to + whole, rest.of(load(from + whole)));
             }
-        numbers_ = all_.numbers + point * kNumbers;
-        spread_ = {numbers_[kCovarianceXx], numbers_[kCovarianceXy], numbers_[kCovarianceXy], numbers_[kCovarianceYy]};
+        }
     }
 
     void write(std::int64_t place, const Look& look) const {
@@ -460,8 +464,8 @@ private:
             return rest * rest;
         };
         // What fills up the rows is the same in both.
-        for (int c = 0; c < row_; c += kFloats) down += square(last_row + c) - square(c);
-        const int last = row_ - kFloats;
+        const int last = (n_ - 1) / kFloats * kFloats;
+        for (int c = 0; c <= last; c += kFloats) down += square(last_row + c) - square(c);
         for (int k = 0; k <= last_row; k += row_) {
             left += square(k);
             right += square(k + last);
@@ -526,7 +530,8 @@ private:
     const float* numbers_ = nullptr;  // of the point
     std::uintptr_t awaited_ = 0;  // address in the samples of the next one, from which on they are still to be fetched
     Matrix spread_{};
-    float* samples_[3]{};
+    float* memory_[3]{};
+    const float* samples_[3]{};
     float* patch_ = nullptr;
     float* matched_ = nullptr;
     float* lines_ = nullptr;
@@ -534,14 +539,20 @@ private:
 
 }  // namespace
 
-std::int64_t templates_workspace_bytes(int window) {
-    const std::int64_t one = Preparer::floats(window), other = Finder::floats(window);
-    return 4 * (one > other ? one : other);
-}
+std::int64_t templates_workspace_bytes(int window) { return 4 * (Preparer::floats(window) + Finder::floats(window)); }
 
 void prepare_templates(const TemplatesToPrepare& all, std::int64_t first, std::int64_t last, void* workspace) {
     Preparer preparer(all, static_cast<float*>(workspace));
-    for (std::int64_t k = first; k < last; ++k) preparer.prepare(all.order[k]);
+    const int n = all.window;
+    for (std::int64_t k = first; k < last; ++k) {
+        float* to = all.samples + all.order[k] * 3 * n * n;
+        const bool known = preparer.prepare(all.order[k]);
+        for (int i = 0; i < 3; ++i)
+            for (int r = 0; r < n; ++r, to += n) {
+                if (known) std::memcpy(to, preparer.samples()[i] + r * row_of(n), static_cast<std::size_t>(n) * sizeof(float));
+                else std::memset(to, 0, static_cast<std::size_t>(n) * sizeof(float));
+            }
+    }
 }
 
 void find_templates(const TemplatesToFind& all, std::int64_t first, std::int64_t last, void* workspace) {
@@ -549,6 +560,16 @@ void find_templates(const TemplatesToFind& all, std::int64_t first, std::int64_t
     for (std::int64_t k = first; k < last; ++k) {
         if (all.steps == 1 && k + 1 < last) finder.expect(all.order[k + 1]);
         finder.follow(all.order[k]);
+    }
+}
+
+void find_pairs(const TemplatesToPrepare& ones, const TemplatesToFind& others, std::int64_t first, std::int64_t last, void* workspace) {
+    auto* const memory = static_cast<float*>(workspace);
+    Preparer preparer(ones, memory);
+    Finder finder(others, memory + Preparer::floats(ones.window));
+    for (std::int64_t k = first; k < last; ++k) {
+        preparer.prepare(ones.order[k]);
+        finder.follow(ones.order[k], preparer.samples());
     }
 }
 

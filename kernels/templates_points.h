@@ -47,6 +47,8 @@ FINGERFLOW_FOR_EACH_SET(
     std::int64_t templates_workspace_bytes(int window);  // aligned to 64
     void prepare_templates(const TemplatesToPrepare& all, std::int64_t first, std::int64_t last, void* workspace);
     void find_templates(const TemplatesToFind& all, std::int64_t first, std::int64_t last, void* workspace);
+    // Both at once, for one frame: samples are kept nowhere.
+    void find_pairs(const TemplatesToPrepare& ones, const TemplatesToFind& others, std::int64_t first, std::int64_t last, void* workspace);
 )
 // clang-format on
 

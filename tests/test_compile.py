@@ -101,7 +101,10 @@ def of_kernels() -> dict[str, Callable[[], object]]:
         "corners": lambda: check(own.corners, first, None, one, **corners),
         "prepare_templates": lambda: check(own.prepare_templates, first, points, None, one, 11, True, 0.0),
         "find_templates": lambda: check(
-            own.find_templates, list(templates), second, points, None, None, 1, 0.0, 1.0, 0.5
+            own.find_templates, list(templates), second, points, None, None, 8, 0.0, 1.0, 0.5
+        ),
+        "find_pairs": lambda: check(
+            own.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5
         ),
         "sample_windows": lambda: check(
             own.sample_windows, first, torch.zeros(POINTS, dtype=torch.int64), points[0], torch.ones(POINTS, 2, 2), 9, 3

@@ -81,7 +81,7 @@ class Templates(Protocol):
 
     @property
     def numbers(self) -> Array:
-        """(N, 34) template statistics (`kernels.tracking_limits.Number`)."""
+        """(N, 32) template statistics (`kernels.tracking_limits.Number`)."""
         ...
 
 
@@ -249,7 +249,7 @@ class Engine(Protocol):
     def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
         """Corrects for the deformation that templates do not know (`graphs.DeformationGraph`).
 
-        Start (N, 2) px in the key frame, numbers (N, 34) and inverse deformation (N, 2, 2) of the templates.
+        Start (N, 2) px in the key frame, numbers (N, 32) and inverse deformation (N, 2, 2) of the templates.
         """
         ...
 

@@ -5,15 +5,13 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, Number
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
+from fingerflow.ops.deformation import displaced, edge_shift, less_bending
 from fingerflow.ops.outliers import Neighbours, Outliers, find_outliers
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.point_gradients import neighbour_planes, neighbours_support
 from fingerflow.ops.templates import Found, Templates, find_templates
-from fingerflow.ops.tensors import finite, sum_rows
-
-_TINY = 1e-20
+from fingerflow.ops.tensors import finite
 
 
 class Deformed(NamedTuple):
@@ -31,14 +29,10 @@ class Deformed(NamedTuple):
 class DeformationGraph(nn.Module):
     """Learns the deformation of the skin around its points from where they were found, and corrects the positions.
 
-    F = I + du/dX by local fits in the key frame. Against it a template that was prepared with another F_0 leans: with
-    E = F F_0^-1 - I a point appears displaced by D E, D the template's own (`Number.LEAN`), to first order. What varies
-    within a window beyond F displaces it as a whole: u(p + w) = u + F w + w'Hw / 2, and the mean of w'Hw / 2 over a
-    square of n px, the Laplacian of u times (n^2 - 1) / 24, is taken off. At n = 25 it is 0.02 px where the divergence
-    of skin changes by 2 % a mm.
-
-    What E bends within the window stays in the residual, e'Qe (`Number.BENDING`), where it would count as noise: it is
-    taken off the covariance, of which the noise of the key frame is left at least.
+    F = I + du/dX by local fits in the key frame; `ops.deformation` says what E = F F_0^-1 - I does to a template that
+    was prepared with another F_0. What varies within a window beyond F displaces it as a whole: u(p + w) = u + F w +
+    w'Hw / 2, and the mean of w'Hw / 2 over a square of n px, the Laplacian of u times (n^2 - 1) / 24, is taken off. At
+    n = 25 it is 0.02 px where the divergence of skin changes by 2 % a mm.
     """
 
     point_axes: ClassVar = {"start": 1, "found": 1, "numbers": 1, "inverse_warp": 1}
@@ -70,25 +64,12 @@ class DeformationGraph(nn.Module):
         warp = identity + _or_zero(gradient.flatten(2).mT.contiguous())
         unknown = multiplied(warp, inverse_warp.flatten(2).mT.contiguous()) - identity
         of = numbers.mT.contiguous()
-        leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
         bulge = _or_zero(laplacian) * ((self.window**2 - 1) / 24)
-        shift = self.window // 2 * sum_rows(unknown * unknown).squeeze(1).sqrt()
         corrected = found._replace(
-            points=points - (leaning + bulge).mT, covariance=self._less_bending(found.covariance, unknown, of)
+            points=points - (displaced(of, unknown) + bulge).mT,
+            covariance=less_bending(found.covariance, of, unknown, self.window),
         )
-        return Deformed(corrected, warp.mT.unflatten(2, (2, 2)), shift, start + expected)
-
-    def _less_bending(self, covariance: Tensor, unknown: Tensor, of: Tensor) -> Tensor:
-        """Covariances (K, N, 2, 2) without what the residual owes to E (K, 4, N)."""
-        pairs = torch.cat([unknown[:, k : k + 1] * unknown[:, k:] for k in range(4)], dim=1)
-        bending = sum_rows(of[:, Number.BENDING :] * pairs)
-        freedom = (self.window**2 - 4) * limits.VALUE_NOISE
-        unit = of[:, Number.COVARIANCE_XX : Number.COVARIANCE_XX + 1]
-        # All of a covariance is in proportion to the variance of a pixel: one ratio says how much of it remains.
-        noise = covariance[..., 0, 0][:, None] / unit
-        least = torch.minimum(noise, of[:, Number.NOISE : Number.NOISE + 1])
-        remaining = torch.maximum(noise - bending / freedom, least)
-        return covariance * (remaining / noise.clamp_min(_TINY)).mT[..., None]
+        return Deformed(corrected, warp.mT.unflatten(2, (2, 2)), edge_shift(unknown, self.window), start + expected)
 
 
 class AgreementGraph(nn.Module):

@@ -41,6 +41,14 @@ void fingerflow_find_templates(const fingerflow_image* frames, std::int64_t heig
                                float forward_backward_limit, float mismatch_limit, float* found, float* error,
                                float* covariance, unsigned char* status, float* estimate, int threads);
 
+// Both at once, of images (batch) and as many others with the same strides, points at rest in place: samples are kept nowhere.
+void fingerflow_find_pairs(const void* previous, const void* current, std::int64_t batch, std::int64_t height,
+                           std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
+                           std::int64_t points, float* start, const float* inverse_warp, const float* variance,
+                           int window, int gain_offset, int rounds, float* place, float* speed, float rounding,
+                           float forward_backward_limit, float mismatch_limit, float* numbers, float* found,
+                           float* error, float* covariance, unsigned char* status, float* estimate, int threads);
+
 // Means of 2 x 2 pixels of frames of a kind of pixels.h: (batch, height / 2, width / 2), contiguous, as the search takes them.
 void fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height, std::int64_t width,
                       std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads);
@@ -187,7 +195,7 @@ void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius
                                 int threads);
 
 // Positions of points corrected for the deformation of the skin, as fingerflow/graphs/track.py has it: start (points, 2),
-// found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 34), inverse_warp (points, 2, 2). Results are
+// found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
 // corrected, remaining (covariance) and warp of those shapes, shift (frames, points) and expected (frames, points, 2).
 struct fingerflow_deformation {
     const float *start, *found, *covariance, *numbers, *inverse_warp;

@@ -73,7 +73,7 @@ def correct_points(
         start: (N, 2) px in the key frame, float32 as all arrays.
         points: (K, N, 2) px as they were found, NaN where they were not, and their covariance (K, N, 2, 2) px^2.
         covariance: see `points`.
-        numbers: (N, 34) template statistics.
+        numbers: (N, 32) template statistics.
         inverse_warp: (N, 2, 2) inverse of the deformation gradient with which the templates were prepared.
         window: px, side of a template.
         gauge_px: diameter of the local fits.

@@ -22,7 +22,9 @@ __all__ = [
     "LARGEST_CORNER_WINDOW",
     "CornerPlaces",
     "FollowedPoints",
+    "FoundPairs",
     "corners",
+    "find_pairs",
     "find_templates",
     "halve",
     "mean_response",
@@ -160,6 +162,80 @@ def find_templates(
         threads=threads(),
     )
     return FollowedPoints(points, error, covariance, status, estimate, place, speed)
+
+
+class FoundPairs(NamedTuple, Generic[Array]):
+    """Of pairs of images, as `ops.templates.Found` and `Templates` have them, (B, N, ...)."""
+
+    points: Array
+    error: Array
+    covariance: Array
+    status: Array
+    estimate: Array
+    numbers: Array
+
+
+def find_pairs(
+    previous: Array,
+    current: Array,
+    points: Array,
+    inverse_warp: Array | None,
+    variance: Array,
+    place: Array,
+    window: int,
+    gain_offset: bool,
+    rounds: int,
+    rounding: float,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> FoundPairs[Array]:
+    """`prepare_templates` of points in previous and `find_templates` in current, near place (B, N, 2), in one call:
+    no sample is written to memory. Images (B, 1, H, W) of one of FRAME_KINDS; variance (B,) of both.
+
+    Raises:
+        TypeError, ValueError: another dtype, or shapes that do not belong together.
+    """
+    check_frames(previous)
+    check_like("current", current, kind(previous), tuple(previous.shape))
+    batch, count = previous.shape[0], points.shape[1]
+    check_like("points", points, "float32", (batch, count, 2))
+    check_like("place", place, "float32", (batch, count, 2))
+    check_like("variance", variance, "float32", (batch,))
+    if inverse_warp is not None:
+        check_like("inverse_warp", inverse_warp, "float32", (batch, count, 2, 2))
+        inverse_warp = in_one_piece(inverse_warp)
+    _check_window(window, previous)
+    previous, current = in_one_piece(previous), in_one_piece(current)
+    size = (batch, count)
+    found, estimate, covariance = (empty(previous, "float32", *size, *last) for last in ((2,), (2,), (2, 2)))
+    error, numbers = empty(previous, "float32", *size), empty(previous, "float32", *size, NUMBERS)
+    status = empty(previous, "uint8", *size)
+    entry("find_pairs")(
+        previous=previous,
+        current=current,
+        **extent(previous),
+        kind=FRAME_KINDS[kind(previous)],
+        points=count,
+        start=copied(points),
+        inverse_warp=inverse_warp,
+        variance=in_one_piece(variance),
+        window=window,
+        gain_offset=gain_offset,
+        rounds=rounds,
+        place=copied(place),
+        speed=zeros(place, "float32", *place.shape),
+        rounding=rounding,
+        forward_backward_limit=forward_backward_limit,
+        mismatch_limit=mismatch_limit,
+        numbers=numbers,
+        found=found,
+        error=error,
+        covariance=covariance,
+        status=status,
+        estimate=estimate,
+        threads=threads(),
+    )
+    return FoundPairs(found, error, covariance, status, estimate, numbers)
 
 
 def _check_window(window: int, frames: Array) -> None:

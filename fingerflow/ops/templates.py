@@ -64,12 +64,7 @@ class Templates(NamedTuple):
 
     def of(self, chosen: Tensor) -> "Templates":
         """Those of chosen points (B, L), int64."""
-
-        def picked(tensor: Tensor) -> Tensor:
-            index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
-            return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
-
-        return Templates._make(picked(one) for one in self)
+        return Templates._make(rows_of(one, chosen) for one in self)
 
 
 class Found(NamedTuple):
@@ -244,7 +239,7 @@ def in_rounds(
         if not lost.any():
             break
         chosen = first_of(lost)
-        again = step(templates.of(chosen), found.estimate.gather(1, chosen[..., None].expand(-1, -1, 2)))
+        again = step(templates.of(chosen), rows_of(found.estimate, chosen))
         found = replaced(found, again, chosen, lost)
     return found
 
@@ -255,6 +250,12 @@ def first_of(wanted: Tensor) -> Tensor:
     """
     size = 1 << (int(wanted.sum(1).max()) - 1).bit_length()
     return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
+
+
+def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
+    """Those (B, L, ...) of (B, N, ...) with the numbers (B, L), int64."""
+    index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
+    return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:

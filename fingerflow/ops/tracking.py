@@ -11,19 +11,20 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
+from fingerflow.ops.deformation import displaced, edge_shift, less_bending
 from fingerflow.ops.local_fit import local_gradients
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.search import search_and_return
 from fingerflow.ops.spline import spline_coefficients
 from fingerflow.ops.templates import (
     Found,
-    Templates,
     check_window,
     find_templates,
     first_of,
     inverse_2x2,
     prepare_templates,
     replaced,
+    rows_of,
 )
 from fingerflow.ops.windows import sample_windows
 
@@ -67,8 +68,11 @@ def track_points(
 ) -> Tracks:
     """Finds the points of ``previous`` in ``current``, and from there back again.
 
-    `prepare_templates` and `find_templates`, one after the other. A second pass deforms the templates by the gradient
-    of the motion that the first has found. Gradients flow to the images and to ``points`` through ``points`` of the
+    `prepare_templates` and `find_templates`, one after the other. A second pass corrects points for the gradient of the
+    motion that the first has found (`ops.deformation`); templates whose edge it shifts by more than 0.1 px are deformed
+    and found again, as are points that were lost.
+
+    Gradients flow to the images and to ``points`` through ``points`` of the
     result (implicit differentiation, first order); error, covariance and status carry none.
 
     Args:
@@ -156,34 +160,78 @@ def in_passes(
     """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
     them. Without derivatives.
     """
-    find = partial(
-        find_templates, forward_backward_limit=forward_backward_limit, mismatch_limit=mismatch_limit, noise=noise
-    )
+    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    start, guess = points.to(kind), guess.to(kind)
+    limits_of = (forward_backward_limit, mismatch_limit)
+    find = partial(_find, previous, current, noise.to(kind), window, gain_offset, *limits_of)
 
-    def one_pass(deformation: Tensor | None, near: Tensor) -> Found:
-        templates = prepare_templates(previous, points, window, deformation, gain_offset=gain_offset, noise=noise)
-        found = find(templates, current, near)
-        if search == 0:
-            return found
-        return search_lost(find, previous, current, templates, found, near, search, forward_backward_limit)
+    def one_pass(places: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[Found, Tensor]:
+        found, numbers = find(places, deformation, near)
+        if search:
+            images = previous, current
+            found = _search_lost(find, images, places, deformation, found, near, window, search, forward_backward_limit)
+        return found, numbers
 
     with torch.no_grad():
-        found = one_pass(warp, guess)
+        found, numbers = one_pass(start, warp, guess)
         if warp is not None:
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
-            warp = _deformation(points.to(found.points.dtype), found.points, _GAUGE * window)
-            found = one_pass(warp, found.estimate)
+            warp = _deformation(start, found.points, _GAUGE * window)
+            unknown, numbers = (warp - torch.eye(2, dtype=kind, device=warp.device)).flatten(2).mT, numbers.mT
+            found = found._replace(
+                points=found.points - displaced(numbers, unknown).mT,
+                covariance=less_bending(found.covariance, numbers, unknown, window),
+            )
+            renewed = (edge_shift(unknown, window) > limits.UPDATE_PX) | (found.status >= TrackStatus.NOT_CONVERGED)
+            if renewed.any():
+                chosen = first_of(renewed)
+                again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, found.estimate)))
+                found = replaced(found, again, chosen, renewed)
     return Passed(found.points, found.error, found.covariance, found.status, warp)
 
 
-def search_lost(
-    find: Callable[[Templates, Tensor, Tensor], Found],
-    key: Tensor,
+def _find(
+    previous: Tensor,
     current: Tensor,
-    templates: Templates,
+    noise: Tensor,
+    window: int,
+    gain_offset: bool,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+    points: Tensor,
+    warp: Tensor | None,
+    near: Tensor,
+) -> tuple[Found, Tensor]:
+    """What `current` shows of points (B, N, 2) of `previous` near places, and `Templates.numbers`."""
+    inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
+    if (
+        kernels.serve(previous, current, points, inverse, variance, near)
+        and previous.dtype in kernels.FRAME_KINDS
+        and previous.dtype == current.dtype
+    ):
+        rounding = 0.0 if previous.is_floating_point() else limits.ROUNDING
+        settings = (window, gain_offset, limits.ROUNDS, rounding, forward_backward_limit, mismatch_limit)
+        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings)
+        return Found(*own), numbers
+    templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
+    found = find_templates(
+        *(templates, current, near),
+        forward_backward_limit=forward_backward_limit,
+        mismatch_limit=mismatch_limit,
+        noise=noise,
+    )
+    return found, templates.numbers
+
+
+def _search_lost(
+    find: Callable[[Tensor, Tensor | None, Tensor], tuple[Found, Tensor]],
+    images: tuple[Tensor, Tensor],
+    start: Tensor,
+    warp: Tensor | None,
     found: Found,
     guess: Tensor,
+    window: int,
     radius: int,
     forward_backward_limit: float,
 ) -> Found:
@@ -193,19 +241,19 @@ def search_lost(
     pixel that a search is good to, keeps the status FORWARD_BACKWARD.
 
     Args:
-        find: `find_templates`, or what does the same, of templates, image and predictions.
+        find: `_find` of points, their deformation and predictions.
     """
     lost = found.status >= TrackStatus.NOT_CONVERGED
     if not lost.any():
         return found
     image, point = lost.nonzero(as_tuple=True)
-    start, near = templates.start[image, point], guess.to(templates.start.dtype)[image, point]
-    reach = (templates.window, radius, forward_backward_limit)
-    ahead, returns = search_and_return(key, current, image, start, near, *reach)
-    everywhere = torch.full_like(templates.start, torch.nan)
+    places = image, start[image, point], guess[image, point]
+    ahead, returns = search_and_return(*images, *places, window, radius, forward_backward_limit)
+    everywhere = torch.full_like(start, torch.nan)
     everywhere[image, point] = ahead
     chosen = first_of(lost)
-    again = find(templates.of(chosen), current, everywhere.gather(1, chosen[..., None].expand(-1, -1, 2)))
+    near, some = rows_of(everywhere, chosen), rows_of(start, chosen)
+    again, _ = find(some, None if warp is None else rows_of(warp, chosen), near)
     result = replaced(found, again, chosen, lost)
     elsewhere = torch.zeros_like(lost)
     elsewhere[image, point] = ~returns
@@ -215,7 +263,7 @@ def search_lost(
         result.error,
         torch.where(wrong[..., None, None], torch.nan, result.covariance),
         torch.where(wrong, int(TrackStatus.FORWARD_BACKWARD), result.status),
-        torch.where(wrong[..., None], guess.to(result.estimate.dtype), result.estimate),
+        torch.where(wrong[..., None], guess, result.estimate),
     )
 
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fingerflow.engines.engine import ROWS, Corrected, Engine, Followed, Found, Images, Templates, nothing_found
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
-from fingerflow.kernels.tracking_limits import REACH, Number, TrackStatus
+from fingerflow.kernels.tracking_limits import REACH, UPDATE_PX, Number, TrackStatus
 from fingerflow.tracker.motion import TRUSTED, Motion, known_of
 from fingerflow.tracker.recovery import lost_points, recover
-from fingerflow.tracker.template_update import MOST_FRAMES, UPDATE_PX, update_interval
+from fingerflow.tracker.template_update import MOST_FRAMES, update_interval
 from fingerflow.tracker.verification import Verification
 
 Array = NDArray[Any]

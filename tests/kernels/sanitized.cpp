@@ -133,6 +133,7 @@ void try_all(std::int64_t batch, std::int64_t height, std::int64_t width, int th
                 places.resize(2 * all);
                 fingerflow_prepare_templates(&first, height, width, each, places.data(), deformation, deviation.data(), window, 1, 0.0f, samples.data(), numbers.data(), threads);
                 fingerflow_find_templates(&second, height, width, batch, each, 1, window, 3, places.data(), samples.data(), numbers.data(), nullptr, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
+                fingerflow_find_pairs(eight.data(), eight.data(), batch, height, width, frame, width, 0, each, places.data(), deformation, deviation.data(), window, 1, 3, ends.data(), speed.data(), 0.0f, 1.0f, 0.5f, numbers.data(), found.data(), error.data(), covariance.data(), status.data(), estimate.data(), threads);
             }
         for (const fingerflow_image& image : {first, second})
             for (int step : {1, 3}) {

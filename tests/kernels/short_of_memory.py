@@ -25,7 +25,9 @@ import torch
 from fingerflow import ops
 from fingerflow.kernels import block_means, contact_frames, library, tracked_points
 from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
+from fingerflow.ops.templates import find_templates, prepare_templates
 from fingerflow.ops.triangle_strain import triangle_strain
 from tests.embedded import CASES, scene, tensors_of
 
@@ -97,6 +99,7 @@ def calls() -> dict[str, Callable[[], Any]]:
             "covered": lambda: _tensors(
                 [contact_frames.covered(on_tall[1], points[:1].numpy(), np.ones((2, 3), np.float32), 4)]
             ),
+            "templates": lambda: find_templates(prepare_templates(first, points, 11), second, points),
             "mean_response": lambda: kernels.mean_response(tall),
             "halve": lambda: kernels.halve(tall),
             "sample_windows": lambda: kernels.sample_windows(
@@ -124,7 +127,7 @@ def on_arrays(frames: torch.Tensor) -> dict[str, Callable[[], Any]]:
     search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
     named: dict[str, Callable[[], Any]] = {
         "correct_points": lambda: tracked_points.correct_points(
-            points, moved, covariance, np.ones((60, 34), np.float32), covariance[0], window=25, gauge_px=120.0
+            points, moved, covariance, np.ones((60, NUMBERS), np.float32), covariance[0], window=25, gauge_px=120.0
         ),
         "find_outliers": lambda: tracked_points.find_outliers(neighbours, moved - points, np.ones((2, 60), np.float32)),
         "search_and_return": lambda: tracked_points.search_and_return(frame, frame, points, points, **search),

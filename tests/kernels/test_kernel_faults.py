@@ -14,6 +14,7 @@ from fingerflow.kernels import block_means, contact_frames, library, tracked_poi
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import HEADER, read
 from fingerflow.kernels.library import entry
+from fingerflow.kernels.tracking_limits import NUMBERS
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
@@ -63,6 +64,9 @@ def calls() -> dict[str, Callable[[], object]]:
         ),
         "prepare_templates": lambda: kernels.prepare_templates(FRAMES, points, None, variance, 11, True, 0.0),
         "find_templates": lambda: kernels.find_templates(templates, FRAMES, points, None, None, 1, 0.0, 1.0, 0.5),
+        "find_pairs": lambda: kernels.find_pairs(
+            FRAMES, FRAMES, points, None, variance, points, 11, True, 8, 0.0, 1.0, 0.5
+        ),
         "local_gradients": lambda: kernels.local_gradients(
             points, points, points, None, radius=20.0, least_spread=0.1, minimum_points=5
         ),
@@ -81,7 +85,7 @@ def on_arrays() -> dict[str, Callable[[], object]]:
     search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
     return {
         "correct_points": lambda: tracked_points.correct_points(
-            points, moved, covariance, np.ones((60, 34), np.float32), covariance[0], window=25, gauge_px=120.0
+            points, moved, covariance, np.ones((60, NUMBERS), np.float32), covariance[0], window=25, gauge_px=120.0
         ),
         "find_outliers": lambda: tracked_points.find_outliers(
             tracked_points.find_neighbours(points, 120.0), moved - points, np.ones((2, 60), np.float32)

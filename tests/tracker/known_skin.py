@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import Corrected, EngineSettings, Followed, Found, Key
-from fingerflow.kernels.tracking_limits import REACH, ROUNDS, TrackStatus
+from fingerflow.kernels.tracking_limits import NUMBERS, REACH, ROUNDS, TrackStatus
 
 Array = np.ndarray[Any, Any]
 _HALF_A_RIDGE = 5.0  # px, within which a look leads to a point
@@ -17,7 +17,7 @@ class Templates:
     """Numbers of N points."""
 
     def __init__(self, count: int) -> None:
-        self.numbers = np.zeros((count, 34), np.float32)
+        self.numbers = np.zeros((count, NUMBERS), np.float32)
 
 
 class KnownSkin:

@@ -21,6 +21,7 @@ __all__ = [
     "corners",
     "dilate",
     "fill_holes",
+    "find_pairs",
     "find_templates",
     "fit_ellipse",
     "flow_at_pixels",
@@ -96,6 +97,7 @@ press_skin = torch_op(changes=("place", "bone", "rubbed", "step"))(skin.press_sk
 press_skin_back = torch_op()(skin.press_skin_back)
 LARGEST_CORNER_WINDOW = tracking.LARGEST_CORNER_WINDOW
 corners = torch_op()(tracking.corners)
+find_pairs = torch_op()(tracking.find_pairs)
 find_templates = torch_op()(tracking.find_templates)
 halve = torch_op()(tracking.halve)
 mean_response = torch_op()(tracking.mean_response)
