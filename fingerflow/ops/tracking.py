@@ -70,7 +70,7 @@ def track_points(
 
     `prepare_templates` and `find_templates`, one after the other. A second pass corrects points for the gradient of the
     motion that the first has found (`ops.deformation`); templates whose edge it shifts by more than 0.1 px are deformed
-    and found again, as are points that were lost.
+    and found again, as are points that were lost, where their neighbours expect them.
 
     Gradients flow to the images and to ``points`` through ``points`` of the
     result (implicit differentiation, first order); error, covariance and status carry none.
@@ -177,16 +177,20 @@ def in_passes(
         if warp is not None:
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
-            warp = _deformation(start, found.points, _GAUGE * window)
-            unknown, numbers = (warp - torch.eye(2, dtype=kind, device=warp.device)).flatten(2).mT, numbers.mT
+            around = local_gradients(start, found.points - start, gauge_length=_GAUGE * window)
+            gradient, expected = around.gradient.nan_to_num(0.0, 0.0, 0.0), start + around.value
+            warp = gradient + torch.eye(2, dtype=kind, device=gradient.device)
+            unknown, numbers = gradient.flatten(2).mT, numbers.mT
             found = found._replace(
                 points=found.points - displaced(numbers, unknown).mT,
                 covariance=less_bending(found.covariance, numbers, unknown, window),
             )
-            renewed = (edge_shift(unknown, window) > limits.UPDATE_PX) | (found.status >= TrackStatus.NOT_CONVERGED)
+            lost = found.status >= TrackStatus.NOT_CONVERGED
+            renewed = lost | (edge_shift(unknown, window) > limits.UPDATE_PX)
             if renewed.any():
                 chosen = first_of(renewed)
-                again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, found.estimate)))
+                near = torch.where(lost[..., None] & expected.isfinite(), expected, found.estimate)
+                again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
                 found = replaced(found, again, chosen, renewed)
     return Passed(found.points, found.error, found.covariance, found.status, warp)
 
@@ -265,14 +269,6 @@ def _search_lost(
         torch.where(wrong, int(TrackStatus.FORWARD_BACKWARD), result.status),
         torch.where(wrong[..., None], guess, result.estimate),
     )
-
-
-def _deformation(start: Tensor, found: Tensor, gauge_length: float) -> Tensor:
-    """The deformation gradient (B, N, 2, 2) at points (B, N, 2) px that were found at (B, N, 2), over a gauge length in
-    px; the identity where too few points are near.
-    """
-    gradient = local_gradients(start, found - start, gauge_length=gauge_length).gradient
-    return gradient.nan_to_num(0.0, 0.0, 0.0) + torch.eye(2, dtype=gradient.dtype, device=gradient.device)
 
 
 def _check(

@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from fingerflow.engines.engine import Engine, EngineSettings, Found
 from fingerflow.engines.together import run_alone
-from fingerflow.kernels.tracking_limits import TrackStatus
+from fingerflow.kernels.tracking_limits import UPDATE_PX, TrackStatus
 from fingerflow.tracker.motion import TRUSTED
 from fingerflow.tracker.points import STREAM, Points, Resolved
-from fingerflow.tracker.template_update import FASTEST_PX, MOST_FRAMES, UPDATE_PX
+from fingerflow.tracker.template_update import FASTEST_PX, MOST_FRAMES
 
 START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)
 IMAGE = np.zeros((1, 1, 1, 1), np.float32)
