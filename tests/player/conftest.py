@@ -93,7 +93,7 @@ class Together(NativeEngine):
 def together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Streams of this test take `--parallel-frames`; what a frame gives counts two frames later, or more."""
 
-    def engine(bundle: Bundle, name: str | None, **_: Any) -> Together:
+    def engine(bundle: Bundle, name: str | None, *_: Any) -> Together:
         return Together(bundle.engine_settings)
 
     monkeypatch.setattr("fingerflow.player.cli.engine_of_stream", engine)
