@@ -195,11 +195,16 @@ def test_a_frame_of_another_moment_counts_in_no_number(small: Small) -> None:
 
 
 def test_a_clean_trial_is_that_of_process(trial: Small) -> None:
-    """The median divergence, known in the same frames, to the error that the README states."""
+    """The median divergence to the error that the README states, known in the same frames but for one: the slide loses
+    points until two thirds of them are left, where one point more decides.
+    """
     recorded = fingerflow.process(trial.folder / "trial" / "scene.toml", outputs=["median_divergence"])
-    expected = recorded["median_divergence"].values
-    assert np.isfinite(expected).sum() > 20
-    np.testing.assert_allclose(trial.clean.records["median_divergence"], expected, rtol=0, atol=1.7e-3)
+    expected, found = recorded["median_divergence"].values, trial.clean.records["median_divergence"]
+    known = np.isfinite(expected), np.isfinite(found)
+    assert known[0].sum() > 20
+    assert (known[0] != known[1]).sum() <= 1
+    both = known[0] & known[1]
+    np.testing.assert_allclose(found[both], expected[both], rtol=0, atol=1.7e-3)
 
 
 def test_process_says_the_same_of_the_same_recording(small: Small) -> None:
