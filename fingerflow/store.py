@@ -17,7 +17,7 @@ from fingerflow.room import check_disk, check_memory, check_write
 
 _GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
-_CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
+_CHUNK_FRAMES = 64  # of a chunk: as many as stages read at a time; HDF5 gathers smaller batches until it is full
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
