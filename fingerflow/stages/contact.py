@@ -148,6 +148,8 @@ class ContactStage(Stage):
 
     def _region_of(self, frame: int) -> Tensor:
         contact, _ = run_alone(self._contact(self.inputs.recording[[frame]].read()))
+        if not (contact.density_margin > 0).any():
+            return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[Contact, NDArray[np.floating]]]:
