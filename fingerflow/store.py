@@ -257,12 +257,14 @@ class _Stored:
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
+        self._part = variable.id.get_space()  # of the file, with the frames that are read or written selected
         self._dtype, self._kind = variable.dtype, _type(variable.dtype)
 
     def resize(self, size: int, axis: int) -> None:
         """Makes an axis longer."""
         self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
         self._id.set_extent(self.shape)
+        self._part = self._id.get_space()
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         first, count, step = self._consecutive(index)
@@ -285,9 +287,8 @@ class _Stored:
 
     def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
         """Of so much in memory, and of as much from this frame on in the file."""
-        part = self._id.get_space()
-        part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
-        return _space(shape), part
+        self._part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
+        return _space(shape), self._part
 
     def _consecutive(self, index: Any) -> tuple[int, int, int]:
         """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""
