@@ -17,6 +17,9 @@ from fingerflow.room import check_disk, check_memory, check_write
 
 _GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
+# Times what a frame holds in a variable that may grow: three times the points (`stages.tracking`), in chunks that are
+# not full. What HDF5 cannot hold of a row of chunks it would write and read again with every batch.
+_MOST_GROWTH = 4
 _CHUNK_FRAMES = 64  # of a chunk: as many as stages read at a time; HDF5 gathers smaller batches until it is full
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
@@ -149,7 +152,8 @@ class FileStore(Store):
             layout["maxshape"] = _longest(variable.dims, shape)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
-            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
+            held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
+            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // held), _CHUNK_FRAMES)
             sides = zip(variable.dims[1:], shape[1:], strict=True)
             layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
             if np.dtype(kind).kind != "f":
