@@ -11,7 +11,7 @@ def digest_of(*parts: Any) -> str:
     return digest_of_bytes([json.dumps(parts, sort_keys=True).encode()])
 
 
-def digest_of_bytes(parts: Iterable[bytes]) -> str:
+def digest_of_bytes(parts: Iterable[bytes | memoryview]) -> str:
     """Of bytes, one after another."""
     digest = hashlib.sha256()
     for part in parts:

@@ -140,7 +140,7 @@ def process_together(
 def run_steps(many: Sequence[Steps[_Result]]) -> list[_Result]:
     """What `steps_to` of several recordings return, as `engines.together.run_together` gives it."""
     with torch.inference_mode():  # around all of them: each would end it for the others
-        return run_together(many)
+        return [run_alone(many[0])] if len(many) == 1 else run_together(many)
 
 
 def steps_to(

@@ -17,7 +17,10 @@ from fingerflow.room import check_disk, check_memory, check_write
 
 _GROWING = ("point",)  # dimensions that may grow while others are written
 _CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
-_CHUNK_FRAMES = 8  # that come at a time from pictures: a chunk is written once
+# Times what a frame holds in a variable that may grow: three times the points (`stages.tracking`), in chunks that are
+# not full. What HDF5 cannot hold of a row of chunks it would write and read again with every batch.
+_MOST_GROWTH = 4
+_CHUNK_FRAMES = 64  # of a chunk: as many as stages read at a time; HDF5 gathers smaller batches until it is full
 # A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
 # measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
 _FEWEST_BYTES = 256
@@ -149,7 +152,8 @@ class FileStore(Store):
             layout["maxshape"] = _longest(variable.dims, shape)
         frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
         if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
-            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // frame_bytes), _CHUNK_FRAMES)
+            held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
+            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // held), _CHUNK_FRAMES)
             sides = zip(variable.dims[1:], shape[1:], strict=True)
             layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
             if np.dtype(kind).kind != "f":
@@ -257,12 +261,14 @@ class _Stored:
 
     def __init__(self, variable: h5py.Dataset, path: Path) -> None:
         self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
+        self._part = variable.id.get_space()  # of the file, with the frames that are read or written selected
         self._dtype, self._kind = variable.dtype, _type(variable.dtype)
 
     def resize(self, size: int, axis: int) -> None:
         """Makes an axis longer."""
         self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
         self._id.set_extent(self.shape)
+        self._part = self._id.get_space()
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         first, count, step = self._consecutive(index)
@@ -285,9 +291,8 @@ class _Stored:
 
     def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
         """Of so much in memory, and of as much from this frame on in the file."""
-        part = self._id.get_space()
-        part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
-        return _space(shape), part
+        self._part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
+        return _space(shape), self._part
 
     def _consecutive(self, index: Any) -> tuple[int, int, int]:
         """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""

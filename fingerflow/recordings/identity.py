@@ -12,4 +12,4 @@ def identity_of(recording: Recording) -> str:
     """
     height, width = recording.frame_shape
     first = np.ascontiguousarray(recording[0])
-    return f"{len(recording)} frames of {height} x {width} {recording.dtype}, {digest_of_bytes([first.tobytes()])}"
+    return f"{len(recording)} frames of {height} x {width} {recording.dtype}, {digest_of_bytes([first.data])}"

@@ -17,6 +17,7 @@ from fingerflow.ops.morphology import dilate
 from fingerflow.player.contract.variables import CONTACT
 from fingerflow.stages import plausibility
 from fingerflow.stages.frame_check import FrameCheckStage
+from fingerflow.stages.inputs import read_frames
 from fingerflow.stages.loading import LoadingStage
 from fingerflow.stages.regions import region_mask
 from fingerflow.stages.stage import Batch, Stage, Trial
@@ -147,7 +148,9 @@ class ContactStage(Stage):
         return dilate(self._region_of(first) | self.largest(), margin_px)
 
     def _region_of(self, frame: int) -> Tensor:
-        contact, _ = run_alone(self._contact(self.inputs.recording[[frame]].read()))
+        contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
+        if not (contact.density_margin > 0).any():
+            return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
     def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[Contact, NDArray[np.floating]]]:
@@ -165,17 +168,17 @@ class ContactStage(Stage):
                 return int(np.nanargmax(known))
         usable = np.flatnonzero(self._usable)
         looks = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
-        light = [self._brightness(self.inputs.recording[[int(i)]].read()) for i in looks]
-        return int(looks[int(np.nanargmin(light))]) if np.isfinite(light).any() else int(usable[0])
+        light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
+        if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
+            light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
+        shares = [self._brightness(read_frames(self.inputs.recording[[int(i)]]), light, black) for i in looks]
+        return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
 
-    def _brightness(self, frame: NDArray[np.generic]) -> float:
+    def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
         """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
         is left, as in a dark frame: a contact leaves half.
         """
         view = self.inputs.view(frame, self._view)
-        light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
-        if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
-            light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
         some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
         seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
         unknown = np.full(1, np.nan, np.float32)  # by which nothing touches
@@ -190,7 +193,7 @@ class ContactStage(Stage):
             return None
         if not isinstance(setting, str):
             return float(setting)
-        frame = self._view.crop(self.inputs.recording[[self.reference_frame]].read())
+        frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))
         threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
         if not np.isfinite(threshold):
             raise FingerflowError(

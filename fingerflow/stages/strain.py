@@ -116,8 +116,10 @@ class StrainStage(Stage):
 
     def _sum_of_corners(self, values: NDArray[Any]) -> NDArray[Any]:
         """(n, M, ...) of values (n, N, ...) at points; corner by corner, as sums over an axis of three take longer."""
-        first, second, third = (values.take(corner, axis=1) for corner in self._skin.triangles.T)
-        total: NDArray[Any] = first + second + third
+        first, *others = self._skin.triangles.T
+        total: NDArray[Any] = values.take(first, axis=1)
+        for corner in others:
+            total += values.take(corner, axis=1)
         return total
 
     def finish(self) -> None:

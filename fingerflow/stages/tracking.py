@@ -13,7 +13,6 @@ from fingerflow.engines.engine import Found, Images, nothing_found
 from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
-from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
 from fingerflow.player.contract.variables import TRACKING
 from fingerflow.room import size_of_results
 from fingerflow.stages import plausibility
@@ -243,6 +242,9 @@ class TrackingStage(Stage):
         """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
         press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust.
         """
+        # Loading kornia for it takes a third of a second.
+        from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
+
         recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
         skin = subtract_background(recorded, self.inputs.reference(self._view))
         enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)

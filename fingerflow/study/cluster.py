@@ -235,7 +235,7 @@ def _load_once(module: str) -> None:
 
     context = get_mp_context()
     if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["distributed", module])
+        context.set_forkserver_preload(["fingerflow.study.preload", module])
 
 
 def _deployment(name: str) -> Callable[[], Any]:

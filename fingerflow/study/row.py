@@ -221,12 +221,11 @@ class _Trial:
         if not counts.any():
             return {}
         # The quantile as the value of one point, whose speed is asked for too: the lower neighbour.
-        order = np.argsort(length, axis=1)  # NaN last
         chosen = np.floor(_LARGEST_QUANTILE * np.maximum(counts - 1, 0)).astype(int)
-        point = np.take_along_axis(order, chosen[:, None], axis=1)[:, 0]
-        largest = np.where(counts > 0, np.take_along_axis(length, point[:, None], axis=1)[:, 0], np.nan)
+        largest = np.sort(length, axis=1)[np.arange(len(length)), chosen]  # NaN last
         frame = int(np.nanargmax(largest))
-        velocity = rate(moved[:, point[frame]], self._time[self.onset : self.last + 1], self._window)
+        point = int(np.flatnonzero(length[frame] == largest[frame])[0])
+        velocity = rate(moved[:, point], self._time[self.onset : self.last + 1], self._window)
         speed = np.hypot(velocity[:, 0], velocity[:, 1])[: self.top - self.onset + 1]
         return {
             "max_displacement": float(largest[frame]),

@@ -36,11 +36,14 @@ def without_preamble(path: Path, text: str) -> Content:
     if _END_OF_HEADER in text:
         return _of_labview(path, text)
     lines = islice(re.finditer(r"[^\r\n]+", text), _LOOKED_AT)
-    read = [line for line in lines if _is_read(line.group())]
+    read: list[re.Match[str]] = []
     cells: list[list[str]] = []
     numbers: list[int] = []
     first = 0
-    for line in read:
+    for line in lines:
+        if not _is_read(line.group()):
+            continue
+        read.append(line)
         cells.append(_cells(line.group()))
         numbers.append(_numbers(cells[-1]))
         if len(numbers) >= _RUN and numbers[-1] and numbers[-_RUN:] == [numbers[-1]] * _RUN:
