@@ -55,8 +55,9 @@ LEAST_TEXTURE = 1e-4
 # What white pixel noise of variance 1 leaves in the spline's value and in a component of its gradient. They depend on
 # the fractional position by 2 % and less.
 VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
-# px, the longest step in x and in y; and the step below which a point is found: what it misses by is a fiftieth of it.
-REACH, LAST_STEP = 1.0, 0.1
+# px, the longest step in x and in y; and the step below which a point is found: what it misses by is a hundredth of it
+# (window 25) to a fortieth (window 11), a sixth of a standard deviation at most.
+REACH, LAST_STEP = 1.0, 0.25
 # Steps at most that look for a point, each from where the one before has led.
 ROUNDS = 8
 # Contrast of an image over that of the template, or the reverse, up to which steps and flow follow it.

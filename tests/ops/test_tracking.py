@@ -119,7 +119,7 @@ def test_warp_is_needed_and_serves(points: Tensor) -> None:
     assert known.float().mean() > 0.9
     assert (learned.points - truth)[known].norm(
         dim=-1
-    ).median() < 0.01  # the second pass deforms by what the first found
+    ).median() < 0.012  # the second pass deforms by what the first found
 
 
 def test_gain_and_offset(points: Tensor) -> None:
