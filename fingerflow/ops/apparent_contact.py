@@ -78,7 +78,6 @@ def apparent_contact(
 
 def _region(cells: Tensor, radius: int, side: int) -> Region:
     """Of the shares (B, 1, h, w) of each cell that the mask covers."""
-    kind = cells.dtype
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
@@ -90,7 +89,7 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
 
     def share(part: Tensor) -> Tensor:
         # All that a border cell has of the pattern lies in the part of it that is inside.
-        covered = (cells * (part > 0).to(kind)).sum((2, 3), keepdim=True)
+        covered = (cells * part.sign()).sum((2, 3), keepdim=True)
         return (covered / part.sum((2, 3), keepdim=True).clamp_min(1)).clamp(_LEAST_SHARE, 1.0)
 
     part = inside(0.25)
@@ -103,12 +102,12 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
     for _ in range(_ROUNDS):
         limit = share(part) * level
         part = inside(limit)
-    whole = (density > limit).to(kind)
+    whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
     # The border cells count in part, also those just outside.
     near = widest(filled)
     hole = torch.clamp_min(filled - whole, 0)
-    # By extremes and products, which runtimes do several times as fast as choices: in a hole the density does not
+    # By extremes and products, several times as fast as comparisons and choices: in a hole the density does not
     # exceed the limit, elsewhere it is not negative.
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
@@ -169,8 +168,8 @@ def _enclosed(inside: Tensor) -> Tensor:
         place = place[:, None] if axis == 2 else place
         last = (inside * place).amax(axis, keepdim=True)
         first = (side + 1) - (inside * ((side + 1) - place)).amax(axis, keepdim=True)
-        between.append((place >= first) & (place <= last))
-    return (between[0] & between[1]).to(inside.dtype)
+        between.append((torch.minimum(place - first, last - place) + 1).clamp(0.0, 1.0))  # whole numbers
+    return between[0] * between[1]
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-_ELEMENTS = 1 << 19  # of the largest tensor of a piece: memory that is asked for anew costs more than the arithmetic
+_ELEMENTS = 1 << 17  # of the largest tensor of a piece: new memory costs more than the arithmetic
 
 
 def in_pieces(compute: Callable[..., Any], elements: int, *given: Tensor | None) -> Any:
