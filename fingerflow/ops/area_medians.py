@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.looking import looks
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.scattered import check_scattered
@@ -125,8 +126,15 @@ def _medians(
     three of `Apart` or None.
     """
     among, own, own_std = entered
-    apart = None if among is None or own is None else Apart(among, own, own_std)
     now = reference + displacement
+    if looks(now):  # in most frames the greater part of the points has not touched yet
+        known = finite(now.sum(1)).any(0)
+        known[:1] = True
+        some = known.nonzero().squeeze(1)
+        reference, displacement, now = (one.index_select(2, some) for one in (reference, displacement, now))
+        covariance = None if covariance is None else covariance.index_select(2, some)
+        among, own, own_std = (None if one is None else one.index_select(1, some) for one in entered)
+    apart = None if among is None or own is None else Apart(among, own, own_std)
     given = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
     good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]

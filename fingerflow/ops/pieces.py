@@ -6,6 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fingerflow.ops.looking import looks
+
 _ELEMENTS = 1 << 17  # of the largest tensor of a piece: new memory costs more than the arithmetic
 
 
@@ -19,8 +21,7 @@ def in_pieces(compute: Callable[..., Any], elements: int, *given: Tensor | None)
     """
     frames = max(len(one) for one in given if one is not None)
     at_once = max(1, _ELEMENTS // max(1, elements))
-    traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
-    if traced or frames <= at_once or any(one is not None and one.device.type != "cpu" for one in given):
+    if frames <= at_once or not looks(*given):
         return compute(*given)
     pieces = [
         compute(*(one if one is None or len(one) == 1 else one[start : start + at_once] for one in given))
