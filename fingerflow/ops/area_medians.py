@@ -20,6 +20,8 @@ from fingerflow.ops.tensors import finite, sum_rows
 _FAR = 1e3  # radii, from all positions
 _TINY = 1e-30
 _FIELDS = 5
+_FRAMES = 8  # of which the points that are known are about the same
+_PAIRS = 1 << 20  # of points and positions, of the frames that are taken at once
 
 _LATTICE = torch.from_numpy(limits.lattice())
 
@@ -104,9 +106,31 @@ def area_medians(
         )
     planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
     result: AreaMedians = in_pieces(
-        partial(_medians, gauge_length / 2, measure),
-        displacement.shape[1] * len(_LATTICE),
+        partial(_of_known, gauge_length / 2, measure),
+        _FRAMES,
         *(reference.mT, displacement.mT, *frame, planes, among, fields, std),
+    )
+    return result
+
+
+def _of_known(
+    radius: float, measure: str, reference: Tensor, displacement: Tensor, *given: Tensor | None
+) -> AreaMedians:
+    """`_medians`, of those points that are known in one of the frames where nothing is traced: while a contact grows
+    they are few.
+    """
+    center, semi_axes, angle, covariance, *entered = given
+    if looks(reference, displacement, *given):
+        known = finite((reference + displacement).sum(1)).any(0)
+        known[:1] = True
+        some = known.nonzero().squeeze(1)
+        reference, displacement = (one.index_select(2, some) for one in (reference, displacement))
+        covariance = None if covariance is None else covariance.index_select(2, some)
+        entered = [None if one is None else one.index_select(1, some) for one in entered]
+    result: AreaMedians = in_pieces(
+        partial(_medians, radius, measure),
+        _PAIRS // max(1, displacement.shape[2] * len(_LATTICE)),
+        *(reference, displacement, center, semi_axes, angle, covariance, *entered),
     )
     return result
 
@@ -127,13 +151,6 @@ def _medians(
     """
     among, own, own_std = entered
     now = reference + displacement
-    if looks(now):  # in most frames the greater part of the points has not touched yet
-        known = finite(now.sum(1)).any(0)
-        known[:1] = True
-        some = known.nonzero().squeeze(1)
-        reference, displacement, now = (one.index_select(2, some) for one in (reference, displacement, now))
-        covariance = None if covariance is None else covariance.index_select(2, some)
-        among, own, own_std = (None if one is None else one.index_select(1, some) for one in entered)
     apart = None if among is None or own is None else Apart(among, own, own_std)
     given = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)

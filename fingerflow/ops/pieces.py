@@ -8,19 +8,17 @@ from torch import Tensor
 
 from fingerflow.ops.looking import looks
 
-_ELEMENTS = 1 << 17  # of the largest tensor of a piece: new memory costs more than the arithmetic
 
-
-def in_pieces(compute: Callable[..., Any], elements: int, *given: Tensor | None) -> Any:
+def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
     """Return `compute(*given)`, a tensor or a named tuple of tensors, each of a row a frame.
 
     Args:
         compute: computes each frame by itself.
-        elements: of the largest tensor between, of one frame.
+        at_once: frames, at least 1 are taken.
         given: tensors of B frames or of one for all, and None. At once while a graph is traced and on other devices.
     """
     frames = max(len(one) for one in given if one is not None)
-    at_once = max(1, _ELEMENTS // max(1, elements))
+    at_once = max(1, at_once)
     if frames <= at_once or not looks(*given):
         return compute(*given)
     pieces = [

@@ -10,6 +10,8 @@ from fingerflow.ops.box_sum import box_sum
 from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.tensors import bytes_of
 
+_PIXELS = 1 << 19  # of the frames that are taken at once
+
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
     """Where most of a window lies below black + limit * light, and the pixel itself is lit.
@@ -48,7 +50,9 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         and kernels.serve(frames, light, black, limit)
     ):
         return kernels.real_contact_mask(frames, light, black, share, median_px)
-    result: Tensor = in_pieces(partial(_mask, median_px), frames.shape[1:].numel(), frames, light, black, share)
+    result: Tensor = in_pieces(
+        partial(_mask, median_px), _PIXELS // max(1, frames.shape[1:].numel()), frames, light, black, share
+    )
     return result
 
 
