@@ -1,6 +1,7 @@
 """The region that a pattern spans: stripes or dots with what lies between them, up to where the pattern ends."""
 
 import functools
+import math
 from typing import NamedTuple
 
 import torch
@@ -13,6 +14,7 @@ from fingerflow.ops.cells import cell_means, enlarge, widest
 
 _LEAST_SHARE = 0.2  # of a region that its pattern covers at least
 _FIRST_ROUNDS, _ROUNDS = 2, 3
+_PART = 32  # cells of a line that are smoothed by one product
 _BLOCK = 8  # cells, a side of a block in which a component is followed
 
 
@@ -120,7 +122,19 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
     boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
     down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
-    return down @ cells @ along
+    if torch.compiler.is_exporting():
+        return down @ cells @ along
+    # Boxes are 0 beyond their reach: of each part of a line only what lies within it of the part.
+    reach, (height, wide) = 3 * math.ceil(width / 2), cells.shape[-2:]
+    of_rows = [down[own, near] @ cells[..., near, :] for own, near in _parts(height, reach)]
+    rows = torch.cat(of_rows, dim=2)
+    return torch.cat([rows[..., near] @ along[near, own] for own, near in _parts(wide, reach)], dim=3)
+
+
+def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
+    """Parts of a line, and what lies within a reach of each."""
+    ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
+    return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
 def _boxes(side: int, width: float, device: torch.device) -> Tensor:
