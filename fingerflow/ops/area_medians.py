@@ -104,51 +104,54 @@ def area_medians(
                 radius=gauge_length / 2,
             )
         )
-    planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
     result: AreaMedians = in_pieces(
         partial(_of_known, gauge_length / 2, measure),
         _FRAMES,
-        *(reference.mT, displacement.mT, *frame, planes, among, fields, std),
+        *(*frame, reference, displacement, covariance, among, fields, std),
     )
     return result
 
 
 def _of_known(
-    radius: float, measure: str, reference: Tensor, displacement: Tensor, *given: Tensor | None
+    radius: float,
+    measure: str,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
+    *others: Tensor | None,
 ) -> AreaMedians:
     """`_medians`, of those points that are known in one of the frames where nothing is traced: while a contact grows
     they are few.
     """
-    center, semi_axes, angle, covariance, *entered = given
-    if looks(reference, displacement, *given):
-        known = finite((reference + displacement).sum(1)).any(0)
+    points: list[Tensor | None] = [reference, displacement, *others]
+    count = displacement.shape[1]
+    if looks(*points):
+        known = finite((reference + displacement).sum(2)).any(0)
         known[:1] = True
         some = known.nonzero().squeeze(1)
-        reference, displacement = (one.index_select(2, some) for one in (reference, displacement))
-        covariance = None if covariance is None else covariance.index_select(2, some)
-        entered = [None if one is None else one.index_select(1, some) for one in entered]
-    result: AreaMedians = in_pieces(
-        partial(_medians, radius, measure),
-        _PAIRS // max(1, displacement.shape[2] * len(_LATTICE)),
-        *(reference, displacement, center, semi_axes, angle, covariance, *entered),
-    )
+        points, count = [None if one is None else one.index_select(1, some) for one in points], len(some)
+    compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
+    result: AreaMedians = in_pieces(compute, at_once, center, semi_axes, angle, *points)
     return result
 
 
 def _medians(
     radius: float,
     measure: str,
-    reference: Tensor,
-    displacement: Tensor,
     center: Tensor,
     semi_axes: Tensor,
     angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
     covariance: Tensor | None,
     *entered: Tensor | None,
 ) -> AreaMedians:
-    """Return the portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv, and the
-    three of `Apart` or None.
-    """
+    """Return the portable form, of fixed cost: `entered` are the three of `Apart` or None."""
+    reference, displacement = reference.mT, displacement.mT  # components before points from here on
+    if covariance is not None:
+        covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
     among, own, own_std = entered
     now = reference + displacement
     apart = None if among is None or own is None else Apart(among, own, own_std)

@@ -50,14 +50,12 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         and kernels.serve(frames, light, black, limit)
     ):
         return kernels.real_contact_mask(frames, light, black, share, median_px)
-    result: Tensor = in_pieces(
-        partial(_mask, median_px), _PIXELS // max(1, frames.shape[1:].numel()), frames, light, black, share
-    )
+    compute, at_once = partial(_mask, median_px), _PIXELS // max(1, frames.shape[1:].numel())
+    result: Tensor = in_pieces(compute, at_once, frames, light, black, light.to(torch.bool), share)
     return result
 
 
-def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, share: Tensor) -> Tensor:
-    lit = light.to(torch.bool)
+def _mask(median_px: int, frames: Tensor, light: Tensor, black: Tensor, lit: Tensor, share: Tensor) -> Tensor:
     counts = share.reshape(-1, 1, 1, 1) * light + black
     if frames.dtype == torch.uint8 and not torch.compiler.is_exporting():
         # A whole number lies below a limit where it lies below the next whole number: bytes compare 20 times as fast.
