@@ -1,6 +1,7 @@
 """The region that a pattern spans: stripes or dots with what lies between them, up to where the pattern ends."""
 
 import functools
+import math
 from typing import NamedTuple
 
 import torch
@@ -13,6 +14,7 @@ from fingerflow.ops.cells import cell_means, enlarge, widest
 
 _LEAST_SHARE = 0.2  # of a region that its pattern covers at least
 _FIRST_ROUNDS, _ROUNDS = 2, 3
+_PART = 32  # cells of a line that are smoothed by one product
 _BLOCK = 8  # cells, a side of a block in which a component is followed
 
 
@@ -78,7 +80,6 @@ def apparent_contact(
 
 def _region(cells: Tensor, radius: int, side: int) -> Region:
     """Of the shares (B, 1, h, w) of each cell that the mask covers."""
-    kind = cells.dtype
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
     flat = 1 / _slope(density)
@@ -90,7 +91,7 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
 
     def share(part: Tensor) -> Tensor:
         # All that a border cell has of the pattern lies in the part of it that is inside.
-        covered = (cells * (part > 0).to(kind)).sum((2, 3), keepdim=True)
+        covered = (cells * part.sign()).sum((2, 3), keepdim=True)
         return (covered / part.sum((2, 3), keepdim=True).clamp_min(1)).clamp(_LEAST_SHARE, 1.0)
 
     part = inside(0.25)
@@ -103,12 +104,12 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
     for _ in range(_ROUNDS):
         limit = share(part) * level
         part = inside(limit)
-    whole = (density > limit).to(kind)
+    whole = (density - limit).clamp_min(0).sign()
     filled = _enclosed(_main_component(whole, density))
     # The border cells count in part, also those just outside.
     near = widest(filled)
     hole = torch.clamp_min(filled - whole, 0)
-    # By extremes and products, which runtimes do several times as fast as choices: in a hole the density does not
+    # By extremes and products, several times as fast as comparisons and choices: in a hole the density does not
     # exceed the limit, elsewhere it is not negative.
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
@@ -121,7 +122,19 @@ def _smooth(cells: Tensor, width: float) -> Tensor:
     traced = torch.compiler.is_compiling() or torch.compiler.is_exporting()
     boxes = _boxes if traced or cells.device.type != "cpu" else _kept_boxes
     down, along = (boxes(side, width, cells.device).to(cells.dtype) for side in cells.shape[-2:])
-    return down @ cells @ along
+    if torch.compiler.is_exporting():
+        return down @ cells @ along
+    # Boxes are 0 beyond their reach: of each part of a line only what lies within it of the part.
+    reach, (height, wide) = 3 * math.ceil(width / 2), cells.shape[-2:]
+    of_rows = [down[own, near] @ cells[..., near, :] for own, near in _parts(height, reach)]
+    rows = torch.cat(of_rows, dim=2)
+    return torch.cat([rows[..., near] @ along[near, own] for own, near in _parts(wide, reach)], dim=3)
+
+
+def _parts(side: int, reach: int) -> list[tuple[slice, slice]]:
+    """Parts of a line, and what lies within a reach of each."""
+    ends = [(first, min(first + _PART, side)) for first in range(0, side, _PART)]
+    return [(slice(first, last), slice(max(first - reach, 0), last + reach)) for first, last in ends]
 
 
 def _boxes(side: int, width: float, device: torch.device) -> Tensor:
@@ -169,8 +182,8 @@ def _enclosed(inside: Tensor) -> Tensor:
         place = place[:, None] if axis == 2 else place
         last = (inside * place).amax(axis, keepdim=True)
         first = (side + 1) - (inside * ((side + 1) - place)).amax(axis, keepdim=True)
-        between.append((place >= first) & (place <= last))
-    return (between[0] & between[1]).to(inside.dtype)
+        between.append((torch.minimum(place - first, last - place) + 1).clamp(0.0, 1.0))  # whole numbers
+    return between[0] * between[1]
 
 
 def _moments(coverage: Tensor, cell: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -1,6 +1,7 @@
 """Medians of divergence, curl and strain over ellipses of the deformed picture, from scattered points."""
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -8,15 +9,19 @@ from torch import Tensor
 
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.looking import looks
+from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.plane_fit import PlaneFit, fit_planes
 from fingerflow.ops.scattered import check_scattered
 from fingerflow.ops.strain import STRAIN_MEASURES, green_lagrange
-from fingerflow.ops.strain_uncertainty import field_sensitivity
+from fingerflow.ops.strain_uncertainty import sensitivity_parts
 from fingerflow.ops.tensors import finite, sum_rows
 
 _FAR = 1e3  # radii, from all positions
 _TINY = 1e-30
 _FIELDS = 5
+_FRAMES = 8  # of which the points that are known are about the same
+_PAIRS = 1 << 20  # of points and positions, of the frames that are taken at once
 
 _LATTICE = torch.from_numpy(limits.lattice())
 
@@ -99,23 +104,57 @@ def area_medians(
                 radius=gauge_length / 2,
             )
         )
-    planes = None if covariance is None else covariance.flatten(2).mT[:, (0, 1, 3)]
-    return medians_of_components(reference.mT, displacement.mT, *frame, gauge_length / 2, measure, planes, apart)
+    result: AreaMedians = in_pieces(
+        partial(_of_known, gauge_length / 2, measure),
+        _FRAMES,
+        *(*frame, reference, displacement, covariance, among, fields, std),
+    )
+    return result
 
 
-def medians_of_components(
-    reference: Tensor,
-    displacement: Tensor,
+def _of_known(
+    radius: float,
+    measure: str,
     center: Tensor,
     semi_axes: Tensor,
     angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
+    *others: Tensor | None,
+) -> AreaMedians:
+    """`_medians`, of those points that are known in one of the frames where nothing is traced: while a contact grows
+    they are few.
+    """
+    points: list[Tensor | None] = [reference, displacement, *others]
+    count = displacement.shape[1]
+    if looks(*points):
+        known = finite((reference + displacement).sum(2)).any(0)
+        known[:1] = True
+        some = known.nonzero().squeeze(1)
+        points, count = [None if one is None else one.index_select(1, some) for one in points], len(some)
+    compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
+    result: AreaMedians = in_pieces(compute, at_once, center, semi_axes, angle, *points)
+    return result
+
+
+def _medians(
     radius: float,
     measure: str,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
     covariance: Tensor | None,
-    apart: Apart | None = None,
+    *entered: Tensor | None,
 ) -> AreaMedians:
-    """The portable form, of fixed cost: components before points, covariance (B, 3, N) as uu, uv, vv."""
+    """Return the portable form, of fixed cost: `entered` are the three of `Apart` or None."""
+    reference, displacement = reference.mT, displacement.mT  # components before points from here on
+    if covariance is not None:
+        covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
+    among, own, own_std = entered
     now = reference + displacement
+    apart = None if among is None or own is None else Apart(among, own, own_std)
     given = finite(sum_rows(now))
     good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
     good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
@@ -154,11 +193,8 @@ def medians_of_components(
         fields = torch.where(nearest.apart, nearest.fields, fields)
         known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
     count = known.to(fields.dtype).sum(2, keepdim=True)
-    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
     enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
-    # The same place twice where the count is odd.
-    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
-    median = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
+    median = _median(fields, known, count)
     median = torch.where(enough, median, math.nan)
     known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
     if covariance is None:
@@ -177,6 +213,18 @@ def medians_of_components(
     uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
     variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
     return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
+
+
+def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
+    """(B, 5) of the `count` (B, 1, 1) that are known, half of all at least; any number of fewer."""
+    if not torch.compiler.is_exporting():
+        lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
+        return (lower - upper) / 2
+    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
+    # The same place twice where the count is odd.
+    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
+    result: Tensor = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
+    return result
 
 
 class _OfNearest(NamedTuple):
@@ -227,14 +275,12 @@ def _beside(
     Those deviations are of the size of a fit among points spread evenly, of which each has the mean covariance:
     sum w^2 d d' is 0.4 sum w d d' there.
     """
-    now = gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2)
-    mean = torch.where(usable, covariance, 0.0).sum(2) / usable.to(fields.dtype).sum(2).clamp_min(1)
-    own = mean[:, (0, 1, 1, 2)].unflatten(1, (2, 2))[:, None, None]
-    slopes = (
-        (limits.EVEN / radius**2 * fit.inverse / fit.mass)[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
-    )
-    sensitivity = field_sensitivity(now, measure)  # (B, Q, 5, 2, 2)
-    variance = ((own @ sensitivity @ slopes[:, :, None]) * sensitivity).sum((-2, -1)).mT
+    number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
+    mean = _symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
+    slopes = _symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
+    sensitivity = _sensitivity(gradient, measure)
+    by_slopes = _times(sensitivity, slopes[:, None])
+    variance = (_times(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
     away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
     result: Tensor = (1 - away).clamp_min(0).square()
     return result
@@ -246,15 +292,37 @@ def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, m
     Where a point is displaced by d, the gradient H at a position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w:
     the point moves together with its displacement, so that the fit changes by (I - G) d, and I - G undoes I + H.
     """
-    now = gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2)  # (B, Q, 2, 2)
-    forward = now + torch.eye(2, dtype=now.dtype, device=now.device)
-    turned = (field_sensitivity(now, measure)[..., None, :] * forward[:, :, None, None]).sum(-1)  # (B, Q, 5, 2, 2)
-    inverse = fit.inverse[:, (0, 1, 1, 2)].unflatten(1, (2, 2)).permute(0, 3, 1, 2)
-    weighted = (turned[..., None] * inverse[:, :, None, None]).sum(-2) * (share / fit.mass).mT[..., None, None]
-    at_centroid = (weighted * fit.centroid.mT[:, :, None, None]).sum(-1, keepdim=True)
-    columns = torch.cat((weighted, at_centroid), dim=-1).flatten(2).mT  # (B, 30, Q)
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    onward = torch.cat((1 + xx, yx, xy, 1 + yy), dim=1).unflatten(1, (2, 2))  # (I + H)'
+    around = _times(onward, _symmetric(fit.inverse / fit.mass))
+    # By the place of a point, and by that of the centroid.
+    around = torch.cat((around, _times(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
+    columns = (_times(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
     sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
     result: Tensor = (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
+    return result
+
+
+def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
+    """`field_sensitivity` (B, 5, 2, 2, Q) of (B, 4, Q)."""
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    parts = sensitivity_parts(xx, xy, yx, yy, measure)
+    result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
+    return result
+
+
+def _symmetric(three: Tensor) -> Tensor:
+    """(B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    xx, xy, yy = three.split(1, dim=1)
+    result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
+    return result
+
+
+def _times(left: Tensor, right: Tensor) -> Tensor:
+    """Products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q); batches of small ones take longer."""
+    first, second = left.split(1, dim=-2)
+    upper, lower = right.split(1, dim=-3)
+    result: Tensor = first * upper + second * lower
     return result
 
 

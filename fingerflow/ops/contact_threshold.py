@@ -1,5 +1,7 @@
 """The relative intensity loss half-way between ridges in contact and the skin beside them, measured in a frame."""
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
 from fingerflow.ops.otsu import Classes, histogram, otsu_classes
+from fingerflow.ops.pieces import in_pieces
 from fingerflow.ops.quantile import median_of_counts
 from fingerflow.ops.real_contact_mask import real_contact_mask
 from fingerflow.ops.strided_median import median_at
@@ -18,6 +21,7 @@ _LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _ROUNDS = 2
 _LEVELS = 256
+_PIXELS = 1 << 19  # of the frames that are taken at once
 
 
 def contact_threshold(
@@ -57,7 +61,15 @@ def contact_threshold(
         and kernels.serve(frames, light, black, gain)
     ):
         return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
-    lit = light > 0
+    compute = partial(_threshold, median_px, radius, stride_px)
+    result: Tensor = in_pieces(compute, _PIXELS // max(1, frames.shape[1:].numel()), frames, light, black, gain)
+    return result
+
+
+def _threshold(
+    median_px: int, radius: int, stride_px: int, frames: Tensor, light: Tensor, black: Tensor, gain: Tensor | None
+) -> Tensor:
+    kind, lit = light.dtype, light > 0
     low, scale = LEVEL_RANGE[0], levels_per_unit(*LEVEL_RANGE)
     lost = (1 - low) * scale - (frames.to(kind) - black) * (scale / torch.where(lit, light, 1.0))
     if frames.is_floating_point():

@@ -43,28 +43,32 @@ def light_gain(frames: Tensor, light: Tensor, black: Tensor, radius: int = 8) ->
         return kernels.light_gain(frames, light, black, block)
     if min(frames.shape[2:]) < block:
         return torch.full(frames.shape[:1], torch.nan, dtype=kind, device=light.device)
-    some = frames[..., _STEP // 2 :: _STEP, :].to(kind)
-    given, dark = light[..., _STEP // 2 :: _STEP, :], black[..., _STEP // 2 :: _STEP, :]
-    counts = (given > 0).to(kind)
-    passed = (some - dark) * counts
+    some, given, dark = (image[..., _STEP // 2 :: _STEP, :] for image in (frames, light, black))
     if frames.is_floating_point():
-        finite = passed.abs() < torch.inf
-        passed, given = torch.where(finite, passed, 0.0), torch.where(finite, given, 0.0)
-    given = given.expand(passed.shape)
-    return _uppermost_mode(*(_blocks(lines, block) for lines in (passed, given, passed * passed, given * given)))
+        finite = some.abs() < torch.inf
+        some, given = torch.where(finite, some, 0.0), torch.where(finite, given, 0.0)
+    lit = (given > 0).to(kind)
+    passed = torch.addcmul(-dark * lit, some.to(kind), lit)
+    return _uppermost_mode(_blocks(passed, block), _blocks(given, block))
 
 
 def _blocks(lines: Tensor, block: int) -> Tensor:
-    """(B, N) sums over blocks, of every fourth line."""
+    """(B, 2, N) sums over blocks, of every fourth line (B, 1, h, W) and of its squares."""
+    result: Tensor = torch.cat([_sums(one, block) for one in (lines, lines * lines)], dim=1)
+    return result
+
+
+def _sums(lines: Tensor, block: int) -> Tensor:
     height, width = lines.shape[-2:]
     rows = block // _STEP
     cut = lines[..., : height // rows * rows, : width // block * block]
     down = cut.unflatten(2, (-1, rows)).sum(3)
-    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(1)
+    result: Tensor = down.unflatten(3, (-1, block)).sum(4).flatten(2)
     return result
 
 
-def _uppermost_mode(passed: Tensor, light: Tensor, passed_squared: Tensor, light_squared: Tensor) -> Tensor:
+def _uppermost_mode(passed_sums: Tensor, light_sums: Tensor) -> Tensor:
+    (passed, passed_squared), (light, light_squared) = passed_sums.unbind(1), light_sums.unbind(1)
     lit = light > _LIT * light.amax(1, keepdim=True)
     quotient = torch.where(lit, passed / torch.where(lit, light, 1.0), 0.0)
     variance = passed_squared / torch.where(lit, light_squared, 1.0) - quotient * quotient

@@ -11,6 +11,7 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import MedianProgram, Operand, Step, median_program, tile_program
 from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.ops.pieces import in_pieces
 
 # Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
 _PIXELS_A_PASS = 1 << 19
@@ -66,10 +67,8 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
 
 def _by_network(frames: Tensor, size: int) -> Tensor:
     program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
-    if frames.device.type != "cpu":
-        return _run(program, frames)
-    at_once = max(1, _PIXELS_A_PASS // frames[0].numel())
-    return torch.cat([_run(program, some) for some in frames.split(at_once)])
+    result: Tensor = in_pieces(functools.partial(_run, program), _PIXELS_A_PASS // frames[0].numel(), frames)
+    return result
 
 
 @kernels.constant_to_compiler

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.ops.looking import looks
 from fingerflow.ops.tensors import components_first, finite, sum_rows
 
 _TINY = 1e-20
@@ -29,7 +30,7 @@ class Support(NamedTuple):
 
 class PlaneFit(NamedTuple):
     """Planes at Q queries of B frames, of C components; lengths in radii of the support. Any number where it is not
-    `known`.
+    `known`. What does not depend on the values may be one for all frames.
     """
 
     known: Tensor  # (B, 1, Q) bool
@@ -86,19 +87,26 @@ def fit_planes(
     """
     weights, within = support or support_of(places, queries)
     channels = values.shape[1]
+    # Where the same points count in all frames, what is not of their values is one for all.
+    if len(places) == 1 and looks(usable) and bool((usable == usable[:1]).all()):
+        usable = usable[:1]
     weight = usable.to(places.dtype)
     # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
     values = torch.where(usable, values, 0.0)
     level = values.sum(2, keepdim=True) / weight.sum(2, keepdim=True).clamp_min(1)
     moved = weight * (values - level)
-    # 1, x, y, the products xx, xy, yy, u, v, ..., and ux, uy, vx, ...
-    of_places = torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
-    monomials = torch.cat((weight * of_places, moved, _mixed(moved, places)), dim=1)
+    # 1, x, y, the products xx, xy, yy; and u, v, ..., ux, uy, vx, ...
+    of_places = weight * torch.cat((torch.ones_like(places[:, :1]), places, squares(places)), dim=1)
+    of_values = torch.cat((moved, _mixed(moved, places)), dim=1)
     count = _product(weight, within) / _ONE
-    sums = _product(monomials, weights)
+    if len(of_places) == len(of_values):
+        sums, moments = _product(torch.cat((of_places, of_values), dim=1), weights).split((6, 3 * channels), dim=1)
+    else:
+        sums, moments = _product(of_places, weights), _product(of_values, weights)
     known = count > MINIMUM_POINTS - 0.5
     mass = torch.where(known, sums[:, :1], 1.0)
-    _, centroid, square, motion, mixed = (sums / mass).split((1, 2, 3, channels, 2 * channels), dim=1)
+    _, centroid, square = (sums / mass).split((1, 2, 3), dim=1)
+    motion, mixed = (moments / mass).split((channels, 2 * channels), dim=1)
     spread, cross = square - squares(centroid), mixed - _mixed(motion, centroid)
     xx, xy, yy = spread[:, :1], spread[:, 1:2], spread[:, 2:]
     determinant = xx * yy - xy * xy
@@ -153,13 +161,12 @@ def _mixed(components: Tensor, pair: Tensor) -> Tensor:
 def _product(rows: Tensor, matrix: Tensor) -> Tensor:
     """(B, K, Q) of rows (B, K, N) and (1 or B, Q, N).
 
-    One matrix for all frames is not copied for each of them. Standing first it is not packed anew either, which takes
-    half the time of a product of few rows; a single row is none.
+    One matrix for all frames is not copied for each of them. While a graph is exported it stands first, where runtimes
+    take half the time for a product of few rows; torch takes twice as long.
     """
     if matrix.shape[0] == 1 and rows.shape[0] != 1:
         result: Tensor = _product(rows.flatten(0, 1)[None], matrix)[0].unflatten(0, rows.shape[:2])
         return result
-    if rows.shape[1] == 1:
+    if rows.shape[1] == 1 or not torch.compiler.is_exporting():
         return rows @ matrix.mT
-    product = matrix @ rows.mT
-    return components_first(product) if torch.compiler.is_exporting() else product.mT
+    return components_first(matrix @ rows.mT)

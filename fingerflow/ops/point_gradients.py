@@ -7,6 +7,7 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.looking import looks
 from fingerflow.ops.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
 from fingerflow.ops.tensors import finite, sum_rows
 
@@ -26,6 +27,23 @@ def point_gradients(
         own = torch.where(finite(across + down), 0.0, torch.nan).to(displacement.dtype)[..., None, None]
         return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
     radius = gauge_length / 2
+    if not looks(reference, displacement, covariance):
+        return _gradients(radius, reference, displacement, covariance)
+    # Of points that are known in none of the frames nothing follows.
+    some = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
+    noise = None if covariance is None else covariance.index_select(1, some)
+    gradient, spread = _gradients(radius, reference.index_select(1, some), displacement.index_select(1, some), noise)
+
+    def for_all(found: Tensor) -> Tensor:
+        shape = len(found), displacement.shape[1], *found.shape[2:]
+        return found.new_full(shape, torch.nan).index_copy(1, some, found)
+
+    return for_all(gradient), None if spread is None else for_all(spread)
+
+
+def _gradients(
+    radius: float, reference: Tensor, displacement: Tensor, covariance: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
     places, given = about_their_mean(reference, radius)
     usable = given & finite(sum_rows(displacement.mT))
     planes = None

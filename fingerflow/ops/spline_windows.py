@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.windows import lines_of
+
 MARGIN = 3  # px of a patch around its window: two of the spline at the reach, one of the smoothing
 TAPS = 5
 
@@ -20,20 +22,26 @@ def cut_patches(view: Tensor, center: Tensor, size: int, dtype: torch.dtype) -> 
     Pixels beyond the border repeat the border; a window that would reach farther than they do is moved inwards.
     """
     side = size + 2 * MARGIN
-    # Few bytes are gathered as they are, a quarter of the memory; torch gathers no uint16.
+    # Bytes are copied as they are, a quarter of the memory.
     border = max(MARGIN + 2, side - min(view.shape[-2:]))  # found inside, a window may stand beside a pixel outside
-    few = center.shape[2] * side * side < view.shape[2] * view.shape[3]
+    exporting = torch.compiler.is_exporting()
+    few = not exporting or center.shape[2] * side * side < view.shape[2] * view.shape[3]
     plane = _bordered(view if view.dtype == torch.uint8 and few else view.to(dtype), border)
     height, width = plane.shape[-2:]
     column, row = (center + (border - side // 2)).split(1, dim=1)
     # Between floats: a runtime has two nodes for what lies between whole numbers.
     first = row.clamp(0.0, float(height - side)) * width + column.clamp(0.0, float(width - side))
     # One number a window and one a pixel of it: sums of pairs of rows and columns take runtimes three times as long.
-    whole = torch.int32 if torch.compiler.is_exporting() else torch.int64
+    whole = torch.int32 if exporting else torch.int64
+    first = first.to(whole).transpose(1, 2)
     steps = torch.arange(side, dtype=whole, device=view.device)
-    pixel = (steps[:, None] * width + steps).flatten()
-    index = first.to(whole).transpose(1, 2) + pixel
-    return plane.flatten(1).gather(1, index.flatten(1)).to(dtype).reshape(-1, side, side)
+    if exporting or view.requires_grad:
+        index = first + (steps[:, None] * width + steps).flatten()
+        pixels = plane.flatten(1).gather(1, index.flatten(1))
+    else:
+        own = torch.arange(len(plane), device=view.device)[:, None, None] * (height * width)
+        pixels = lines_of(plane, first + own + steps * width, side)
+    return pixels.to(dtype).reshape(-1, side, side)
 
 
 def taps(shift: Tensor) -> Tensor:

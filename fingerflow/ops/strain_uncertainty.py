@@ -34,17 +34,21 @@ def strain_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Ten
 
     Raises ValueError for another measure.
     """
+    return field_sensitivity(gradient, measure)[..., 2:, :, :]
+
+
+def sensitivity_parts(ux: Tensor, uy: Tensor, vx: Tensor, vy: Tensor, measure: str) -> list[Tensor]:
+    """The 20 numbers of `field_sensitivity`, each by itself as the parts du/dx, du/dy, dv/dx and dv/dy are."""
     if measure not in STRAIN_MEASURES:
         raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    none, one = torch.zeros_like(ux), torch.ones_like(ux)
     # With F = I + gradient, the derivatives of e_ij = (F_ki F_kj - delta_ij) / 2; without the squares F is I.
-    identity = torch.eye(2, dtype=gradient.dtype, device=gradient.device).expand_as(gradient)
-    direct = identity if measure == "infinitesimal" else identity + gradient
-    mixed = identity + gradient if measure == "green_lagrange" else identity
-    none = torch.zeros_like(direct[..., 0])
-    exx = torch.stack((direct[..., 0], none), dim=-1)
-    eyy = torch.stack((none, direct[..., 1]), dim=-1)
-    exy = torch.stack((mixed[..., 1], mixed[..., 0]), dim=-1) / 2
-    return torch.stack((exx, eyy, exy), dim=-3)
+    identity, moved = (one, none, none, one), (1 + ux, uy, vx, 1 + vy)
+    xx, xy, yx, yy = identity if measure == "infinitesimal" else moved
+    divergence, curl = (one, none, none, one), (none, -one, one, none)
+    exx, eyy = (xx, none, yx, none), (none, xy, none, yy)
+    xx, xy, yx, yy = (part / 2 for part in (moved if measure == "green_lagrange" else identity))
+    return [*divergence, *curl, *exx, *eyy, xy, xx, yy, yx]
 
 
 def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagrange") -> Tensor:
@@ -54,9 +58,9 @@ def field_std(gradient: Tensor, covariance: Tensor, measure: str = "green_lagran
 
 def field_sensitivity(gradient: Tensor, measure: str = "green_lagrange") -> Tensor:
     """Derivatives (..., 5, 2, 2) of divergence, curl, exx, eyy and exy by the displacement gradient."""
-    rows = [[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]]
-    plain = torch.tensor(rows, dtype=gradient.dtype, device=gradient.device).expand(*gradient.shape[:-2], 2, 2, 2)
-    return torch.cat((plain, strain_sensitivity(gradient, measure)), dim=-3)
+    (ux, uy), (vx, vy) = (row.unbind(-1) for row in gradient.unbind(-2))
+    result: Tensor = torch.stack(sensitivity_parts(ux, uy, vx, vy, measure), dim=-1).unflatten(-1, (5, 2, 2))
+    return result
 
 
 def strain_covariance(slopes: Tensor, covariance: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.cells import sum_of
 from fingerflow.ops.windows import taken
 
 _SHARPNESS = -0.75  # slope of the weights 1 px away, as bicubic interpolation of torch and OpenCV has it
@@ -54,11 +55,15 @@ def sample_windows(images: Tensor, number: Tensor, places: Tensor, warp: Tensor,
     flat = (images.to(places.dtype) if images.dtype == torch.uint16 else images).reshape(-1)
     index = (number[:, None] * height + first_y) * width + first_x
     if torch.compiler.is_exporting():
-        index = index.to(torch.int32)
-    beside = torch.arange(4, dtype=index.dtype, device=index.device)
-    # All sixteen pixels of a sample at once: by themselves they are a hundred small operations.
-    pixels = taken(flat, index + (beside[:, None] * width + beside)[..., None, None]).to(places.dtype)
-    found = ((pixels * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
+        # All sixteen pixels of a sample at once: by themselves they are a hundred small operations.
+        beside = torch.arange(4, dtype=torch.int32, device=index.device)
+        pixels = taken(flat, index.to(torch.int32) + (beside[:, None] * width + beside)[..., None, None])
+        found = ((pixels.to(places.dtype) * torch.stack(weights_x)).sum(1) * torch.stack(weights_y)).sum(0)
+    else:
+        found = torch.zeros_like(x)
+        for lower, weight in enumerate(weights_y):
+            line = [taken(flat, index, lower * width + right).to(places.dtype) for right in range(4)]
+            found = torch.addcmul(found, weight, sum_of([a * b for a, b in zip(line, weights_x, strict=True)]))
     return torch.where(whole, found, torch.nan)
 
 

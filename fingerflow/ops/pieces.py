@@ -1,0 +1,30 @@
+"""Batches computed a few frames at a time, so that what is between stays in a processor's cache."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops.looking import looks
+
+
+def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:
+    """Return `compute(*given)`, a tensor or a named tuple of tensors, each of a row a frame.
+
+    Args:
+        compute: computes each frame by itself.
+        at_once: frames, at least 1 are taken.
+        given: tensors of B frames or of one for all, and None. At once while a graph is traced and on other devices.
+    """
+    frames = max(len(one) for one in given if one is not None)
+    at_once = max(1, at_once)
+    if frames <= at_once or not looks(*given):
+        return compute(*given)
+    pieces = [
+        compute(*(one if one is None or len(one) == 1 else one[start : start + at_once] for one in given))
+        for start in range(0, frames, at_once)
+    ]
+    if isinstance(pieces[0], Tensor):
+        return torch.cat(pieces)
+    return type(pieces[0])(*(None if some[0] is None else torch.cat(some) for some in zip(*pieces, strict=True)))
