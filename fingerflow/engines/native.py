@@ -22,7 +22,7 @@ from fingerflow.engines.engine import (
     Light,
 )
 from fingerflow.engines.native_fields import fields_of_frames
-from fingerflow.kernels import contact_frames, tracked_points, tracking
+from fingerflow.kernels import contact_frames, deformation, tracked_points, tracking
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, cell_of
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
@@ -126,7 +126,7 @@ class NativeEngine:
         return Followed(Found(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
 
     def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
-        corrected = tracked_points.correct_points(
+        corrected = deformation.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,
             gauge_px=WARP_GAUGE_PX,

@@ -1,4 +1,4 @@
-"""Kernels of tracked points: seeded, searched there and back, corrected, judged by their neighbours.
+"""Kernels of tracked points: seeded, searched there and back, judged by their neighbours.
 
 NumPy arrays in and out.
 
@@ -15,18 +15,14 @@ from fingerflow.kernels import outlier_limits
 from fingerflow.kernels.arrays import kind, rows_in_one_piece, strides_of_rows
 from fingerflow.kernels.checks import FRAME_KINDS, check_frames, check_indices, checked, mask_of
 from fingerflow.kernels.detection_limits import LEAST_SIDE, NOISE, QUALITY
-from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.library import entry, threads
 from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
 from fingerflow.kernels.tracking import WIDEST_SEARCH
-from fingerflow.kernels.tracking_limits import NUMBERS
 
 __all__ = [
-    "CorrectedPoints",
     "DetectedPoints",
     "Neighbours",
     "Outliers",
-    "correct_points",
     "detect_points",
     "find_neighbours",
     "find_outliers",
@@ -37,82 +33,6 @@ Array = NDArray[Any]
 
 _LANES = 16  # points that the compiled kernel judges at a time
 _ROWS = 32  # points whose distances to all others are in memory at a time
-
-
-class CorrectedPoints(NamedTuple):
-    """N points of K frames, corrected for the deformation of the skin, all float32.
-
-    Attributes:
-        points: (K, N, 2) px.
-        covariance: (K, N, 2, 2) px^2, without what the residual owes to the deformation.
-        warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
-        shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
-        expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
-    """
-
-    points: Array
-    covariance: Array
-    warp: Array
-    shift: Array
-    expected: Array
-
-
-def correct_points(
-    start: Array,
-    points: Array,
-    covariance: Array,
-    numbers: Array,
-    inverse_warp: Array,
-    *,
-    window: int,
-    gauge_px: float,
-) -> CorrectedPoints:
-    """Correct positions of N points in K frames for the deformation, as `graphs.DeformationGraph` does, to rounding.
-
-    Args:
-        start: (N, 2) px in the key frame, float32 as all arrays.
-        points: (K, N, 2) px as they were found, NaN where they were not, and their covariance (K, N, 2, 2) px^2.
-        covariance: see `points`.
-        numbers: (N, 32) template statistics.
-        inverse_warp: (N, 2, 2) inverse of the deformation gradient with which the templates were prepared.
-        window: px, side of a template.
-        gauge_px: diameter of the local fits.
-
-    Raises:
-        ValueError: another dtype or shape.
-    """
-    frames, count = len(points), len(start)
-    start = checked("start", start, "float32", (count, 2))
-    points = checked("points", points, "float32", (frames, count, 2))
-    covariance = checked("covariance", covariance, "float32", (frames, count, 2, 2))
-    numbers = checked("numbers", numbers, "float32", (count, NUMBERS))
-    inverse_warp = checked("inverse_warp", inverse_warp, "float32", (count, 2, 2))
-    if window < 3 or not gauge_px > 0:
-        raise ValueError(
-            f"a window of {window} px and a gauge length of {gauge_px} px: give 3 px or more, and a length"
-        )
-    shapes = ((count, 2), (count, 2, 2), (count, 2, 2), (count,), (count, 2))
-    result = CorrectedPoints(*(np.empty((frames, *shape), np.float32) for shape in shapes))
-    entry("correct_points")(
-        start=start,
-        found=points,
-        covariance=covariance,
-        numbers=numbers,
-        inverse_warp=inverse_warp,
-        corrected=result.points,
-        remaining=result.covariance,
-        warp=result.warp,
-        shift=result.shift,
-        expected=result.expected,
-        frames=frames,
-        points=count,
-        window=window,
-        minimum_points=MINIMUM_POINTS,
-        radius=gauge_px / 2,
-        least_spread=MINIMUM_SPREAD * gauge_px / 2,
-        threads=threads(),
-    )
-    return result
 
 
 class Neighbours(NamedTuple):

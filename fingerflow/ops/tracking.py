@@ -11,8 +11,7 @@ from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
-from fingerflow.ops.deformation import displaced, edge_shift, less_bending
-from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.deformation import correct_points
 from fingerflow.ops.noise import estimate_noise
 from fingerflow.ops.search import search_and_return
 from fingerflow.ops.spline import spline_coefficients
@@ -28,9 +27,8 @@ from fingerflow.ops.templates import (
 )
 from fingerflow.ops.windows import sample_windows
 
-# Windows over which the deformation of a template is taken to be uniform: fewer follow shorter waves (`python -m bench
-# dic`).
-_GAUGE = 3.0
+# Windows over which a second pass learns the deformation: fewer follow shorter waves, more see less noise.
+_GAUGE = 5.0
 
 
 class Tracks(NamedTuple):
@@ -177,19 +175,17 @@ def in_passes(
         if warp is not None:
             warp = warp.clone()  # a result shares no memory with an argument
         elif passes == 2:
-            around = local_gradients(start, found.points - start, gauge_length=_GAUGE * window)
-            gradient, expected = around.gradient.nan_to_num(0.0, 0.0, 0.0), start + around.value
-            warp = gradient + torch.eye(2, dtype=kind, device=gradient.device)
-            unknown, numbers = gradient.flatten(2).mT, numbers.mT
-            found = found._replace(
-                points=found.points - displaced(numbers, unknown).mT,
-                covariance=less_bending(found.covariance, numbers, unknown, window),
+            straight = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
+            corrected = correct_points(
+                *(start, found.points, found.covariance, numbers, straight), window, _GAUGE * window
             )
+            found = found._replace(points=corrected.points, covariance=corrected.covariance)
+            warp = corrected.warp
             lost = found.status >= TrackStatus.NOT_CONVERGED
-            renewed = lost | (edge_shift(unknown, window) > limits.UPDATE_PX)
+            renewed = lost | (corrected.shift > limits.UPDATE_PX)
             if renewed.any():
                 chosen = first_of(renewed)
-                near = torch.where(lost[..., None] & expected.isfinite(), expected, found.estimate)
+                near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)
                 again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
                 found = replaced(found, again, chosen, renewed)
     return Passed(found.points, found.error, found.covariance, found.status, warp)

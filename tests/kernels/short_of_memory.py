@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from fingerflow import ops
-from fingerflow.kernels import block_means, contact_frames, library, tracked_points
+from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
@@ -126,7 +126,7 @@ def on_arrays(frames: torch.Tensor) -> dict[str, Callable[[], Any]]:
     neighbours = tracked_points.find_neighbours(points, 120.0)
     search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
     named: dict[str, Callable[[], Any]] = {
-        "correct_points": lambda: tracked_points.correct_points(
+        "correct_points": lambda: deformation.correct_points(
             points, moved, covariance, np.ones((60, NUMBERS), np.float32), covariance[0], window=25, gauge_px=120.0
         ),
         "find_outliers": lambda: tracked_points.find_outliers(neighbours, moved - points, np.ones((2, 60), np.float32)),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.kernels import block_means, contact_frames, library, tracked_points
+from fingerflow.kernels import block_means, contact_frames, deformation, library, tracked_points
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.declarations import HEADER, read
 from fingerflow.kernels.library import entry
@@ -84,7 +84,7 @@ def on_arrays() -> dict[str, Callable[[], object]]:
     frame = FRAMES[:1].numpy()
     search: dict[str, Any] = {"window": 9, "radius": 3, "forward_backward_limit": 1.0}
     return {
-        "correct_points": lambda: tracked_points.correct_points(
+        "correct_points": lambda: deformation.correct_points(
             points, moved, covariance, np.ones((60, NUMBERS), np.float32), covariance[0], window=25, gauge_px=120.0
         ),
         "find_outliers": lambda: tracked_points.find_outliers(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import DeformationGraph
+from fingerflow.kernels import deformation
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
 from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
@@ -56,11 +57,13 @@ def by_graph(window: int, *arrays: Array) -> list[Array]:
     given = [torch.from_numpy(np.ascontiguousarray(one)) for one in arrays]
     error = given[1][..., 0]
     found = Found(given[1], error, given[2], torch.zeros(error.shape, dtype=torch.uint8), given[1])
-    result = DeformationGraph(window)(given[0][None], found, given[3][None], given[4][None])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernels, "serve", lambda *_: False)
+        result = DeformationGraph(window)(given[0][None], found, given[3][None], given[4][None])
     return [one.numpy() for one in (result.found.points, result.found.covariance, *result[1:])]
 
 
-def assert_corrected(result: native.CorrectedPoints, expected: list[Array], warp: float = 1e-6) -> None:
+def assert_corrected(result: deformation.CorrectedPoints[Any], expected: list[Array], warp: float = 1e-6) -> None:
     """`warp`: what the local fits may differ by."""
     tolerances = {
         "points": ROUNDING_PX,
@@ -76,33 +79,33 @@ def assert_corrected(result: native.CorrectedPoints, expected: list[Array], warp
 @pytest.mark.parametrize(("count", "frames"), [(700, 1), (300, 4), (40, 3), (17, 2), (4, 2), (1, 1), (0, 2), (9, 0)])
 def test_corrected_as_by_the_graph(count: int, frames: int, instruction_set: int, torch_threads: Threads) -> None:
     given = some_points(count, frames)
-    result = native.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
+    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
     # The graph's own fits are the compiled ones of a frame after the other: they sum in another order.
     assert_corrected(result, by_graph(25, *given))
     torch_threads(3)
-    for one, other in zip(result, native.correct_points(*given, window=25, gauge_px=120.0), strict=True):
+    for one, other in zip(result, deformation.correct_points(*given, window=25, gauge_px=120.0), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_corrected_as_by_the_exported_form(portable: Portable) -> None:
     """Whose fits are products of matrices, a few units of 1e-5 of a gradient off where points are few."""
     given = some_points(300, 3)
-    result = native.correct_points(*given, window=11, gauge_px=WARP_GAUGE_PX)
+    result = deformation.correct_points(*given, window=11, gauge_px=WARP_GAUGE_PX)
     assert_corrected(result, portable(lambda: by_graph(11, *given)), warp=2e-5)
 
 
 def test_corrected_in_a_picture() -> None:
     """Templates that do not know that the skin is stretched."""
-    deformation = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
+    stretched = torch.tensor([[1.02, 0.004], [-0.006, 0.985]], dtype=torch.float64)
     middle = torch.tensor([180.0, 150.0], dtype=torch.float64)
     points = grid()
-    truth = ((points.double() - middle) @ deformation.T + middle).float()
+    truth = ((points.double() - middle) @ stretched.T + middle).float()
     warp = torch.eye(2).repeat(1, points.shape[1], 1, 1)
     templates = prepare_templates(picture(torch.eye(2, dtype=torch.float64)), points, 25, warp)
-    found = find_templates(templates, picture(deformation), truth)
+    found = find_templates(templates, picture(stretched), truth)
     tensors = (points[0], found.points, found.covariance, templates.numbers[0], inverse_2x2(warp)[0])
     given = [one.numpy() for one in tensors]
-    result = native.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
+    result = deformation.correct_points(*given, window=25, gauge_px=WARP_GAUGE_PX)
     assert_corrected(result, by_graph(25, *given))
     before, after = (np.linalg.norm(one - truth.numpy(), axis=-1) for one in (found.points.numpy(), result.points))
     assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
@@ -113,8 +116,8 @@ def test_arrays_that_are_views() -> None:
     views: Any = [np.repeat(one, 2, axis=0)[::2] for one in given]
     views[1], views[2] = (np.asfortranarray(one) for one in given[1:3])
     for one, other in zip(
-        native.correct_points(*views, window=25, gauge_px=120.0),
-        native.correct_points(*given, window=25, gauge_px=120.0),
+        deformation.correct_points(*views, window=25, gauge_px=120.0),
+        deformation.correct_points(*given, window=25, gauge_px=120.0),
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
@@ -127,9 +130,9 @@ def test_wrong_arrays_of_corrections_are_named() -> None:
     for name, array in given.items():
         for wrong in (array.astype(np.float64), array[..., :1]):
             with pytest.raises(ValueError, match=f"{name} is"):
-                native.correct_points(**{**given, name: wrong}, window=25, gauge_px=120.0)
+                deformation.correct_points(**{**given, name: wrong}, window=25, gauge_px=120.0)
     with pytest.raises(ValueError, match="gauge length of 0"):
-        native.correct_points(**given, window=25, gauge_px=0)
+        deformation.correct_points(**given, window=25, gauge_px=0)
 
 
 def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.Outliers:

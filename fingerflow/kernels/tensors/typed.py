@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import torch
 
-from fingerflow.kernels import checks, contact, fields, flow, skin, tracking
+from fingerflow.kernels import checks, contact, deformation, fields, flow, skin, tracking
 from fingerflow.kernels.tensors.torch_op import torch_op
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "apparent_contact",
     "area_medians",
     "corners",
+    "correct_points",
     "dilate",
     "fill_holes",
     "find_pairs",
@@ -79,6 +80,7 @@ median = torch_op()(contact.median)
 normalize = torch_op()(contact.normalize)
 otsu_threshold = torch_op()(contact.otsu_threshold)
 real_contact_mask = torch_op()(contact.real_contact_mask)
+correct_points = torch_op()(deformation.correct_points)
 area_medians = torch_op()(fields.area_medians)
 local_gradients = torch_op()(fields.local_gradients)
 triangle_strain = torch_op()(fields.triangle_strain)
