@@ -468,15 +468,16 @@ def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, si
     left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
     place = torch.arange(size, device=samples.device)
     edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
-    weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)), dim=1)
-    return components_first((left * left @ weights).unflatten(0, samples.shape[:2]))
+    # What is summed over lies one number behind the other in both factors, which torch takes a third of the time for.
+    weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)))
+    return components_first((left * left @ weights.mT).unflatten(0, samples.shape[:2]))
 
 
 def _times(samples: Tensor, windows: Tensor) -> Tensor:
     """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, ...) of m."""
     batch, count = samples.shape[:2]
-    columns = windows.reshape(-1, samples.shape[3], 1)
-    return components_first((samples.flatten(0, 1) @ columns).reshape(batch, count, 3))
+    rows = windows.reshape(-1, 1, samples.shape[3])
+    return components_first((rows @ samples.flatten(0, 1).mT).reshape(batch, count, 3))
 
 
 def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
