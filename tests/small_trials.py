@@ -14,9 +14,10 @@ from fingerflow.engines.bundle_settings import bundle_settings
 from fingerflow.engines.check import built_in, numbers_of
 from fingerflow.engines.native import NativeEngine
 from fingerflow.export import export_bundle
-from fingerflow.export.bundle import FORMAT, version
+from fingerflow.export.bundle import version
 from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
+from fingerflow.player.bundle import BUNDLE_FORMAT
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import Scene
@@ -89,7 +90,13 @@ def write_library_bundle(folder: Path, recipe: Recipe) -> Path:
     size["points"] = recipe.tracking.points
     numbers = numbers_of(NativeEngine(bundle_settings(settings)), built_in(**size, window_px=recipe.tracking.window_px))
     expected = {**size, "numbers": {name: rounded(values) for name, values in numbers.items()}}
-    facts = {"format": FORMAT, "fingerflow": version(), "recipe": settings, "graphs": graphs, "expected": expected}
+    facts = {
+        "format": BUNDLE_FORMAT,
+        "fingerflow": version(),
+        "recipe": settings,
+        "graphs": graphs,
+        "expected": expected,
+    }
     (folder / "bundle.json").write_text(json.dumps(facts), encoding="utf-8")
     return folder
 

@@ -24,9 +24,9 @@ from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, completed, feed
 from fingerflow.export.verification import Difference, verify
+from fingerflow.player.bundle import BUNDLE_FORMAT
 from fingerflow.player.contract.unfinished import unfinished
 
-FORMAT = 5  # of the bundle
 COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"
@@ -109,7 +109,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
     """Adds the player, what a technician reads, and bundle.json."""
     about = {
-        "format": FORMAT,
+        "format": BUNDLE_FORMAT,
         "fingerflow": version(),
         "recipe": recipe.model_dump(),
         "graphs": models,

@@ -16,7 +16,7 @@ from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.names import GRAPHS
 from fingerflow.player.errors import PlayerError
 
-BUNDLE_FORMAT = 5
+BUNDLE_FORMAT = 6
 
 
 @dataclass(frozen=True)
