@@ -378,7 +378,8 @@ private:
 
     // Steps from the guess on, each from where the one before has led, until one is short.
     Look look(std::int64_t image, Vector guess) {
-        Look result = all_.steps == 1 ? one_step<true>(image, guess) : one_step<false>(image, guess);
+        const bool far = all_.steps == 1 && all_.samples != nullptr;  // the next template is still to be fetched
+        Look result = far ? one_step<true>(image, guess) : one_step<false>(image, guess);
         for (int round = 1; round < all_.rounds && result.status == kNotConverged; ++round) result = one_step<false>(image, result.estimate);
         return result;
     }
@@ -484,7 +485,7 @@ private:
         const float samples = static_cast<float>(n_ * n_), energy = numbers_[kEnergy], some_energy = energy < kTiny ? kTiny : energy;
         const bool free = numbers_[kGain] > 0;
         const Matrix inverse{numbers_[kInverseXx], numbers_[kInverseXy], numbers_[kInverseXy], numbers_[kInverseYy]};
-        const float gain = free ? of.tm / some_energy : 1.0f, steep = gain > 1 / kMostGain ? gain : 1 / kMostGain;
+        const float gain = free ? of.tm / some_energy : 1.0f, steep = gain > 0 ? (gain > kLeastGain ? gain : kLeastGain) : 1 / kMostGain;
         // The slopes there are those of the template times the gain: what they differ by counts as often as the step is long.
         const Vector missing{of.gx - numbers_[kConstantX], of.gy - numbers_[kConstantY]};
         const Vector last = inverse * Vector{missing.x / steep, missing.y / steep};
@@ -507,7 +508,8 @@ private:
         const float left_key = energy - noise_energy, left_frame = bb - noise_energy;
         const float common = (left_key < 0 ? 0 : left_key) * (left_frame < 0 ? 0 : left_frame);
         const float explained = of.tm > 0 ? (bb - unlike) * energy : 0.0f;
-        if (!is_within(converged ? result.found : guess)) result.status = kLeftFrame;
+        // A step that leads out of the frame, or into it, is no end.
+        if (!is_within(result.found) && (converged || !is_within(guess))) result.status = kLeftFrame;
         else if (!is_finite(of.m)) result.status = kNotFinite;
         else if (!(numbers_[kTextured] > 0)) result.status = kNoTexture;
         else if (!converged) result.status = kNotConverged;

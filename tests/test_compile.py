@@ -108,6 +108,13 @@ def of_kernels() -> dict[str, Callable[[], object]]:
         "find_pairs": lambda: check(
             own.find_pairs, first, second, points, None, one, points, 11, True, 8, 0.0, 1.0, 0.5
         ),
+        **{
+            f"in_passes of {one.dtype}": lambda one=one: check(
+                own.in_passes,
+                *(one, second.to(one.dtype), points, points, None, torch.ones(2), 11, 2, True, 0, 1.0, 0.5),
+            )
+            for one in (first.float(), first.double())
+        },
         "sample_windows": lambda: check(
             own.sample_windows, first, torch.zeros(POINTS, dtype=torch.int64), points[0], torch.ones(POINTS, 2, 2), 9, 3
         ),

@@ -60,8 +60,9 @@ VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
 REACH, LAST_STEP = 1.0, 0.25
 # Steps at most that look for a point, each from where the one before has led.
 ROUNDS = 8
-# Contrast of an image over that of the template, or the reverse, up to which steps and flow follow it.
-MOST_GAIN = 8.0
+# Contrast of an image over that of the template, or the reverse, up to which flow follows it. A step follows any down
+# to the least; where contrast is reversed it leads away, eight times as far as with a gain of 1.
+MOST_GAIN, LEAST_GAIN = 8.0, 1e-3
 # px that a window may lie beyond the border of a frame: what is at rest on whole pixels lies on the limit itself, and
 # rounding would decide on which side.
 SLACK = 1e-3

@@ -409,7 +409,8 @@ def _step(
     squares, edges = _residual(matched, templates.samples, gain, offset, window).split((1, 2), dim=1)
     # The slopes there are those of the template times the gain: what they differ by counts in a short step for little.
     missing = by_slopes - numbers[:, Number.CONSTANT_X : Number.CONSTANT_Y + 1]
-    last = _symmetric(inverse, missing / gain.clamp_min(1 / limits.MOST_GAIN))
+    steep = torch.where(gain > 0, gain.clamp_min(limits.LEAST_GAIN), 1 / limits.MOST_GAIN)
+    last = _symmetric(inverse, missing / steep)
     converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: no root
     found = guess - last
 
@@ -425,8 +426,9 @@ def _step(
     noise_energy = noise * (samples * limits.VALUE_NOISE)
     common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
     explained = (bb - unlike) * energy * (tm > 0)
-    place = torch.where(converged, found, guess)
-    within = (of[Number.INSIDE.value] > 0) & contains(place.transpose(1, 2), current, window)[:, None]
+    ends, begins = (contains(one.transpose(1, 2), current, window)[:, None] for one in (found, guess))
+    # A step that leads out of the frame, or into it, is no end.
+    within = (of[Number.INSIDE.value] > 0) & (ends | (begins & ~converged))
     textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
     status = torch.zeros_like(given, dtype=torch.uint8)
     # From the last reason to the first, so that the first that applies remains.

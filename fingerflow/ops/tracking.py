@@ -80,7 +80,7 @@ def track_points(
         window: odd side of the square window, px.
         initial: (B, N, 2) predicted positions in ``current``; default ``points``.
         warp: (B, N, 2, 2) deformation gradient F: an offset w in ``previous`` is F w in ``current``. Given, it stays.
-        passes: 2, or 1 for windows that are not deformed: half the time where nothing deforms.
+        passes: 2, or 1 for windows that are not deformed: three quarters of the time where nothing deforms.
         gain_offset: leave gain and offset of the light free in each window.
         search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in
             x and y, and only they; 0 never searches. The prediction alone reaches about a third of the texture's
@@ -180,9 +180,9 @@ def in_passes(
                 *(start, found.points, found.covariance, numbers, straight), window, _GAUGE * window
             )
             found = found._replace(points=corrected.points, covariance=corrected.covariance)
-            warp = corrected.warp
+            warp = corrected.warp.contiguous()  # as `_like_passed` says
             lost = found.status >= TrackStatus.NOT_CONVERGED
-            renewed = lost | (corrected.shift > limits.UPDATE_PX)
+            renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
             if renewed.any():
                 chosen = first_of(renewed)
                 near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)

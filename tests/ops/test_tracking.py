@@ -1,6 +1,7 @@
 """Tracking against exact shifts of an analytic texture, and against the Cramer-Rao bound."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -20,8 +21,13 @@ def grey(x: Tensor, y: Tensor) -> Tensor:
     return 110 + 80 * TEXTURE(x, y)
 
 
+def moved_by(shift: tuple[float, float]) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    """Where in the skin a place (mm) lies that has moved by a shift (px)."""
+    return lambda x, y: (x - shift[0] * MM, y - shift[1] * MM)
+
+
 def picture(shift: tuple[float, float], noise: float, seed: int) -> Tensor:
-    clean = texture_image(grey, SHAPE, MM, lambda x, y: (x - shift[0] * MM, y - shift[1] * MM))
+    clean = texture_image(grey, SHAPE, MM, moved_by(shift))
     generator = torch.Generator().manual_seed(seed)
     noisy = clean + noise * torch.randn(clean.shape, generator=generator, dtype=clean.dtype)
     return noisy.round().clamp(0, 255).to(torch.uint8)
@@ -153,6 +159,31 @@ def test_derivative_with_respect_to_images_and_points(passes: int, gain_offset: 
 
 def status(tracks: Tracks) -> list[int]:
     return tracks.status[0].tolist()
+
+
+@pytest.mark.parametrize("contrast", [0.3, 0.1, 0.05])
+def test_contrast_that_fades(points: Tensor, contrast: float) -> None:
+    """To 0.01 px without noise, the starts being 0.8 px away, and by what is stated."""
+    first, second = (texture_image(grey, SHAPE, MM, moved_by(shift)).float() for shift in ((0.0, 0.0), (0.7, -0.4)))
+    tracks = track_points(first, 128 + contrast * (second - 128), points, search=0)
+    tracked = tracks.status == TrackStatus.TRACKED
+    assert tracked.float().mean() > 0.95
+    assert (tracks.points - points - torch.tensor((0.7, -0.4)))[tracked].abs().max() < 0.01
+
+
+@pytest.mark.parametrize("beside", [-0.3, -0.8, -1.5])
+def test_predictions_beyond_the_border(beside: float) -> None:
+    """Of points that lie inside in both pictures."""
+    down = torch.linspace(40, 360, 60)
+    start = torch.stack((torch.linspace(10.6, 11.1, 60), down), dim=-1)[None]
+    truth = start + torch.tensor((-0.4, 0.0))
+    found = [
+        track_points(picture((0, 0), 1, 0), picture((-0.4, 0), 1, 1), start, initial=near, passes=1)
+        for near in (truth, truth + torch.tensor((beside, 0.0)))
+    ]
+    at_truth, beyond = (int((one.status == TrackStatus.TRACKED).sum()) for one in found)
+    assert at_truth > 40
+    assert beyond > 0.9 * at_truth
 
 
 def test_nothing_to_track_is_said(points: Tensor) -> None:
