@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.engines.engine import EngineSettings
+from fingerflow.engines.native import NativeEngine
 from fingerflow.ops.tracking import TrackStatus, track_points
 
 # 30 steps or 1e-4 px: ten times as many steps, or a limit of 1e-6 px, change no digit that is reported.
@@ -73,6 +75,32 @@ def track_opencv(
     back, found_back = lucas_kanade(second, first, there, there - (guess - start), window, levels)
     accepted = found & found_back & (np.linalg.norm(back - start, axis=-1) <= limit)
     return Found(torch.from_numpy(there)[None], torch.from_numpy(accepted))
+
+
+def follow_fingerflow(key: Tensor, points: Tensor, window: int) -> Callable[[Tensor, Tensor, int], list[Found]]:
+    """Prepare templates of points (1, N, 2) px in a key frame, for the native engine to follow.
+
+    Returns:
+        A function of frames (K, 1, H, W) that follow the key frame, their speed (2,) px a frame, and how many of them
+        a call is given; it finds the points in each.
+    """
+    engine = NativeEngine(EngineSettings(window_px=window))
+    start = points[0].numpy()
+    templates = engine.prepare(engine.key(key.numpy()), start)
+
+    def follow(frames: Tensor, speed: Tensor, together: int) -> list[Found]:
+        place, moving, found = start, np.broadcast_to(speed.numpy(), start.shape).copy(), list[Found]()
+        for some in frames[:, 0].numpy().reshape(-1, together, *frames.shape[2:]):
+            followed = engine.follow(templates, engine.images(some), place, moving)
+            place, moving = followed.place, followed.speed
+            own = followed.found
+            found += (
+                Found(torch.from_numpy(where)[None], torch.from_numpy(status == TrackStatus.TRACKED))
+                for where, status in zip(own.points, own.status, strict=True)
+            )
+        return found
+
+    return follow
 
 
 def lucas_kanade(

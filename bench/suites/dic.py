@@ -18,10 +18,7 @@ pixel, leaves a larger difference), du/dx in the file is the derivative of u, an
 levels that the reference has no part in. Two of the 2048 values of L3 (x = 716 and 1332) are off by 0.00003 px, which
 is nothing here.
 
-Packages for DIC on PyPI (al-dic 1.0.3, pyvale 2026.10.2) are no peers here, nor an extra of this project: both require
-opencv-python, which installs its own cv2 over the one that serves here, and Qt, pyvale VTK too. Tried by hand, al-dic
-without its dependencies (numba added) finds u to 0.028 px and v to 0.027 px RMS in what --quick takes (subset 20 px,
-step 8 px, without its global step), in 0.8 ms a point on a busy core.
+Packages for DIC cannot be installed beside this project; `bench.dic_codes` measures two of them on synthetic skin.
 """
 
 from functools import partial
