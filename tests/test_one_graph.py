@@ -101,20 +101,20 @@ def test_areas_are_equal(said: Said) -> None:
 
 
 def test_points_are_equal(said: Said) -> None:
-    """But for the last digits of a root, which the last step leaves at up to some 1e-3 px with the slopes of the
-    template: the player expects points from two frames before, and so begins beside another whole pixel now and then.
-    And for templates whose deformation exceeds the limit for a renewal in one and not in the other by a digit."""
+    """But for what the last step leaves of a root, some per cent of its length: the player expects points from two
+    frames before, and so steps from elsewhere. And for points whose step, or whose deformation, exceeds a limit in one
+    and not in the other by a digit."""
     count = said.torch.sizes["point"]
-    played = [(live["position_px"][:, :count], 0.03) for live in said.played]
-    for other, share in ((said.onnx["position_px"].values, 0.005), *played):
+    played = [(live["position_px"][:, :count], 5e-3) for live in said.played]
+    for other, rare in ((said.onnx["position_px"].values, 1e-3), *played):
         off = np.abs(other - said.torch["position_px"].values)
-        assert np.mean(off > 1e-3) < share
-        assert np.max(off) < 0.01
+        assert np.mean(off > rare) < 0.02
+        assert np.max(off) < 0.03
     # 0 in the key frame itself; of what is not yet renewed the deviation is larger.
     deviations = [live["position_std_px"][1:, :count] for live in said.played]
     for deviation in (said.onnx["position_std_px"].values[1:], *deviations):
         off = np.abs(deviation / said.torch["position_std_px"].values[1:] - 1)
-        assert np.mean(off > 0.01) < 0.05
+        assert np.mean(off > 0.02) < 0.05
 
 
 def test_fields_are_equal(said: Said) -> None:
@@ -130,11 +130,11 @@ def test_fields_are_equal(said: Said) -> None:
 
 
 def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:
-    """To what a lag of two frames changes: a prediction may begin beside another whole pixel, and templates that are
-    updated as soon as may be are updated a frame later."""
+    """To what a lag of two frames changes: steps begin elsewhere, and templates that are updated as soon as may be are
+    updated a frame later."""
     off = np.abs(said.native["position_px"] - said.live["position_px"])
-    assert np.mean(off > 1e-3) < 0.02
-    assert np.nanmax(off) < 0.01
+    assert np.mean(off > 5e-3) < 0.02
+    assert np.nanmax(off) < 0.03
     np.testing.assert_array_equal(said.native["in_contact"], said.live["in_contact"])
     np.testing.assert_allclose(said.native["median_divergence"], said.live["median_divergence"], rtol=0, atol=4e-4)
 
@@ -153,7 +153,10 @@ def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: l
     kinds = Counter(name.rpartition("-")[0] for name in of_press)
     assert kinds.pop("KeyGraph") == 2  # with and without a deformation
     assert set(kinds.values()) == {1}
-    np.testing.assert_array_equal(rolled["status"], by_torch["status"])
+    # Why a point is lost, out of the frame or on the way there, may turn on a digit.
+    lost = [(one["status"] != TrackStatus.TRACKED).values for one in (rolled, by_torch)]
+    np.testing.assert_array_equal(*lost)
+    assert (rolled["status"] != by_torch["status"]).mean() < 1e-3
     np.testing.assert_allclose(rolled["position_px"], by_torch["position_px"], rtol=0, atol=0.01)
     np.testing.assert_allclose(rolled["median_divergence"], by_torch["median_divergence"], rtol=0, atol=4e-4)
 

@@ -6,7 +6,7 @@ views of 512 x 640 px (a quarter of the side and 100 points with --quick). Frame
 and the disk are not in it. `captured` is the step in a CUDA graph, which the host starts by one call; `compiled` is
 `torch.compile` with fixed shapes, before it is timed. ms is a frame's share of a call, and time_to_peer is over the
 same frames on this machine's processor, by the same graphs and with the compiled kernels where they were built.
-`deviation` is the largest from the processor's result: of an area in px, of a table, of a position in px, of a
+`deviation` is the largest from the processor's result: of an area in px, of samples, of a position in px, of a
 divergence; NaN in one and not in the other counts as infinite.
 
 `launches` are the operations that an eager call of the portable form gives the accelerator, by `bench/launches.py`; for
@@ -159,7 +159,7 @@ def _works(shape: tuple[int, int], points: int, batch: int) -> dict[str, Work]:
     covariance = (4e-4 * torch.eye(2)).expand(*places.shape[:2], 2, 2)
     return {
         "contact": Work(ContactGraph(), _contact_frames(shape, batch), lambda contact: contact.real_area_px),
-        "key": Work(key, (previous, places), lambda templates: templates.table),
+        "key": Work(key, (previous, places), lambda templates: templates.samples),
         "tracking": Work(TrackGraph(), (key(previous, places), current, places), lambda found: found.points),
         "fields": Work(FieldsGraph(50.0), (places, displacement, covariance), lambda fields: fields.divergence),
     }

@@ -24,7 +24,7 @@ from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, completed, feed
 from fingerflow.export.verification import Difference, verify
-from fingerflow.player.bundle import BUNDLE_FORMAT
+from fingerflow.player.contract.bundle_format import BUNDLE_FORMAT
 from fingerflow.player.contract.unfinished import unfinished
 
 COORDINATES = (

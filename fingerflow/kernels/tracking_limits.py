@@ -56,8 +56,9 @@ LEAST_TEXTURE = 1e-4
 # the fractional position by 2 % and less.
 VALUE_NOISE, GRADIENT_NOISE = 0.0907, 0.0488
 # px, the longest step in x and in y; and the step below which a point is found: what it misses by is a hundredth of it
-# (window 25) to a fortieth (window 11), a sixth of a standard deviation at most.
-REACH, LAST_STEP = 1.0, 0.25
+# (window 25) to a fortieth (window 11), a fifteenth of a standard deviation at most. With 0.25 px numbers hung on where
+# points were expected: one frame or two ahead, they differed by up to 0.03 px.
+REACH, LAST_STEP = 1.0, 0.1
 # Steps at most that look for a point, each from where the one before has led.
 ROUNDS = 8
 # Contrast of an image over that of the template, or the reverse, up to which flow follows it. A step follows any down

@@ -8,8 +8,8 @@ taken without its parts along a constant and along T: then the equation holds wh
 *A step.* The window M is sampled where the point is expected. Its slopes are taken to be those of the template times
 the gain a, so that sum g g', known from the key frame, is all that a step asks for (Baker & Matthews, "Lucas-Kanade 20
 years on", IJCV 2004). It misses the root by 1 % of its length (window 25) to 2.4 % (window 11) at a noise of 2 grey
-levels, and ends the search where it is shorter than 0.25 px: by a sixth of a standard deviation at most. From where a
-longer one leads, another one is taken.
+levels, and ends the search where it is shorter than 0.1 px: by a fifteenth of a standard deviation at most. From where
+a longer one leads, another one is taken.
 
 *Backward check.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad
 D with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
