@@ -48,9 +48,8 @@ class Tolerance:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
     "points": Tolerance(1e-3, 1e-3),
-    "error": Tolerance(
-        2e-2, 2e-2
-    ),  # of matches that are none, whose backward check is nearly singular; the limit is 1 px
+    # Of matches that are none, whose backward check and step are nearly singular; the limit of both is 1 px.
+    **dict.fromkeys(("error", "estimate"), Tolerance(2e-2, 2e-2)),
     **dict.fromkeys(("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), Tolerance(2e-4, 1e-3)),
     # A cell at the border of the region may be told either way in float64.
     **dict.fromkeys(("center", "semi_axes"), Tolerance(1e-3, 0.1)),
