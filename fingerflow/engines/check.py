@@ -38,7 +38,8 @@ TOLERANCES = {
     "semi_axes": Tolerance(0.1, "px"),
     "found": Tolerance(1e-3, "px"),
     "corrected": Tolerance(1e-3, "px"),
-    "deviation": Tolerance(0.02, "of itself", relative=True),
+    # Of a frame without noise, whose residual is a difference of nearly equal sums.
+    "deviation": Tolerance(0.05, "of itself", relative=True),
 }
 
 
