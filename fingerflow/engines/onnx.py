@@ -57,7 +57,7 @@ class _Held:
 
     @property
     def numbers(self) -> Array:
-        """(n, 32) template statistics."""
+        """Return the statistics of the templates (n, 32), by `kernels.tracking_limits.Number`."""
         return self.arrays["template_numbers"][0, : self._count]
 
     def of(self, rows: Array) -> dict[str, Array]:

@@ -34,9 +34,9 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
         "inverse_warp": torch.eye(2, dtype=torch.float64).expand(1, own.points, 2, 2),
     }
 
-    def run(name: str) -> dict[str, Tensor]:
+    def run(name: str, **other: Tensor) -> dict[str, Tensor]:
         graph = graphs[name]  # type: ignore[index]
-        given = [known[one] for one in graph.inputs]
+        given = [(known | other)[one] for one in graph.inputs]
         with torch.inference_mode(), Portable():
             found = graph.module(*(one.double() if one.is_floating_point() else one for one in given))
         return dict(zip(graph.outputs, found, strict=True))
@@ -49,12 +49,12 @@ def expected_numbers(recipe: Recipe) -> dict[str, Any]:
     templates = Templates(*(known[f"template_{name}"] for name in Templates._fields))
 
     def step(some: Templates, near: Tensor) -> Found:
-        known.update({f"template_{name}": one for name, one in some._asdict().items()}, prediction=near)
-        return Found(**run("track"))
+        return Found(
+            **run("track", **{f"template_{name}": one for name, one in some._asdict().items()}, prediction=near)
+        )
 
     found = in_rounds(step, templates, known["prediction"], ROUNDS)
     known |= {"start": templates.start, "found": found.points, "found_covariance": found.covariance}
-    known["template_numbers"] = templates.numbers
     known |= run("support")
     corrected = run("correct")
     variance = corrected["covariance"].diagonal(dim1=-2, dim2=-1).mean(-1)

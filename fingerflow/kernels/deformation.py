@@ -12,7 +12,7 @@ __all__ = ["CorrectedPoints", "correct_points"]
 
 
 class CorrectedPoints(NamedTuple, Generic[Array]):
-    """N points of K frames, corrected for the deformation of the skin, all float32.
+    """N points of K frames, corrected for the deformation of the skin; of the kernel all float32.
 
     Attributes:
         points: (K, N, 2) px.

@@ -194,7 +194,7 @@ struct fingerflow_local_fit {
 void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
                                 int threads);
 
-// Positions of points corrected for the deformation of the skin, as fingerflow/graphs/track.py has it: start (points, 2),
+// Positions of points corrected for the deformation of the skin, as fingerflow/ops/deformation.py has it: start (points, 2),
 // found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
 // corrected, remaining (covariance) and warp of those shapes, shift (frames, points) and expected (frames, points, 2).
 struct fingerflow_deformation {

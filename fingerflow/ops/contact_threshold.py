@@ -11,7 +11,7 @@ from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.apparent_contact import apparent_contact, cell_of
 from fingerflow.ops.illumination import LEVEL_RANGE, levels_per_unit
 from fingerflow.ops.otsu import Classes, histogram, otsu_classes
-from fingerflow.ops.pieces import in_pieces
+from fingerflow.ops.pieces import frames_at_once, in_pieces
 from fingerflow.ops.quantile import median_of_counts
 from fingerflow.ops.real_contact_mask import real_contact_mask
 from fingerflow.ops.strided_median import median_at
@@ -21,7 +21,6 @@ _LEAST_INTENSITY_LOSS = 0.05
 _NOISE_RATIO = 6
 _ROUNDS = 2
 _LEVELS = 256
-_PIXELS = 1 << 19  # of the frames that are taken at once
 
 
 def contact_threshold(
@@ -62,7 +61,7 @@ def contact_threshold(
     ):
         return compiled_threshold(frames, light, black, gain, median_px, radius, stride_px)
     compute = partial(_threshold, median_px, radius, stride_px)
-    result: Tensor = in_pieces(compute, _PIXELS // max(1, frames.shape[1:].numel()), frames, light, black, gain)
+    result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, gain)
     return result
 
 

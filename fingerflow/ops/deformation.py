@@ -9,37 +9,18 @@ What E bends within the window stays in the residual, e'Qe (`Number.BENDING`), w
 taken off the covariance, of which the noise of the key frame is left at least.
 """
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.deformation import CorrectedPoints
 from fingerflow.kernels.tracking_limits import Number
 from fingerflow.ops.plane_fit import Support
 from fingerflow.ops.point_gradients import neighbour_planes
 from fingerflow.ops.tensors import finite, sum_rows
 
 _TINY = 1e-20
-
-
-class Corrected(NamedTuple):
-    """N points of K frames, corrected for the deformation.
-
-    Attributes:
-        points: (K, N, 2) px.
-        covariance: (K, N, 2, 2) px^2.
-        warp: (K, N, 2, 2) deformation gradient since the key frame; the identity where it is not known.
-        shift: (K, N) px by which the deformation has moved the edge of a window since its template was prepared.
-        expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
-    """
-
-    points: Tensor
-    covariance: Tensor
-    warp: Tensor
-    shift: Tensor
-    expected: Tensor
 
 
 def correct_points(
@@ -51,8 +32,8 @@ def correct_points(
     window: int,
     gauge_px: float,
     support: Support | None = None,
-) -> Corrected:
-    """Points of K frames, corrected for the deformation of the skin that they show.
+) -> CorrectedPoints[Tensor]:
+    """Return points of K frames, corrected for the deformation of the skin that they show.
 
     Args:
         start: (1 or K, N, 2) px in the key frame.
@@ -75,7 +56,7 @@ def correct_points(
             )
             for k in range(len(start))
         ]
-        return Corrected(*(torch.cat(one) for one in zip(*each, strict=True)))
+        return CorrectedPoints(*(torch.cat(one) for one in zip(*each, strict=True)))
     expected, gradient = neighbour_planes(start, points - start, gauge_px, support)
     _, second = neighbour_planes(start, gradient.flatten(2), gauge_px, support)
     # Components before points from here on, (K, 4, N): runtimes are slow where the last axis is short.
@@ -87,7 +68,7 @@ def correct_points(
     of = numbers.mT.contiguous()
     leaning = sum_rows(of[:, Number.LEAN : Number.LEAN + 8].unflatten(1, (2, 4)) * unknown[:, None]).squeeze(2)
     bulge = _or_zero(laplacian) * ((window**2 - 1) / 24)
-    return Corrected(
+    return CorrectedPoints(
         points - (leaning + bulge).mT,
         _less_bending(covariance, of, unknown, window),
         warp.mT.unflatten(2, (2, 2)),

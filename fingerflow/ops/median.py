@@ -11,10 +11,7 @@ from torch.nn import functional
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.median_network import MedianProgram, Operand, Step, median_program, tile_program
 from fingerflow.kernels.tensors.torch_op import torch_op
-from fingerflow.ops.pieces import in_pieces
-
-# Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
-_PIXELS_A_PASS = 1 << 19
+from fingerflow.ops.pieces import frames_at_once, in_pieces
 
 LARGEST_TRACED = 11  # px, of a window whose network a compiler takes apart
 
@@ -67,7 +64,7 @@ def median_filter(frames: Tensor, size: int = 9) -> Tensor:
 
 def _by_network(frames: Tensor, size: int) -> Tensor:
     program = MedianProgram(*_planned(size)) if torch.compiler.is_compiling() else median_program(size)
-    result: Tensor = in_pieces(functools.partial(_run, program), _PIXELS_A_PASS // frames[0].numel(), frames)
+    result: Tensor = in_pieces(functools.partial(_run, program), frames_at_once(frames), frames)
     return result
 
 

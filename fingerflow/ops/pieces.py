@@ -1,4 +1,4 @@
-"""Batches computed a few frames at a time, so that what is between stays in a processor's cache."""
+"""Batches computed a few frames at a time, so that intermediate planes stay in a processor's cache."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,6 +7,14 @@ import torch
 from torch import Tensor
 
 from fingerflow.ops.looking import looks
+
+# Planes of one 512 x 640 frame stay in a processor's cache; those of a long batch do not.
+_PIXELS = 1 << 19
+
+
+def frames_at_once(frames: Tensor) -> int:
+    """Return how many of frames (B, 1, H, W) are computed at once where many planes of each are needed."""
+    return max(1, _PIXELS // max(1, frames.shape[1:].numel()))
 
 
 def in_pieces(compute: Callable[..., Any], at_once: int, *given: Tensor | None) -> Any:

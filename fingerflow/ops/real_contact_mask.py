@@ -7,10 +7,8 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.pieces import in_pieces
+from fingerflow.ops.pieces import frames_at_once, in_pieces
 from fingerflow.ops.tensors import bytes_of
-
-_PIXELS = 1 << 19  # of the frames that are taken at once
 
 
 def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tensor, median_px: int = 3) -> Tensor:
@@ -50,8 +48,8 @@ def real_contact_mask(frames: Tensor, light: Tensor, black: Tensor, limit: Tenso
         and kernels.serve(frames, light, black, limit)
     ):
         return kernels.real_contact_mask(frames, light, black, share, median_px)
-    compute, at_once = partial(_mask, median_px), _PIXELS // max(1, frames.shape[1:].numel())
-    result: Tensor = in_pieces(compute, at_once, frames, light, black, light.to(torch.bool), share)
+    compute = partial(_mask, median_px)
+    result: Tensor = in_pieces(compute, frames_at_once(frames), frames, light, black, light.to(torch.bool), share)
     return result
 
 

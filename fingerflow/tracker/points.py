@@ -408,8 +408,8 @@ class Points:
         """
         window, frames = self._engine.settings.window_px, self._followed - self._checked
         change = np.sqrt(np.square(warp - self._warp).sum((-2, -1)))
-        change = np.sort(change[np.isfinite(change)])
-        fastest = window // 2 * _quantile(change, 0.95) / frames if len(change) else 0.0
+        change = change[np.isfinite(change)]
+        fastest = window // 2 * float(np.quantile(change, 0.95)) / frames if len(change) else 0.0
         self._interval = update_interval(fastest)
         self._warp, self._checked = warp, self._followed
         much = shift > UPDATE_PX
@@ -459,13 +459,6 @@ def beside(parts: list[Found]) -> Found:
     """What was found of other points in the same frames, side by side."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
     return some[0] if len(some) == 1 else Found(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
-
-
-def _quantile(ordered: Array, share: float) -> float:
-    """Return a quantile of numbers in order, as NumPy interpolates it: it takes ten times as long."""
-    place, part = divmod(share * (len(ordered) - 1), 1)
-    low, high = ordered[int(place)], ordered[min(int(place) + 1, len(ordered) - 1)]
-    return float(low + part * (high - low))
 
 
 def _last_seen(points: Array, before: Array) -> Array:

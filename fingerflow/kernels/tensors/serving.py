@@ -28,17 +28,21 @@ def serve(*tensors: Tensor | None) -> bool:
     if torch.compiler.is_compiling():
         if torch.compiler.is_exporting() or not _is_present():
             return False
-    elif (
-        not is_present()
-        or torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
-        or torch._C._len_torch_dispatch_stack() > 0  # somebody records or changes what the ops do
-        or torch._C._are_functorch_transforms_active()
-    ):
+    elif not is_present() or is_recorded():
         return False
     for tensor in tensors:  # noqa: SIM110  a generator takes half a microsecond more
         if tensor is not None and not _is_plain(tensor):
             return False
     return True
+
+
+def is_recorded() -> bool:
+    """Return whether somebody but torch's compiler records or changes what ops do."""
+    return (
+        torch.jit.is_tracing()  # type: ignore[attr-defined, no-untyped-call]
+        or torch._C._len_torch_dispatch_stack() > 0
+        or torch._C._are_functorch_transforms_active()
+    )
 
 
 @constant_to_compiler
