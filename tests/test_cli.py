@@ -175,6 +175,29 @@ TABLE = ("export-table", "{trial}/result.h5")
 CALIBRATE = ("calibrate", "--ring", "{trial}/ring.png", "--output", "{new}/calibration.toml")
 
 
+_INTERRUPTED_IN_A_CALLBACK = """
+import signal, time, weakref
+from fingerflow import cli
+
+def app(**_):
+    class Thing: pass
+    thing = Thing()
+    kept = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))
+    del thing
+    time.sleep(30)
+
+cli.app = app
+cli.main()
+"""
+
+
+def test_an_interrupt_in_a_callback_ends_the_command() -> None:
+    """Python drops an exception of a callback: a command went on to its end as if nobody had pressed Ctrl-C."""
+    running = subprocess.run([sys.executable, "-c", _INTERRUPTED_IN_A_CALLBACK], capture_output=True, text=True)
+    assert (running.returncode, running.stdout) == (130, "")
+    assert running.stderr == "fingerflow: interrupted; nothing was left half-written\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "place", "calls"),
     [

@@ -1,6 +1,8 @@
 """The command line: one command a function, no logic; each file has the commands of one purpose."""
 
+import signal
 import sys
+import threading
 
 import typer
 
@@ -13,6 +15,7 @@ _INTERRUPTED = 130  # exit status, as shells have it for SIGINT
 
 def main() -> None:
     """Entry point: 0 done, 2 something the user can put right, 130 interrupted."""
+    others, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         # Commands return nothing; typer returns the code of an exit, 130 where it caught the interrupt itself.
         code = app(standalone_mode=False) or 0
@@ -27,6 +30,18 @@ def main() -> None:
             error.show()
             sys.exit(error.exit_code)
         raise
+    finally:
+        sys.unraisablehook = others
     if code == _INTERRUPTED:
         typer.echo("fingerflow: interrupted; nothing was left half-written", err=True)
     sys.exit(code)
+
+
+def _interrupt_again(raised: "sys.UnraisableHookArgs") -> None:
+    """Interrupt the main thread once more where Ctrl-C came in a callback, from which Python lets no exception out."""
+    if isinstance(raised.exc_value, KeyboardInterrupt):
+        # After the callback, as here it would be lost again; to the main thread, so that it wakes up if it waits.
+        main_thread = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(raised)
