@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fingerflow.ops.looking import looks
 from fingerflow.ops.windows import lines_of
 
 MARGIN = 3  # px of a patch around its window: two of the spline at the reach, one of the smoothing
@@ -54,6 +55,19 @@ def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
     beside = _from_places(shift)
     u, v = _distances(beside)
     return _values(u, v), (2 * v * v - u * u / 2) * beside.sign()
+
+
+def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
+    """Return the spline (P, size size) on the windows at shifts (P, 2) px from the middles of patches (P, side, side)."""
+    weights = taps(shift)
+    if looks(patches, shift):
+        # Torch correlates every patch with weights of its own in half the time of products, ONNX Runtime in five times.
+        weights = weights @ _smoothed(weights)
+        both = weights[:, 1, :, None] * weights[:, 0, None, :]
+        windows = functional.conv2d(patches[None], both[:, None], groups=len(patches)).squeeze(0)
+    else:
+        windows = along_y(weights[:, 1], size) @ patches @ along_x(weights[:, 0], size)
+    return windows.flatten(1)
 
 
 def along_y(weights: Tensor, size: int) -> Tensor:

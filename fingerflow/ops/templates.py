@@ -34,8 +34,8 @@ from fingerflow.ops.spline_windows import (
     along_y,
     cut_patches,
     onto_pixels,
-    taps,
     taps_and_slopes,
+    windows_at,
 )
 from fingerflow.ops.tensors import components_first, finite, sum_rows
 from fingerflow.ops.windows import sample_windows
@@ -253,9 +253,11 @@ def first_of(wanted: Tensor) -> Tensor:
 
 
 def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
-    """Those (B, L, ...) of (B, N, ...) with the numbers (B, L), int64."""
-    index = chosen.reshape(*chosen.shape, *[1] * (tensor.ndim - 2))
-    return tensor.gather(1, index.expand(*chosen.shape, *tensor.shape[2:]))
+    """Return those (B, L, ...) of (B, N, ...) with the numbers (B, L), int64."""
+    batch, count = tensor.shape[:2]
+    place = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
+    # Whole rows are copied many times as fast as their numbers are gathered.
+    return tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
@@ -399,7 +401,7 @@ def _step(
     center = guess.round()
     patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
 
-    matched = _window(patches, guess - center, window)
+    matched = windows_at((guess - center).transpose(1, 2).flatten(0, 1), patches, window)
     tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
     m1 = matched.sum(1).reshape(given.shape)
     samples = window * window
@@ -454,12 +456,6 @@ def _step(
         status.squeeze(1),
         estimate.transpose(1, 2),
     )
-
-
-def _window(patches: Tensor, shift: Tensor, size: int) -> Tensor:
-    """The windows at shifts (B, 2, N) in patches (P, side, side), (P, samples)."""
-    weights = taps(shift.transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
-    return (along_y(weights[:, 1], size) @ patches @ along_x(weights[:, 0], size)).flatten(1)
 
 
 def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
