@@ -130,6 +130,6 @@ def _half_way(counts: Tensor, level: Tensor, classes: Classes) -> Tensor:
 
 def _at_pixels(cells: Tensor, cell: int, step: int, shape: torch.Size) -> Tensor:
     """Cells (B, 1, h, w) at every `step`-th pixel of every `step`-th line of frames of this shape."""
-    for axis, side in ((2, shape[0]), (3, shape[1])):
+    for axis, side in ((3, shape[1]), (2, shape[0])):  # single numbers of few lines, then whole lines
         cells = cells.index_select(axis, torch.arange(0, side, step, device=cells.device) // cell)
     return cells
