@@ -58,9 +58,9 @@ def taps_and_slopes(shift: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def windows_at(shift: Tensor, patches: Tensor, size: int) -> Tensor:
-    """Return the spline (P, size size) on the windows at shifts (P, 2) px from the middles of patches (P, side, side)."""
+    """Return the spline on windows, (P, size size), at shifts (P, 2) px from the middles of patches (P, side, side)."""
     weights = taps(shift)
-    if looks(patches, shift):
+    if looks(patches, shift) and len(patches):
         # Torch correlates every patch with weights of its own in half the time of products, ONNX Runtime in five times.
         weights = weights @ _smoothed(weights)
         both = weights[:, 1, :, None] * weights[:, 0, None, :]

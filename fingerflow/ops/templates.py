@@ -257,7 +257,8 @@ def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
     batch, count = tensor.shape[:2]
     place = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
     # Whole rows are copied many times as fast as their numbers are gathered.
-    return tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
+    result: Tensor = tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
+    return result
 
 
 def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
