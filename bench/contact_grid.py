@@ -6,7 +6,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.synthetic.scenes import Scene
 
 DEPTH_MM = 2.0  # fields.depth_mm, by default

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fingerflow.ops.illumination import normalize_illumination
+from fingerflow.ops.filters.illumination import normalize_illumination
 
 
 def opencv_contact(frame: Tensor, empty: Tensor, median_px: int) -> Callable[[], Tensor]:

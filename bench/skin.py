@@ -6,7 +6,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM_PER_PX = 0.0325

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.native import NativeEngine
-from fingerflow.ops.tracking import TrackStatus, track_points
+from fingerflow.ops.tracking.track_points import TrackStatus, track_points
 
 # 30 steps or 1e-4 px: ten times as many steps, or a limit of 1e-6 px, change no digit that is reported.
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-4)

@@ -25,7 +25,7 @@ import fingerflow
 from bench.chromium import launch
 from fingerflow import plot
 from fingerflow.report import write_report
-from fingerflow.result import load_result
+from fingerflow.results.result import load_result
 from fingerflow.synthetic import FingerprintTexture, Press, write_recording
 from fingerflow.view.server import Served
 from tests.own_press import press_of, write_raw_press

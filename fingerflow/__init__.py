@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from fingerflow.pipeline import process as process
+    from fingerflow.pipeline.run import process as process
     from fingerflow.recordings import open_forces as open_forces
     from fingerflow.recordings import open_recording as open_recording
-    from fingerflow.scene import load_scene as load_scene
-    from fingerflow.stream_result import open_stream as open_stream
+    from fingerflow.results.stream_result import open_stream as open_stream
+    from fingerflow.schema.scene import load_scene as load_scene
 
 __all__ = ["__version__", "load_scene", "open_forces", "open_recording", "open_stream", "process"]
 
 _HOMES = {
-    "process": "fingerflow.pipeline",
+    "process": "fingerflow.pipeline.run",
     "open_forces": "fingerflow.recordings",
     "open_recording": "fingerflow.recordings",
-    "load_scene": "fingerflow.scene",
-    "open_stream": "fingerflow.stream_result",
+    "load_scene": "fingerflow.schema.scene",
+    "open_stream": "fingerflow.results.stream_result",
 }
 
 

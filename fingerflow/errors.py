@@ -1,4 +1,4 @@
-"""The one exception for what a user can put right: a file, a setting, a name."""
+"""The exceptions for what a user can put right: a file, a setting, a name."""
 
 
 class FingerflowError(Exception):
@@ -8,5 +8,16 @@ class FingerflowError(Exception):
     """
 
 
+class PlayerError(FingerflowError):
+    """What the user of a stream can put right. A stream ends with it; after any other error it tries again."""
+
+
 class NoRoomError(FingerflowError):
     """Memory or disk is too small for now: the same may go well another time."""
+
+
+def first_line(error: BaseException) -> str:
+    """Return what an error says first, in at most 160 letters; of a system error its words without number and path."""
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    line = (text.strip().splitlines() or [""])[0].strip("'\" ")
+    return line[:160] or type(error).__name__

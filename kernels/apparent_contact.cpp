@@ -1,4 +1,4 @@
-// The region that a mask spans, as fingerflow/ops/apparent_contact.py has it: planes of cells of one frame stay in a cache.
+// The region that a mask spans, as fingerflow/ops/contact/apparent_contact.py has it: planes of cells of one frame stay in a cache.
 #include <algorithm>
 #include <cmath>
 #include <cstring>

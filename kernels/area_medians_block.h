@@ -37,7 +37,7 @@ struct AreaFits {
 struct AreaBeside {
     float median[kAreaFields];
     float xx, xy, yy;    // mean covariance of a point
-    float reach, even;   // as in fingerflow/ops/area_medians.py
+    float reach, even;   // as in fingerflow/ops/fields/area_medians.py
 };
 
 // clang-format off

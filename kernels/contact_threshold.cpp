@@ -1,4 +1,4 @@
-// The threshold half-way between ridges and valleys, as fingerflow/ops/contact_threshold.py has it: a frame at a time, whose
+// The threshold half-way between ridges and valleys, as fingerflow/ops/contact/contact_threshold.py has it: a frame at a time, whose
 // levels, medians and masks stay in a cache. Numbers are float where the portable form has floats, so that both take the
 // same level of many that are almost equally good.
 #include <algorithm>
@@ -23,7 +23,7 @@ struct Classes {
     float threshold, lower, upper, deviation;
 };
 
-// As `otsu_classes` of fingerflow/ops/otsu.py.
+// As `otsu_classes` of fingerflow/ops/contact/otsu.py.
 Classes classes_of(const std::int64_t* counts) {
     constexpr float centre = (kLevels - 1) / 2.0f, least = 1e-6f, most = 1 - 1e-6f;
     std::int64_t total = 0;
@@ -57,7 +57,7 @@ Classes classes_of(const std::int64_t* counts) {
     return {two ? static_cast<float>(best) : kNaN, lower + centre, upper + centre, std::sqrt(std::max(variance, 0.0f))};
 }
 
-// Of counts of levels from `first` to before `end`, as `median_of_counts` of fingerflow/ops/quantile.py; NaN without any.
+// Of counts of levels from `first` to before `end`, as `median_of_counts` of fingerflow/ops/filters/quantile.py; NaN without any.
 float median_of(const std::int64_t* counts, int first, int end) {
     std::int64_t total = 0, reached = 0;
     for (int level = first; level < end; ++level) total += counts[level];

@@ -12,7 +12,7 @@ namespace fingerflow {
 namespace FINGERFLOW_ISA {
 namespace {
 
-// The smaller eigenvalue counts from this share of the larger one on, as in fingerflow/ops/corners.py.
+// The smaller eigenvalue counts from this share of the larger one on, as in fingerflow/ops/tracking/corners.py.
 constexpr float kRounding = 1e-5f;
 
 struct Lines {

@@ -1,4 +1,4 @@
-// Which points regions cover, as fingerflow/ops/cells.py has it: some hundred points a frame.
+// Which points regions cover, as fingerflow/ops/contact/cells.py has it: some hundred points a frame.
 #include <algorithm>
 #include <cmath>
 

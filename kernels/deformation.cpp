@@ -1,4 +1,4 @@
-// Positions corrected for the deformation of the skin, see fingerflow/ops/deformation.py: a local fit to the displacements, a
+// Positions corrected for the deformation of the skin, see fingerflow/ops/tracking/deformation.py: a local fit to the displacements, a
 // second one to their gradients, and what follows from both for each point.
 #include <algorithm>
 #include <cmath>

@@ -60,7 +60,7 @@ private:
         std::size_t number;  // of a corner
     };
 
-    // Of white noise, as fingerflow/ops/noise.py has it, and of rounding; not a number where it is not known.
+    // Of white noise, as fingerflow/ops/filters/noise.py has it, and of rounding; not a number where it is not known.
     float variance(int threads) const {
         constexpr double kDeviationOfResponse = 0.20888568955258338;  // sqrt(pi / 2) / 6
         constexpr float kRounding = 1.0f / 12;

@@ -46,7 +46,7 @@ void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, 
 void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads) {
     for (const fingerflow::Moments& m : fingerflow::moments_of(masks, batch, height, width, frame_stride, row_stride, threads)) {
-        // As fingerflow/ops/ellipse.py: about the pixel next to the centre, in whole numbers.
+        // As fingerflow/ops/contact/ellipse.py: about the pixel next to the centre, in whole numbers.
         const auto area = static_cast<double>(m.number);
         const double center_x = static_cast<double>(m.x) / area, center_y = static_cast<double>(m.y) / area;
         const std::int64_t near_x = m.number == 0 ? 0 : std::llrint(center_x), near_y = m.number == 0 ? 0 : std::llrint(center_y);

@@ -1,4 +1,4 @@
-// Rows of what dense flow does between pixels and its cells of 2 x 2 px, as fingerflow/ops/flow_cells.py, flow_course.py and
+// Rows of what dense flow does between pixels and its cells of 2 x 2 px, as fingerflow/ops/flow/flow_cells.py, flow_course.py and
 // flow.py have it.
 #pragma once
 

@@ -1,4 +1,4 @@
-// The course of a flow, as fingerflow/ops/flow_course.py has it.
+// The course of a flow, as fingerflow/ops/flow/flow_course.py has it.
 #pragma once
 
 #include <cstdint>

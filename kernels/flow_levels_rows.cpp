@@ -29,7 +29,7 @@ inline float exponential(float x) {
     return 1.6487213f * (1 + t * (1 + t * (1 / 2.0f + t * (1 / 6.0f + t * (1 / 24.0f + t * (1 / 120.0f + t * (1 / 720.0f)))))));
 }
 
-// As in fingerflow/ops/flow_covariance.py: 1 - z e^z E1(z) for z > 0.
+// As in fingerflow/ops/flow/flow_covariance.py: 1 - z e^z E1(z) for z > 0.
 inline float passed(float z) {
     const float small = z < 1 ? z : 1.0f;
     const float series = 0.99999193f + small * (-0.24991055f + small * (0.05519968f + small * (-0.00976004f + small * 0.00107857f)));

@@ -14,7 +14,7 @@ struct FlowCoarser {
     std::int64_t height, width;
 };
 
-// Variance of noise and smoothing, as fingerflow/ops/flow_covariance.py names them; the eigenvalue from which texture is known.
+// Variance of noise and smoothing, as fingerflow/ops/flow/flow_covariance.py names them; the eigenvalue from which texture is known.
 struct FlowNoise {
     float density, alpha, rho_square, textured;
 };

@@ -1,4 +1,4 @@
-// Rows of the multigrid of dense flow, and of an image warped by it, as fingerflow/ops/flow_multigrid.py and flow.py have
+// Rows of the multigrid of dense flow, and of an image warped by it, as fingerflow/ops/flow/flow_multigrid.py and flow.py have
 // them.
 #pragma once
 

@@ -1,4 +1,4 @@
-// Quotients of blocks, and their uppermost mode, as fingerflow/ops/light_gain.py has it: some thousand numbers a frame.
+// Quotients of blocks, and their uppermost mode, as fingerflow/ops/contact/light_gain.py has it: some thousand numbers a frame.
 #include <algorithm>
 #include <cmath>
 #include <cstring>

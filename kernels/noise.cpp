@@ -11,7 +11,7 @@ void fingerflow_mean_response(const void* frames, double* means, std::int64_t ba
                               int threads) {
     using namespace fingerflow;
     const Frames given{frames, batch, height, width, frame_stride, row_stride, static_cast<PixelKind>(kind)};
-    // As fingerflow/ops/noise.py has it: every fourth row of a high frame.
+    // As fingerflow/ops/filters/noise.py has it: every fourth row of a high frame.
     const std::int64_t step = std::max<std::int64_t>(1, std::min<std::int64_t>(4, height / 64));
     const std::int64_t rows = 32 * step, pieces = (height - 2 + rows - 1) / rows;
     const auto respond = FINGERFLOW_PICK(noise_rows);

@@ -157,7 +157,7 @@ void fingerflow_otsu_threshold(const std::int64_t* counts, std::int64_t batch, d
             total += static_cast<double>(counts[bin]);
             all += static_cast<double>(counts[bin]) * bin;
         }
-        // As fingerflow/ops/otsu.py: between = (moment total - all below)^2 / (below (total - below)).
+        // As fingerflow/ops/contact/otsu.py: between = (moment total - all below)^2 / (below (total - below)).
         double below = 0, moment = 0, best = -1;
         int last = -1;
         bool split = false;

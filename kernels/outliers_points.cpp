@@ -1,5 +1,5 @@
 // build: each instruction set
-// See fingerflow/ops/outliers.py for what is computed and why.
+// See fingerflow/ops/tracking/outliers.py for what is computed and why.
 #include "outliers_points.h"
 
 #include <math.h>

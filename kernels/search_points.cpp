@@ -1,5 +1,5 @@
 // build: each instruction set, fused
-// The place of highest normalised cross-correlation, one point after the other; see fingerflow/ops/search.py.
+// The place of highest normalised cross-correlation, one point after the other; see fingerflow/ops/tracking/search.py.
 #include "search_points.h"
 
 #include <math.h>

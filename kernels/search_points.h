@@ -7,7 +7,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/search.py has them: images (B, height, width) of half resolution, points flat over them.
+// As fingerflow/ops/tracking/search.py has them: images (B, height, width) of half resolution, points flat over them.
 struct Search {
     const float* templates;
     const float* images;

@@ -1,5 +1,5 @@
 // build: each instruction set, fused
-// Templates prepared and found by steps of Lucas-Kanade, one point after the other; see fingerflow/ops/templates.py for
+// Templates prepared and found by steps of Lucas-Kanade, one point after the other; see fingerflow/ops/tracking/templates.py for
 // the equations. Sums run in another order than there, so results differ by rounding.
 #include "templates_points.h"
 

@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), numbers (P, 32).
+// As fingerflow/ops/tracking/templates.py has them, n the window: start (P, 2), samples (P, 3, n, n), numbers (P, 32).
 struct TemplatesToPrepare {
     Frames image;
     const std::int64_t* order;  // numbers of points, as they are gone through

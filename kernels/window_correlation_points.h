@@ -8,7 +8,7 @@
 
 namespace fingerflow {
 
-// As fingerflow/ops/window_correlation.py has them: steps of a window's grid go from -reach to reach, `step` px apart.
+// As fingerflow/ops/tracking/window_correlation.py has them: steps of a window's grid go from -reach to reach, `step` px apart.
 struct WindowsToSample {
     Frames frames;
     const std::int64_t* image_index;  // (N)

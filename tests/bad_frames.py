@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fingerflow import load_scene, player, process
 from fingerflow.export.recipe import load_recipe
-from fingerflow.player.contract.variables import FRAME_STATUS, TRACK_STATUS
+from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.scenes import Scene
 from tests.small_trials import SPOILED, write_library_bundle

@@ -19,7 +19,7 @@ from fingerflow.graphs import ContactGraph, Entered, FieldsGraph, GrossEllipse, 
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.search import SearchGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
-from fingerflow.ops.outliers import find_neighbours
+from fingerflow.ops.tracking.outliers import find_neighbours
 
 HEIGHT, WIDTH, POINTS = 64, 80, 24
 

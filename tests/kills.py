@@ -37,14 +37,14 @@ from fingerflow import cli, load_scene, open_stream
 from fingerflow import export as exporting
 from fingerflow import player as playing
 from fingerflow import report as reporting
-from fingerflow import result as results
-from fingerflow.atomic_write import is_marked
 from fingerflow.errors import FingerflowError
-from fingerflow.player import patient_file
 from fingerflow.player.bundle import load_bundle
+from fingerflow.recordings.guard.idle import IdleLimit
 from fingerflow.report import supplement
 from fingerflow.report.supplement import sources
-from fingerflow.untrusted.idle import IdleLimit
+from fingerflow.results import patient_file
+from fingerflow.results import result as results
+from fingerflow.results.atomic_write import is_marked
 from tests.small_trials import TINY_PRESS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "player"))
@@ -52,7 +52,7 @@ import tiny_bundle
 
 __all__ = ["ENDINGS", "main"]
 DISK_BYTES = 200 << 20
-KEPT_FREE = 64 << 20  # that results of HDF5 leave free: fingerflow/room.py
+KEPT_FREE = 64 << 20  # that results of HDF5 leave free: fingerflow/results/free_space.py
 ENDINGS = ("kill", "kill at a file", "SIGTERM", "SIGINT", "full disk", "freed disk", "read-only")
 ON_A_DISK = ENDINGS[4:]
 RECIPE = """

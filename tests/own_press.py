@@ -8,9 +8,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, Scene, scene_of_print
 from fingerflow.synthetic.scenes import FORCE_RATE
-from fingerflow.views import View
 from tests.calibration.drawn_discs import DrawnDisc, camera, draw, moved
 
 FRAMES = 40

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fingerflow.calibration import Calibration, Disc, Transform
-from fingerflow.views import View
+from fingerflow.schema.views import View
 
 RIGHT = """\
 [recording]

@@ -17,7 +17,7 @@ from fingerflow.export import export_bundle
 from fingerflow.export.bundle import version
 from fingerflow.export.expected import rounded
 from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
-from fingerflow.player.contract.bundle_format import BUNDLE_FORMAT
+from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import Scene

@@ -24,8 +24,8 @@ from fingerflow.export.recipe import GRAPHS, Recipe, load_recipe
 from fingerflow.graphs import ContactGraph, FieldsGraph, GrossEllipse, KeyGraph, LightGraph, TrackGraph
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.kernels.tracking_limits import NUMBERS
-from fingerflow.ops.outliers import Neighbours, find_neighbours
-from fingerflow.ops.templates import Found
+from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
+from fingerflow.ops.tracking.templates import Found
 
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}

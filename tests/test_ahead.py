@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from fingerflow.pipeline import _ahead
+from fingerflow.pipeline.run import _ahead
 
 
 def test_results_come_in_order_and_one_is_under_way() -> None:

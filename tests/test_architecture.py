@@ -10,153 +10,40 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "fingerflow"
 
 # What each room may import of the others; itself always. A new file or folder takes its place here.
-ARROWS: dict[str, set[str]] = {
-    "errors": set(),
-    "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
-    "digest": set(),
-    "strict": set(),
-    "toml_string": set(),
-    "untrusted": {"errors"},
-    "views": {"contract", "errors"},
-    "atomic_write": {"contract", "errors"},
-    "kernels": set(),  # of NumPy arrays and tensors, without torch
-    "tensors": {"kernels"},  # the same as ops of torch's, in fingerflow/kernels/tensors
-    "ops": {"kernels", "tensors"},
-    "graphs": {"kernels", "ops"},
-    "engines": {"errors", "kernels"},  # of NumPy arrays
-    "torch_engine": {"engines", "errors", "graphs", "kernels", "ops", "tensors"},  # fingerflow/engines/torch.py
-    "choice": {"engines", "errors", "kernels", "tensors", "torch_engine"},  # torch only for recordings
-    "tracker": {"contract", "engines", "kernels"},
-    "models": {"errors", "tensors"},
-    "recordings": {"contract", "digest", "errors", "untrusted"},
-    "calibration": {"atomic_write", "contract", "errors", "recordings", "toml_string", "views"},
-    "scene": {"contract", "errors", "toml_string", "views"},
-    "room": {"contract", "errors"},
-    "store": {"contract", "room"},
-    "stages": {
-        "choice",
-        "contract",
-        "engines",
-        "errors",
-        "graphs",
-        "kernels",
-        "models",
-        "ops",
-        "recordings",
-        "room",
-        "scene",
-        "store",
-        "torch_engine",
-        "tracker",
-        "views",
-    },
-    "plan": {"contract", "errors", "scene", "stages"},
-    "result": {"atomic_write", "errors", "room", "untrusted"},
-    "dictionary": {"contract", "stages"},
-    "tables": {"atomic_write", "errors"},
-    "deviations": {"contract", "store"},
-    "reuse": {"__init__", "digest", "errors", "tensors", "plan", "recordings", "stages", "store"},
-    "pipeline": {
-        "__init__",
-        "atomic_write",
-        "choice",
-        "contract",
-        "deviations",
-        "engines",
-        "errors",
-        "export",
-        "plan",
-        "recordings",
-        "result",
-        "reuse",
-        "room",
-        "scene",
-        "stages",
-        "store",
-        "torch_engine",
-    },
-    "synthetic": {"contract", "errors", "models", "scene", "views"},
-    "comparison": {"ops", "synthetic"},
-    "plot": {"errors", "graphs", "recordings", "scene", "stages"},
-    "report": {
-        "atomic_write",
-        "errors",
-        "models",
-        "ops",
-        "plot",
-        "recordings",
-        "result",
-        "scene",
-        "synthetic",
-        "views",
-    },
-    "export": {
-        "contract",
-        "engines",
-        "errors",
-        "graphs",
-        "kernels",
-        "ops",
-        "strict",
-        "synthetic",
-        "tensors",
-        "tracker",
-    },
-    "player": {
-        "choice",
-        "contract",
-        "engines",
-        "kernels",
-        "tracker",
-        "errors",
-        "recordings",
-    },
-    "study": {
-        "__init__",
-        "atomic_write",
-        "contract",
-        "digest",
-        "engines",
-        "errors",
-        "models",
-        "pipeline",
-        "plot",
-        "recordings",
-        "report",
-        "result",
-        "reuse",
-        "scene",
-        "stages",
-        "synthetic",
-        "toml_string",
-    },
-    "stream_result": {"contract", "errors", "player"},
-    "view": {
-        "__init__",
-        "atomic_write",
-        "calibration",
-        "contract",
-        "engines",
-        "errors",
-        "plan",
-        "recordings",
-        "result",
-        "scene",
-        "stages",
-        "store",
-        "untrusted",
-        "views",
-    },
-    "__init__": {"pipeline", "recordings", "scene", "stream_result"},  # only when one of them is asked for, see below
+_TABLE = {
+    "errors": "",
+    "schema": "errors",  # keys of scenes, variables of results
+    "recordings": "errors schema",
+    "results": "errors recordings schema",
+    "kernels": "",  # of NumPy arrays and tensors, without torch
+    "tensors": "kernels",  # the same as ops of torch's, in fingerflow/kernels/tensors
+    "ops": "kernels tensors",
+    "graphs": "kernels ops",
+    "engines": "errors kernels",  # of NumPy arrays
+    "torch_engine": "engines errors graphs kernels ops tensors",  # fingerflow/engines/torch.py
+    "choice": "engines errors kernels tensors torch_engine",  # torch only for recordings
+    "tracker": "engines kernels schema",
+    "models": "errors tensors",
+    "calibration": "errors recordings results schema",
+    "stages": "choice engines errors graphs kernels models ops recordings results schema torch_engine tracker",
+    "pipeline": "__init__ choice engines errors export recordings results schema stages tensors torch_engine",
+    "synthetic": "errors models ops schema",
+    "plot": "errors graphs recordings schema stages",
+    "report": "errors models ops plot recordings results schema synthetic",
+    "export": "engines errors graphs kernels ops schema synthetic tensors tracker",
+    "player": "choice engines errors kernels recordings results schema tracker",
+    "study": "__init__ engines errors models pipeline plot recordings report results schema stages synthetic",
+    "view": "__init__ calibration engines errors pipeline recordings results schema stages",
+    "__init__": "pipeline recordings results schema",  # only when one of them is asked for, see below
 }
+ARROWS = {room: set(others.split()) for room, others in _TABLE.items()}
 ARROWS["cli"] = set(ARROWS)
 ARROWS["__main__"] = {"cli"}
 
 # Where what a room may import from elsewhere is part of its promise; Python's own modules always.
 PACKAGES = {
     "errors": set(),
-    "contract": set(),  # of scenes and results: below the player, of Python's own modules alone
-    "views": set(),
+    "schema": set(),
     "kernels": {"numpy"},
     "tensors": {"torch"},
     "ops": {"torch", "kornia"},
@@ -213,7 +100,7 @@ def room_of(path: Path) -> str:
 
 
 def _room(parts: list[str]) -> str:
-    own = {("player", "contract"): "contract", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
+    own = {("pipeline", "stages"): "stages", ("kernels", "tensors"): "tensors", ("engines", "choice"): "choice"}
     own |= {("engines", "torch"): "torch_engine"}
     return own.get(tuple(parts[:2]), parts[0])
 
@@ -265,17 +152,17 @@ def test_the_package_itself_loads_nothing() -> None:
         ("ops", "from fingerflow.graphs import ContactGraph"),
         ("ops", "import numpy as np"),
         ("ops", "def f():\n    from fingerflow import scene"),
-        ("graphs", "import fingerflow.stages.contact"),
+        ("graphs", "import fingerflow.pipeline.stages.contact.contact"),
         ("kernels", "import torch"),
         ("kernels", "from fingerflow.kernels import tensors"),
         ("kernels", "from fingerflow.kernels.tensors.torch_op import torch_op"),
-        ("models", "from fingerflow.ops.strain import curl"),
-        ("recordings", "from fingerflow.stages.inputs import Inputs"),
-        ("stages", "from fingerflow.pipeline import process"),
+        ("models", "from fingerflow.ops.fields.strain import curl"),
+        ("recordings", "from fingerflow.pipeline.stages.trial.inputs import Inputs"),
+        ("stages", "from fingerflow.pipeline.run import process"),
         ("report", "from fingerflow.cli import main"),
         ("player", "import torch"),
         ("calibration", 'import_module(f"fingerflow.report.{name}")'),
-        ("views", "if TYPE_CHECKING:\n    from fingerflow.scene import Scene"),
+        ("results", "if TYPE_CHECKING:\n    from fingerflow.pipeline.run import process"),
     ],
 )
 def test_a_wrong_arrow_is_seen(room: str, source: str) -> None:

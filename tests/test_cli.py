@@ -20,7 +20,7 @@ import fingerflow
 from fingerflow import cli, load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.result import save_result
+from fingerflow.results.result import save_result
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
 
@@ -201,10 +201,10 @@ def test_an_interrupt_in_a_callback_ends_the_command() -> None:
 @pytest.mark.parametrize(
     ("arguments", "place", "calls"),
     [
-        (PROCESS, "fingerflow.scene.load_scene", 0),
-        (PROCESS, "fingerflow.stages.contact.ContactStage.step", 0),
-        (PROCESS, "fingerflow.stages.tracking.TrackingStage.step", 0),
-        (PROCESS, "fingerflow.stages.strain.StrainStage.step", 0),
+        (PROCESS, "fingerflow.schema.scene.load_scene", 0),
+        (PROCESS, "fingerflow.pipeline.stages.contact.contact.ContactStage.step", 0),
+        (PROCESS, "fingerflow.pipeline.stages.tracking.tracking.TrackingStage.step", 0),
+        (PROCESS, "fingerflow.pipeline.stages.strain.strain.StrainStage.step", 0),
         (PROCESS, "h5py.File.close", 0),
         (PROCESS, "pathlib.Path.replace", 0),
         ((*TABLE, "{new}/table.csv"), "numpy.savetxt", 0),
@@ -260,7 +260,7 @@ def test_an_interrupted_report_leaves_whole_files_only(
 
 def test_an_interrupt_keeps_the_result_of_before(trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "result.h5").write_bytes(b"of before")
-    monkeypatch.setattr("fingerflow.store.FileStore.finish", interrupt_after(0))
+    monkeypatch.setattr("fingerflow.results.store.FileStore.finish", interrupt_after(0))
     arguments = ("process", str(trial / "scene.toml"), "--variable", "real_contact_area")
     arguments += ("--output", str(tmp_path / "result.h5"))
     assert main_with(monkeypatch, *arguments) == 2  # it is no result
@@ -329,8 +329,8 @@ def test_a_file_of_somebody_else_is_refused(
 
 def test_no_command_replaces_its_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither by a name that was given nor by a default one."""
-    from fingerflow.atomic_write import spare
     from fingerflow.cli.synthetic import _remove_demo
+    from fingerflow.results.atomic_write import spare
 
     frame = tmp_path / "calibration.png"
     frame.write_bytes(b"a frame")

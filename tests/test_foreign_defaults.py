@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from fingerflow.ops import apparent_contact, otsu
+from fingerflow.ops.contact import apparent_contact, otsu
 from tests.embedded import CASES, expected, tensors_of, without_a_case
 
 DTYPES = (torch.float64, torch.bfloat16, torch.float16)

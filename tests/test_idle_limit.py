@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from fingerflow.untrusted import idle
-from fingerflow.untrusted.idle import IdleLimit
+from fingerflow.recordings.guard import idle
+from fingerflow.recordings.guard.idle import IdleLimit
 
 WORKS = "import time\nwhile time.process_time() < 1.5: pass"
 PARENT = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {WORKS!r}])"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.result import save_result
+from fingerflow.results.result import save_result
 from tests import kills
 
 ROOT = Path(__file__).resolve().parents[1]

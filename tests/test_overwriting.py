@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.unfinished import unfinished
-from fingerflow.result import is_result, load_result, save_result
+from fingerflow.results.atomic_write import keep_others, spare, write_atomically
+from fingerflow.results.result import is_result, load_result, save_result
+from fingerflow.schema.unfinished import unfinished
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -82,7 +82,7 @@ def test_process_asks_before_it_computes(tmp_path: Path, monkeypatch: pytest.Mon
     write_recording(tmp_path / "press", Press(n_frames=2, frames_before_trigger=1, frame_shape=(96, 240)))
     scene = load_scene(tmp_path / "press" / "scene.toml")
     (tmp_path / "notes.h5").write_bytes(b"years of work")
-    monkeypatch.setattr("fingerflow.pipeline._run", lambda *_: pytest.fail("frames were read"))
+    monkeypatch.setattr("fingerflow.pipeline.run._run", lambda *_: pytest.fail("frames were read"))
     for output in (tmp_path / "notes.h5", tmp_path / "press" / "forces.csv", tmp_path / "press" / "frames.npy"):
         before = output.read_bytes()
         with pytest.raises(FingerflowError, match=r"overwrite|would be replaced"):
@@ -125,10 +125,10 @@ def test_a_calibration_replaces_calibrations_alone(
 def test_pages_videos_and_figures_replace_their_own_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
-    from fingerflow.atomic_write import is_marked
     from fingerflow.report import video, write_report
     from fingerflow.report.picture_files import save_figure
     from fingerflow.report.supplement import Sources, write_supplement
+    from fingerflow.results.atomic_write import is_marked
 
     trial = result().assign_coords(time=("frame", np.arange(3.0)))
     trial.attrs |= {"stage_seconds": "{}", "settings": "{}", "warnings": "[]", "mm_per_px": 0.05, "title": "a press",
@@ -167,7 +167,7 @@ def test_slip_figures_are_refused_before_one_is_drawn(tmp_path: Path) -> None:
 def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
     import scipy.io
 
-    from fingerflow.tables import export_table, is_table
+    from fingerflow.results.tables import export_table, is_table
 
     trial = result().assign_coords(time=("frame", np.arange(3.0), {"units": "s"}), frame=np.arange(3))
     trial["area"].attrs |= {"units": "mm2", "long_name": "area"}
@@ -191,7 +191,7 @@ def test_a_table_replaces_tables_alone(suffix: str, tmp_path: Path) -> None:
 KILLED = """
 import os, sys, time
 from pathlib import Path
-from fingerflow.atomic_write import write_atomically
+from fingerflow.results.atomic_write import write_atomically
 
 def write(part):
     part.write_text("half")

@@ -15,17 +15,17 @@ import xarray as xr
 
 from fingerflow import load_scene, open_stream, process
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import OUTPUTS, VARIABLES, plan
-from fingerflow.player.contract.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
+from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
 from fingerflow.report import write_report
-from fingerflow.result import load_result, save_result
-from fingerflow.scene import Scene, Views, scene_text
-from fingerflow.stages.tracking import TrackingStage
+from fingerflow.results.result import load_result, save_result
+from fingerflow.results.tables import export_table
+from fingerflow.schema.scene import Scene, Views, scene_text
+from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.schema.views import View
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
-from fingerflow.tables import export_table
-from fingerflow.views import View
 
 
 @pytest.fixture(scope="session")
@@ -302,8 +302,8 @@ def test_recording_is_read_lazily(press: Path) -> None:
 def test_report_and_video(result: xr.Dataset, scene: Scene, tmp_path: Path) -> None:
     import av
 
-    from fingerflow.comparison import compare
     from fingerflow.report import write_report
+    from fingerflow.synthetic.comparison import compare
 
     page = write_report(result, scene, tmp_path, compare(result, rebuild_scene(scene.path.parent)))
     text = page.read_text(encoding="utf-8")
@@ -335,7 +335,7 @@ def test_report_of_areas_alone(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_triangles_that_are_lost_count_like_the_others() -> None:
-    from fingerflow.ops.triangle_strain import area_shares
+    from fingerflow.ops.fields.triangle_strain import area_shares
 
     areas = torch.tensor([[1.0, 1.0, 2.0]])
     known = torch.tensor([[1, 1, 1], [1, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]]).bool()

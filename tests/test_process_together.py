@@ -16,7 +16,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.graphs.contact import ContactGraph
 from fingerflow.graphs.track import TrackGraph
 from fingerflow.kernels import tensors as kernels
-from fingerflow.pipeline import process_together
+from fingerflow.pipeline.run import process_together
 from fingerflow.synthetic import Press, write_recording
 
 _FRAME = {"frame_rate": 10.0, "frames_before_trigger": 1, "frame_shape": (96, 240), "finger": (1.8, 1.5)}

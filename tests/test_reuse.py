@@ -14,20 +14,21 @@ import xarray as xr
 from typer.testing import CliRunner
 
 import fingerflow
-from fingerflow import load_scene, process, reuse
+from fingerflow import load_scene, process
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import OUTPUTS, VARIABLES, plan
-from fingerflow.player.contract.scene_kinds import KINDS
-from fingerflow.player.contract.variables import SENSOR_SLIP, SLIP, by_name
+from fingerflow.pipeline import reuse
+from fingerflow.pipeline.plan import OUTPUTS, VARIABLES, plan
+from fingerflow.pipeline.reuse import keys_of
+from fingerflow.pipeline.stages import all_stages
+from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs
 from fingerflow.recordings import Recording
 from fingerflow.recordings.identity import identity_of
-from fingerflow.result import scene_of
-from fingerflow.reuse import keys_of
-from fingerflow.scene import Scene
-from fingerflow.stages import all_stages
-from fingerflow.stages.inputs import Inputs, open_inputs
-from fingerflow.stages.stage import Stage, Trial
+from fingerflow.results.result import scene_of
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.variables import SENSOR_SLIP, SLIP, by_name
 from fingerflow.synthetic import PartialSlip, Press, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel, write_gel_recording
 from tests.test_architecture import ARROWS
@@ -200,7 +201,7 @@ def test_another_recording_is_refused(folder: Path, tmp_path: Path) -> None:
 
 def test_results_of_other_code_are_computed_again(folder: Path, ran: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
     scene = load_scene(folder / "scene.toml")
-    monkeypatch.setattr(fingerflow.reuse, "code_version", lambda: "another")
+    monkeypatch.setattr(fingerflow.pipeline.reuse, "code_version", lambda: "another")
     again = process(scene, ["real_contact_area"], earlier=folder / "result.h5")
     assert ran == {"loading", "frame_check", "contact"}
     assert "another version" in json.loads(again.attrs["taken_over"])["computed"]["frame_check"]
@@ -225,19 +226,15 @@ def test_results_of_another_engine_are_computed_again(
 
 
 def test_keys_know_all_code_that_stages_run() -> None:
-    """Rooms that `stages` may import, and what those may; but for messages, guards, and settings, which keys know by
-    their values.
-    """
-    reached, known = set[str](), {*fingerflow.reuse._CODE, "stages"}
+    """Rooms that `stages` may import, and what those may; but for messages."""
+    reached, known = set[str](), {*fingerflow.pipeline.reuse._CODE, "stages"}
     left = ["stages"]
     while left:
         for room in ARROWS[left.pop()] - reached:
             reached.add(room)
             left.append(room)
-    of_room = {"contract": "player/contract", "views": "views.py", "store": "store.py"}
-    parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines"}
-    wanted = {of_room.get(room, parts_of.get(room, room)) for room in reached}
-    assert wanted - known == {"digest", "errors", "room", "scene", "toml_string", "untrusted"}
+    parts_of = {"tensors": "kernels", "torch_engine": "engines", "choice": "engines", "stages": "pipeline/stages"}
+    assert {parts_of.get(room, room) for room in reached} - known == {"errors"}
 
 
 def test_results_that_do_not_say_on_what_they_depend(folder: Path, tmp_path: Path, ran: set[str]) -> None:
@@ -320,7 +317,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     for stage in _every_stage():
         for part in ("__init__", "begin", "step", "finish"):
             monkeypatch.setattr(stage, part, _watching(stage, getattr(stage, part)))
-    open_inputs = fingerflow.pipeline.open_inputs
+    open_inputs = fingerflow.pipeline.run.open_inputs
 
     class WatchedInputs(Inputs):
         def __getattribute__(self, name: str) -> Any:
@@ -335,7 +332,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
         inputs.__class__ = WatchedInputs
         return inputs
 
-    monkeypatch.setattr(fingerflow.pipeline, "open_inputs", opened)
+    monkeypatch.setattr(fingerflow.pipeline.run, "open_inputs", opened)
     # The number of frames belongs to the identity of the recording.
     monkeypatch.setattr(Trial, "__len__", lambda trial: len(trial.inputs.recording))
     return seen

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from fingerflow import load_scene, process, room
+from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import VARIABLES, plan
-from fingerflow.result import save_result
-from fingerflow.scene import Scene
+from fingerflow.pipeline.plan import VARIABLES, plan
+from fingerflow.results import free_space as room
+from fingerflow.results.result import save_result
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.errors import FingerflowError
-from fingerflow.scene import load_scene, scene_text
-from fingerflow.views import View
+from fingerflow.schema.scene import load_scene, scene_text
+from fingerflow.schema.views import View
 
 MATRIX = [[1.01, -0.01, 3.4], [0.01, 1.01, -6.2]]
 VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640, 1280))}

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 from scene_cases import MATRIX, RIGHT, WRONG, WrongScene, write_folder
 
-from fingerflow import scene as package
 from fingerflow.errors import FingerflowError
 from fingerflow.player import PlayerError
 from fingerflow.player import scene as player
-from fingerflow.player.contract.scene_keys import SCENE, Key, Table
-from fingerflow.player.contract.scene_kinds import KINDS, Kind
+from fingerflow.schema import scene as package
+from fingerflow.schema.scene_keys import SCENE, Key, Table
+from fingerflow.schema.scene_kinds import KINDS, Kind
 
 
 def said_by_both(path: Path) -> tuple[str, str]:
@@ -125,7 +125,7 @@ def test_the_validated_scene_has_the_keys_of_the_contract() -> None:
 
 
 def test_defaults_are_values_that_may_be_given() -> None:
-    from fingerflow.player.contract.scene_values import value_of
+    from fingerflow.schema.scene_values import value_of
 
     for table in SCENE.values():
         assert isinstance(table, Table)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fingerflow.plan import VARIABLES
-from fingerflow.result import load_result, read_own
-from fingerflow.store import FileStore, MemoryStore, Store
+from fingerflow.pipeline.plan import VARIABLES
+from fingerflow.results.result import load_result, read_own
+from fingerflow.results.store import FileStore, MemoryStore, Store
 
 FRAMES = 20
 NAMES = ("position", "status", "real_contact_area", "normal_force", "strain", "strain_energy_density")

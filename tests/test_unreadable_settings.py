@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 
 from fingerflow.calibration import Calibration
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.player.bundle import load_bundle
-from fingerflow.player.errors import PlayerError
-from fingerflow.player.results import read_results
-from fingerflow.scene import load_scene
+from fingerflow.results.stream_folder import read_results
+from fingerflow.schema.scene import load_scene
 
 DEEP = "[" * 200_000
 

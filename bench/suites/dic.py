@@ -33,7 +33,7 @@ from torch import Tensor
 from bench.rows import Row, Skipped
 from bench.timing import time_in_turns
 from bench.trackers import TRACKERS
-from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.fields.local_fit import local_gradients
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data" / "dic" / "sample14"
 FIRST_COLUMN = {"L1": 1, "L3": 3, "L5": 5}  # of command.csv: u, and after it du/dx

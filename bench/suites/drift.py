@@ -17,7 +17,7 @@ from bench.errors_of_tracks import error_cells
 from bench.rows import Row
 from bench.skin import choose_points, clean_picture, deformed_picture, error_bound, photograph
 from bench.trackers import Found, Tracker, track_fingerflow, track_opencv
-from fingerflow.ops.local_fit import local_gradients
+from fingerflow.ops.fields.local_fit import local_gradients
 
 SHAPE = (384, 448)
 NOISE = 2

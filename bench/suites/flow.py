@@ -36,9 +36,9 @@ from torch import Tensor
 from bench.rows import Row
 from bench.skin import deformed_picture, grey, photograph
 from bench.timing import time_in_turns
-from fingerflow.ops.flow import Flow, dense_flow, find_flow, prepare_flow
-from fingerflow.ops.flow_constancy import Constancy
-from fingerflow.ops.flow_penalty import Penalty
+from fingerflow.ops.flow.dense_flow import Flow, dense_flow, find_flow, prepare_flow
+from fingerflow.ops.flow.flow_constancy import Constancy
+from fingerflow.ops.flow.flow_penalty import Penalty
 from fingerflow.synthetic import texture_image
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data/flow"

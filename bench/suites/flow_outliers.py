@@ -19,7 +19,7 @@ from torch.nn import functional
 from bench.rows import Row
 from bench.skin import grey, photograph
 from bench.suites.flow import NOISE, divergence, inner, opencv, pair, ridges
-from fingerflow.ops.flow import dense_flow
+from fingerflow.ops.flow.dense_flow import dense_flow
 from fingerflow.synthetic import texture_image
 
 Scene = tuple[Tensor, Tensor, Tensor, Tensor]  # two images, the truth, NaN where there is none, and what is near

@@ -26,9 +26,9 @@ from bench.opencv_contact import opencv_contact
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow.graphs import ContactGraph, LightGraph
-from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.median import median_filter
-from fingerflow.ops.otsu import otsu_threshold
+from fingerflow.ops.contact.otsu import otsu_threshold
+from fingerflow.ops.filters.median import median_filter
+from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Camera, Press
 
 OURS = "fingerflow"

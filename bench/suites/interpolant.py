@@ -1,4 +1,5 @@
-"""What tracking interpolates with: why a smoothed cubic spline and not an exact one (`fingerflow/ops/spline.py`).
+"""What tracking interpolates with: why a smoothed cubic spline and not an exact one
+(`fingerflow/ops/filters/spline.py`).
 
 The same Lucas-Kanade, forward only, by Newton's steps, on four interpolants: bilinear on the pixels as they are;
 bilinear on pixels smoothed once by [1 2 1]/4 each way; the cubic spline that passes through the pixels, which takes an
@@ -24,8 +25,8 @@ from bench.errors_of_tracks import error_cells, root_mean_square
 from bench.rows import Cell, Row, number
 from bench.skin import QUICK_SHAPE, SHAPE, choose_points, clean_picture, error_bound, photograph
 from bench.timing import time_in_turns
-from fingerflow.ops.spline import spline_coefficients
-from fingerflow.ops.windows import sample_windows
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.filters.windows import sample_windows
 
 WINDOW = 21
 SHIFTS = (0.0, 0.25, 0.5, 0.75)

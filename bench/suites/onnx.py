@@ -38,7 +38,7 @@ from fingerflow.export.build import build
 from fingerflow.export.bundle import write_graph
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
-from fingerflow.ops.corners import detect_corners
+from fingerflow.ops.tracking.corners import detect_corners
 from fingerflow.synthetic import Press
 
 _FROM, _TO, _AREA = 296, 299, 299  # frames of the press

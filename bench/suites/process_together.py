@@ -21,7 +21,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from bench.launches import is_call
 from bench.rows import Row
-from fingerflow.pipeline import process_together
+from fingerflow.pipeline.run import process_together
 from fingerflow.synthetic import Press, write_recording
 
 _SMALL: dict[str, Any] = {"frame_shape": (96, 240), "finger": (1.8, 1.5), "semi_axes": (1.3, 1.1)}

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fingerflow.dictionary import Entry, dictionary
-from fingerflow.player.contract.scene_keys import (
+from fingerflow.pipeline.dictionary import Entry, dictionary
+from fingerflow.schema.scene_keys import (
     SCENE,
     Choice,
     Column,
@@ -26,7 +26,7 @@ from fingerflow.player.contract.scene_keys import (
     Whole,
     views_of,
 )
-from fingerflow.player.contract.scene_kinds import KINDS
+from fingerflow.schema.scene_kinds import KINDS
 
 HERE = Path(__file__).resolve().parents[1]
 RESULTS = HERE.parent / "bench" / "results"
@@ -51,7 +51,7 @@ def outputs_page() -> str:
         "# Dictionary of outputs",
         "",
         "Every variable of a result, by the stage that gives it; `fingerflow outputs` prints the same. This page is "
-        "written from `fingerflow/player/contract` when the site is built. What is *only where it is named* is "
+        "written from `fingerflow/schema/variables.py` when the site is built. What is *only where it is named* is "
         "computed when `-v`, or `outputs=` of `fingerflow.process`, asks for it. A result has of these what its kind "
         "of scene and its files allow; a variable that it has not is absent, a value that is not known is NaN.",
         "",
@@ -89,7 +89,7 @@ def _facts(entry: Entry) -> str:
 
 
 def _symbols() -> list[str]:
-    from fingerflow.player.contract import equations
+    from fingerflow.schema import equations
 
     text = (equations.__doc__ or "").partition("\n\n")[2].strip().replace("\n", " ")
     return ["## Symbols", "", _cell(text), ""]
@@ -104,7 +104,7 @@ def keys_page() -> str:
         "",
         "`fingerflow init scene.toml` writes a commented file. Both readers of scenes, `process` and the player of a "
         "stream, refuse what is not listed here, in the same words. This page is written from "
-        "`fingerflow/player/contract/scene_keys.py` when the site is built. `kind` names the kind of scene: "
+        "`fingerflow/schema/scene_keys.py` when the site is built. `kind` names the kind of scene: "
         + ", ".join(f"`{kind}`" for kind in KINDS)
         + ".",
         "",

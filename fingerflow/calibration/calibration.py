@@ -10,9 +10,9 @@ import numpy as np
 from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.calibration_file import CalibrationError, TransformRows, read_calibration
-from fingerflow.toml_string import toml_string
-from fingerflow.views import View
+from fingerflow.schema.calibration_file import CalibrationError, TransformRows, read_calibration
+from fingerflow.schema.toml_string import toml_string
+from fingerflow.schema.views import View
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from fingerflow.atomic_write import keep_others, spare, write_atomically
 from fingerflow.calibration.calibration import Calibration, is_calibration
 from fingerflow.calibration.edge import Array
 from fingerflow.calibration.from_frames import calibrate
 from fingerflow.calibration.overlay import draw_overlay
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.views import View
+from fingerflow.results.atomic_write import keep_others, spare, write_atomically
+from fingerflow.schema.views import View
 
 FILE = "calibration.toml"
 

@@ -11,7 +11,7 @@ from fingerflow.calibration.edge import Array, Disc
 from fingerflow.calibration.registration import Transform, fit_affine, fit_similarity, match_discs
 from fingerflow.calibration.ring import find_hole
 from fingerflow.errors import FingerflowError
-from fingerflow.views import View
+from fingerflow.schema.views import View
 
 # So many more discs than the target has are looked at: stains and dust are sorted out by the shape of the target.
 SPARE_DISCS = 6

@@ -16,7 +16,7 @@ Overwrite = Annotated[
 
 def process_scene(scene: Any, outputs: list[str] | None, quiet: bool, **options: Any) -> Any:
     """`fingerflow.process` with a progress bar, unless it is to be quiet; torch is loaded here."""
-    from fingerflow.pipeline import process
+    from fingerflow.pipeline.run import process
 
     return process(scene, outputs, progress=not quiet, **options)
 

@@ -42,9 +42,9 @@ def stream(context: typer.Context) -> None:
 
 def _forces_of(file: Path) -> "Forces | None":
     """As `process` gives them. Where they cannot be read the log says why, and the stream goes on without."""
-    from fingerflow.pipeline import process
+    from fingerflow.pipeline.run import process
     from fingerflow.player.live import Forces
-    from fingerflow.scene import load_scene
+    from fingerflow.schema.scene import load_scene
 
     try:
         scene = load_scene(file)

@@ -16,9 +16,9 @@ def init(
     mm_per_px: Annotated[float | None, typer.Option(help="Scale on the gel, with --gel.")] = None,
 ) -> None:
     """Write a commented scene file: to fill in, or with --gel one that can be processed as it is."""
-    from fingerflow.atomic_write import write_atomically
     from fingerflow.recordings import open_recording
-    from fingerflow.scene import gel_scene_text, scene_text
+    from fingerflow.results.atomic_write import write_atomically
+    from fingerflow.schema.scene import gel_scene_text, scene_text
 
     if path.exists():
         raise FingerflowError(f"{path} exists already; name another file or remove it")
@@ -85,7 +85,7 @@ def calibrate(
 ) -> None:
     """Find scale and view-to-view transform from frames of a ring and of a target with discs."""
     from fingerflow.calibration import calibrate_files
-    from fingerflow.views import View
+    from fingerflow.schema.views import View
 
     if topography is not None and target is None:
         raise FingerflowError("--topography needs --target: without one the calibration is a scale alone")

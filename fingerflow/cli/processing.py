@@ -45,8 +45,8 @@ def process(
     as_json: AsJson = False,
 ) -> None:
     """Compute a scene and save the result."""
-    from fingerflow.result import scene_of
-    from fingerflow.scene import load_scene
+    from fingerflow.results.result import scene_of
+    from fingerflow.schema.scene import load_scene
 
     if scene is None:
         if earlier is None:
@@ -83,7 +83,7 @@ def outputs(
     as_json: AsJson = False,
 ) -> None:
     """List the variables that can be computed: unit, dimensions, stage, definition and equation of each."""
-    from fingerflow.dictionary import dictionary
+    from fingerflow.pipeline.dictionary import dictionary
 
     rows = [row for row in dictionary() if not names or any(name in row.name for name in names)]
     if not rows:

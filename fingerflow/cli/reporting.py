@@ -27,11 +27,11 @@ def report(
     """Write report.html and overlay.mp4 of a processed scene, or report.html of a played stream."""
     from fingerflow.report import write_report
     from fingerflow.report.beside_chain import compare_with_chain
-    from fingerflow.result import load_result
-    from fingerflow.scene import load_scene
+    from fingerflow.results.result import load_result
+    from fingerflow.schema.scene import load_scene
 
     if scene.is_dir():
-        from fingerflow.stream_result import open_stream
+        from fingerflow.results.stream_result import open_stream
 
         if result is not None:
             raise FingerflowError(
@@ -55,7 +55,7 @@ def slip(
 ) -> None:
     """Judge whether the stuck area of each trial vanishes abruptly or fades."""
     from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
-    from fingerflow.scene import load_scene
+    from fingerflow.schema.scene import load_scene
 
     trials, failed = [], 0
     for path in scenes:

@@ -8,7 +8,7 @@ import typer
 
 from fingerflow.cli.app import AsJson, app, print_json, process_scene
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.unfinished import unfinished
+from fingerflow.schema.unfinished import unfinished
 
 _DEMO_FILES = {
     *("scene.toml", "frames.npy", "empty.npy", "dark.npy", "forces.csv", "truth.json"),
@@ -21,11 +21,11 @@ def demo(
     folder: Annotated[Path, typer.Argument(help="Where to write.")] = Path("fingerflow-demo"), as_json: AsJson = False
 ) -> None:
     """Simulate a press, process it, and compare with its known truth."""
-    from fingerflow.comparison import as_text, compare
     from fingerflow.report import write_report
-    from fingerflow.result import save_result
-    from fingerflow.scene import load_scene
+    from fingerflow.results.result import save_result
+    from fingerflow.schema.scene import load_scene
     from fingerflow.synthetic import rebuild_scene
+    from fingerflow.synthetic.comparison import as_text, compare
 
     if folder.exists():
         _remove_demo(folder)

@@ -31,9 +31,9 @@ def export_table(
     if result.is_dir() and table.suffix == ".csv" and rows == "frame" and not variables:
         _export_stream(result, table, overwrite)
         return
-    from fingerflow import tables
-    from fingerflow.result import load_result
-    from fingerflow.stream_result import open_stream
+    from fingerflow.results import tables
+    from fingerflow.results.result import load_result
+    from fingerflow.results.stream_result import open_stream
 
     given = open_stream(result) if result.is_dir() else load_result(result)
     tables.export_table(given, table, rows, variables, overwrite)
@@ -49,8 +49,8 @@ def export_map(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a variable on a regular grid of the glass: a stack of maps, one a frame."""
-    from fingerflow import tables
-    from fingerflow.result import load_result
+    from fingerflow.results import tables
+    from fingerflow.results.result import load_result
 
     tables.export_map(load_result(result), picture, variable, step_mm, overwrite)
     typer.echo(f"{picture} was written")
@@ -58,9 +58,9 @@ def export_map(
 
 def _export_stream(folder: Path, table: Path, overwrite: bool) -> None:
     """The player's own table has the same columns, and needs no torch."""
-    from fingerflow.atomic_write import keep_others
     from fingerflow.player import write_table
-    from fingerflow.tables import is_table
+    from fingerflow.results.atomic_write import keep_others
+    from fingerflow.results.tables import is_table
 
     keep_others(table, is_table, overwrite)
     write_table(folder, table, overwrite=True)

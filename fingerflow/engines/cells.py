@@ -1,4 +1,4 @@
-"""Values read between cells of a picture, in NumPy: as `ops.cells` does."""
+"""Values read between cells of a picture, in NumPy: as `ops.contact.cells` does."""
 
 from __future__ import annotations
 

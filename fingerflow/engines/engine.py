@@ -55,7 +55,7 @@ class Contact(NamedTuple):
         real_contact_mask: (K, 1, H, W) bool, the micro-junctions; None where the engine leaves it out.
         real_area_px, gross_area_px: (K,) px.
         center, semi_axes: (K, 2) px; angle (K,) rad, from x towards y.
-        density_margin: (K, 1, h, w) of the apparent contact on cells, as `ops.cells.covered` takes it.
+        density_margin: (K, 1, h, w) of the apparent contact on cells, as `ops.contact.cells.covered` takes it.
         light_gain: (K,) brightness of the lamp, 1 that of the empty glass; NaN where no glass is seen.
     """
 
@@ -258,7 +258,7 @@ class Engine(Protocol):
         ...
 
     def outliers(self, neighbours: Any, start: Array, found: Found) -> tuple[Array, Array]:
-        """(K, N) bool twice: off their neighbours, and far more uncertain than they (`ops.outliers`)."""
+        """(K, N) bool twice: off their neighbours, and far more uncertain than they (`ops.tracking.outliers`)."""
         ...
 
     def search(self, key: Key, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:

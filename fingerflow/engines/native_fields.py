@@ -80,7 +80,7 @@ def fields_of_frames(
 def _point_gradients(
     reference: Array, displacement: Array, gauge_length: float, covariance: Array | None
 ) -> tuple[Array, Array | None]:
-    """Return gradients (K, N, 2, 2) and their covariance, as `ops.point_gradients` has them."""
+    """Return gradients (K, N, 2, 2) and their covariance, as `ops.fields.point_gradients` has them."""
     radius, noise = gauge_length / 2, None if covariance is None else covariance.reshape(*displacement.shape[:2], 4)
     fit = local_gradients(
         *(reference, displacement, reference, noise),
@@ -105,7 +105,7 @@ def _area_medians(
     measure: str,
     entered: Entered | None,
 ) -> tuple[Array, Array | None, Array]:
-    """Return medians, their deviations and the share of the ellipse, as `ops.area_medians` has them."""
+    """Return medians, their deviations and the share of the ellipse, as `ops.fields.area_medians` has them."""
     batch = len(displacement)
     for name, array, shape in zip(ellipse._fields, ellipse, ((batch, 2), (batch, 2), (batch,)), strict=True):
         check_like(name, array, "float32", shape)

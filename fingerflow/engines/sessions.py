@@ -11,7 +11,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from fingerflow.engines.providers import CPU, plugin_devices, provider_named
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 
 Array = NDArray[Any]
 
@@ -58,7 +58,7 @@ class Session:
             results = self._session.run(self._names, feed)  # arrays: to wrap them takes longer than a small graph
         except Exception as error:
             raise FingerflowError(
-                f"{self._path}: onnxruntime cannot run it here ({_first_line(error)}); choose another provider"
+                f"{self._path}: onnxruntime cannot run it here ({first_line(error)}); choose another provider"
             ) from None
         return {name: _single(one) for name, one in zip(self._names, results, strict=True)}
 
@@ -130,7 +130,7 @@ class Sessions:
             session = ort.InferenceSession(path, options, providers=None if devices else list(dict.fromkeys(chosen)))
         except Exception as error:
             what = "export it again" if self._short == CPU else f"provider {self._short!r} fails: choose another"
-            raise FingerflowError(f"{path}: onnxruntime cannot load it ({_first_line(error)}); {what}") from None
+            raise FingerflowError(f"{path}: onnxruntime cannot load it ({first_line(error)}); {what}") from None
         if self.provider not in session.get_providers():
             raise FingerflowError(
                 f"provider {self._short!r}: onnxruntime fell back to another one, as its libraries are missing; choose "
@@ -151,7 +151,3 @@ def _input(argument: Any, path: Path) -> Input:
 
 def _single(array: Array) -> Array:
     return array.astype(np.float32) if array.dtype == np.float64 else array
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -30,13 +30,13 @@ from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.track import AgreementGraph
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX
-from fingerflow.ops.cells import covered
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.outliers import Neighbours, find_neighbours
-from fingerflow.ops.search import search_and_return
-from fingerflow.ops.templates import Found, Templates, in_rounds
-from fingerflow.ops.window_correlation import sample_windows
+from fingerflow.ops.contact.cells import covered
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
+from fingerflow.ops.tracking.search import search_and_return
+from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
+from fingerflow.ops.tracking.window_correlation import sample_windows
 
 M = TypeVar("M", bound=nn.Module)
 Modules = Callable[[Any], Any]  # gives the module to call in place of one

@@ -21,14 +21,14 @@ from fingerflow.graphs import (
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.graphs.search import SearchGraph
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.illumination import glass_light
-from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.outliers import Neighbours
-from fingerflow.ops.plane_fit import Support, about_their_mean, support_of
-from fingerflow.ops.point_gradients import gradients_at
-from fingerflow.ops.spline import spline_coefficients
-from fingerflow.ops.templates import Found, Templates, renew_templates
-from fingerflow.ops.window_correlation import sample_windows
+from fingerflow.ops.fields.plane_fit import Support, about_their_mean, support_of
+from fingerflow.ops.fields.point_gradients import gradients_at
+from fingerflow.ops.filters.illumination import glass_light
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.tracking.outliers import Neighbours
+from fingerflow.ops.tracking.templates import Found, Templates, renew_templates
+from fingerflow.ops.tracking.window_correlation import sample_windows
 from fingerflow.tracker.verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}

@@ -24,8 +24,8 @@ from fingerflow.export.rooms import carry_rooms
 from fingerflow.export.standard_model import need_packages, standard_model
 from fingerflow.export.trial import cases, completed, feed
 from fingerflow.export.verification import Difference, verify
-from fingerflow.player.contract.bundle_format import BUNDLE_FORMAT
-from fingerflow.player.contract.unfinished import unfinished
+from fingerflow.schema.bundle_format import BUNDLE_FORMAT
+from fingerflow.schema.unfinished import unfinished
 
 COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
@@ -119,8 +119,8 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
     package = resources.files("fingerflow")
     carry_rooms(folder)
     for name in _PLAYER_FILES:
-        (folder / name).write_bytes((package / "bundle" / name).read_bytes())
-    scene = (package / "bundle" / "scene.toml").read_text(encoding="utf-8")
+        (folder / name).write_bytes((package / "export" / "template" / name).read_bytes())
+    scene = (package / "export" / "template" / "scene.toml").read_text(encoding="utf-8")
     text = scene_for(scene, recipe.views.height, recipe.views.width)
     (folder / "scene.toml").write_text(text, encoding="utf-8")
 

@@ -11,7 +11,7 @@ from fingerflow.export.build import build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, Recipe
 from fingerflow.kernels.tracking_limits import ROUNDS
-from fingerflow.ops.templates import Found, Templates, in_rounds
+from fingerflow.ops.tracking.templates import Found, Templates, in_rounds
 
 _DIGITS = 6
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fingerflow.errors import FingerflowError
-from fingerflow.strict import Odd, StrictBool, StrictInt, StrictNumber
+from fingerflow.export.strict import Odd, StrictBool, StrictInt, StrictNumber
 
 GraphName = Literal[
     "light",

@@ -10,7 +10,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -221,9 +220,7 @@ def _own_folder() -> Path:
 def _code() -> str:
     """A digest of the code that graphs are made of."""
     digest = hashlib.sha256()
-    package = resources.files("fingerflow")
-    for room in _SOURCES:
-        for file in sorted((package / room).iterdir(), key=lambda one: one.name):
-            if file.name.endswith(".py"):
-                digest.update(file.read_bytes())
+    package = Path(__file__).parents[1]
+    for file in sorted(file for room in _SOURCES for file in (package / room).rglob("*.py")):
+        digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -12,8 +12,8 @@ from fingerflow.export.build import OF_FEW, Graph, build
 from fingerflow.export.portable import Portable
 from fingerflow.export.recipe import GRAPHS, GraphName, Recipe
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.outliers import find_neighbours
-from fingerflow.ops.templates import inverse_2x2
+from fingerflow.ops.tracking.outliers import find_neighbours
+from fingerflow.ops.tracking.templates import inverse_2x2
 from fingerflow.synthetic import Camera, Press
 
 _SHIPPED = (512, 640)  # px of the views that the default press is made for

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.apparent_contact import apparent_contact, cell_of
-from fingerflow.ops.contact_threshold import contact_threshold
-from fingerflow.ops.light_gain import light_gain
-from fingerflow.ops.real_contact_mask import real_contact_mask
+from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
+from fingerflow.ops.contact.contact_threshold import contact_threshold
+from fingerflow.ops.contact.light_gain import light_gain
+from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 
 
 class Contact(NamedTuple):
@@ -18,7 +18,8 @@ class Contact(NamedTuple):
         real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
         real_area_px, gross_area_px: (B,) px, of them and of the region that they span.
         center, semi_axes: (B, 2) px, `angle` (B,) rad: of the gross region's ellipse, NaN without contact.
-        density_margin: (B, 1, h, w) of the gross region on cells, from which `ops.cells.covered` tells what it covers.
+        density_margin: (B, 1, h, w) of the gross region on cells, from which `ops.contact.cells.covered` tells what it
+            covers.
         light_gain: (B,) brightness of the lamp, 1 that of the empty glass; NaN, and 1 taken, where no glass is seen.
     """
 

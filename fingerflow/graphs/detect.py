@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fingerflow.kernels.detection_limits import BOX, NOISE, QUALITY
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.cells import widest
-from fingerflow.ops.mask_bounds import mask_bounds
-from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.contact.cells import widest
+from fingerflow.ops.contact.mask_bounds import mask_bounds
+from fingerflow.ops.filters.box_sum import box_sum
+from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
 _TINY = 1e-30

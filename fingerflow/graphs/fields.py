@@ -5,10 +5,10 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.area_medians import Apart, area_medians
-from fingerflow.ops.point_gradients import point_gradients
-from fingerflow.ops.strain import curl, divergence, green_lagrange, shear
-from fingerflow.ops.strain_uncertainty import curl_std, divergence_std, field_std
+from fingerflow.ops.fields.area_medians import Apart, area_medians
+from fingerflow.ops.fields.point_gradients import point_gradients
+from fingerflow.ops.fields.strain import curl, divergence, green_lagrange, shear
+from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, field_std
 from fingerflow.ops.tensors import finite, sum_rows
 
 
@@ -65,7 +65,8 @@ class Fields(NamedTuple):
 class FieldsGraph(nn.Module):
     """Displacements of scattered points to divergence, curl and strain by local fits over ``gauge_length``.
 
-    At the points by `ops.point_gradients` in reference coordinates, over the contact by `ops.area_medians`.
+    At the points by `ops.fields.point_gradients` in reference coordinates, over the contact by
+    `ops.fields.area_medians`.
     """
 
     point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1, "entered": 1}

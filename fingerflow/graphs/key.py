@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
-from fingerflow.ops.templates import Templates, prepare_templates
+from fingerflow.ops.tracking.templates import Templates, prepare_templates
 
 
 class KeyGraph(nn.Module):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.illumination import glass_light
+from fingerflow.ops.filters.illumination import glass_light
 
 
 class Light(NamedTuple):

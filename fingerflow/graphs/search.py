@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from fingerflow.ops.search import search_and_return
+from fingerflow.ops.tracking.search import search_and_return
 
 
 class SearchGraph(nn.Module):

@@ -5,11 +5,11 @@ from typing import ClassVar, NamedTuple
 from torch import Tensor, nn
 
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX
-from fingerflow.ops.deformation import correct_points
-from fingerflow.ops.outliers import Neighbours, Outliers, find_outliers
-from fingerflow.ops.plane_fit import Support
-from fingerflow.ops.point_gradients import neighbours_support
-from fingerflow.ops.templates import Found, Templates, find_templates
+from fingerflow.ops.fields.plane_fit import Support
+from fingerflow.ops.fields.point_gradients import neighbours_support
+from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.outliers import Neighbours, Outliers, find_outliers
+from fingerflow.ops.tracking.templates import Found, Templates, find_templates
 
 
 class Deformed(NamedTuple):
@@ -26,7 +26,7 @@ class Deformed(NamedTuple):
 
 class DeformationGraph(nn.Module):
     """Learns the deformation of the skin around its points from where they were found, and corrects the positions
-    (`ops.deformation`).
+    (`ops.tracking.deformation`).
     """
 
     point_axes: ClassVar = {"start": 1, "found": 1, "numbers": 1, "inverse_warp": 1}
@@ -59,8 +59,8 @@ class AgreementGraph(nn.Module):
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """`ops.outliers.find_neighbours` of the places (1, N, 2) in the key frame, and points (K, N, 2) and the
-        standard deviation (K, N) of a component in K frames.
+        """`ops.tracking.outliers.find_neighbours` of the places (1, N, 2) in the key frame, and points (K, N, 2) and
+        the standard deviation (K, N) of a component in K frames.
         """
         return find_outliers(neighbours, points - start, position_std)
 

@@ -51,7 +51,7 @@ _BYTES = {"uint8": 1, "uint16": 2}
 
 
 def median(frames: Array, size: int) -> Array:
-    """Median of uint8 or uint16 frames (B, 1, H, W), as `ops.median.median_filter` has it.
+    """Median of uint8 or uint16 frames (B, 1, H, W), as `ops.filters.median.median_filter` has it.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or a size that is even or outside 3 to 31.
@@ -80,8 +80,8 @@ def table_of(size: int) -> NDArray[np.uint16] | None:
 
 
 def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, size: int) -> Array:
-    """(B, 1, H, W) bool, as `ops.real_contact_mask` has it: frames of FRAME_KINDS, light and black (1 or B, 1, H, W)
-    and limits (B,) float32.
+    """(B, 1, H, W) bool, as `ops.contact.real_contact_mask` has it: frames of FRAME_KINDS, light and black (1 or B, 1,
+    H, W) and limits (B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype, shapes that do not fit, a size that is even or outside 1 to 15.
@@ -95,7 +95,7 @@ def real_contact_mask(frames: Array, light: Array, black: Array, limits: Array, 
 
 
 def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
-    """(B,) float32, as `ops.light_gain` has it, from blocks of `side` px; tensors as for `real_contact_mask`.
+    """(B,) float32, as `ops.contact.light_gain` has it, from blocks of `side` px; tensors as for `real_contact_mask`.
 
     Raises:
         TypeError, ValueError: see there; a side that is no multiple of 8.
@@ -108,8 +108,8 @@ def light_gain(frames: Array, light: Array, black: Array, side: int) -> Array:
 
 
 def normalize(frames: Array, light: Array, black: Array, least: Array) -> tuple[Array, Array]:
-    """Quotients float32 and where they are known, bool, both (B, 1, H, W), as `ops.illumination` has them: of frames of
-    FRAME_KINDS, light and black as for `real_contact_mask`, lit where light exceeds least, (1 or B,) float32.
+    """Quotients float32 and where they are known, bool, both (B, 1, H, W), as `ops.filters.illumination` has them: of
+    frames of FRAME_KINDS, light and black as for `real_contact_mask`, lit where light exceeds least, (1 or B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not fit.
@@ -194,7 +194,7 @@ def dilate(mask: Array, half_widths: Sequence[int], of_background: bool) -> Arra
 
 
 def fill_holes(mask: Array) -> Array:
-    """The mask (B, 1, H, W) bool without holes, as `ops.components` has it.
+    """The mask (B, 1, H, W) bool without holes, as `ops.contact.components` has it.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -207,7 +207,7 @@ def fill_holes(mask: Array) -> Array:
 
 
 def largest_component(mask: Array) -> Array:
-    """The largest part of the mask (B, 1, H, W) bool, as `ops.components` has it.
+    """The largest part of the mask (B, 1, H, W) bool, as `ops.contact.components` has it.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -221,7 +221,7 @@ def largest_component(mask: Array) -> Array:
 
 def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]:
     """Signed density margin (B, 1, h, w) and (B, 7) covered pixels, area, centre, semi axes and angle, float32, of a
-    mask (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.apparent_contact` has them.
+    mask (B, 1, H, W) bool on cells of `side` px of CELLS, as `ops.contact.apparent_contact` has them.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or cells that are not among these.
@@ -248,7 +248,7 @@ def apparent_contact(mask: Array, radius: int, side: int) -> tuple[Array, Array]
 
 
 def mask_moments(mask: Array) -> Array:
-    """Sums (B, 6) int64 over a mask (B, 1, H, W) bool, as `ops.ellipse` has them.
+    """Sums (B, 6) int64 over a mask (B, 1, H, W) bool, as `ops.contact.ellipse` has them.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or more than WIDEST_MOMENTS columns.
@@ -260,7 +260,7 @@ def mask_moments(mask: Array) -> Array:
 
 
 def fit_ellipse(mask: Array) -> Array:
-    """(B, 6) float64, as `ops.ellipse` has it: centre x and y, semi axes, major first, angle and area.
+    """(B, 6) float64, as `ops.contact.ellipse` has it: centre x and y, semi axes, major first, angle and area.
 
     Raises:
         TypeError, ValueError: as `mask_moments`.

@@ -88,7 +88,7 @@ def contact_threshold(
 ) -> Array:
     """Return the relative intensity loss (K,) float32 half-way between ridges and the skin beside them.
 
-    As `ops.contact_threshold` has it; NaN without contact.
+    As `ops.contact.contact_threshold` has it; NaN without contact.
 
     Args:
         frames, light, black, median_px, radius: as for `contact_of_frames`.
@@ -119,7 +119,7 @@ def contact_threshold(
 
 
 def covered(density_margin: Array, points: Array, transform: Array, cell: int) -> Array:
-    """Return whether apparent contacts cover points: (K, N) bool, as `ops.cells.covered` has it.
+    """Return whether apparent contacts cover points: (K, N) bool, as `ops.contact.cells.covered` has it.
 
     A point within rounding of the border (a margin of 0) may count here and not there.
 

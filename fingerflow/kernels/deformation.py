@@ -39,7 +39,7 @@ def correct_points(
     window: int,
     gauge_px: float,
 ) -> CorrectedPoints[Array]:
-    """Correct positions of N points in K frames for the deformation, as `ops.deformation` does, to rounding.
+    """Correct positions of N points in K frames for the deformation, as `ops.tracking.deformation` does, to rounding.
 
     Args:
         start: (N, 2) px in the key frame, float32 as all arrays.

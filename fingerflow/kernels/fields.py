@@ -21,7 +21,7 @@ _LATTICE = limits.lattice().astype(np.float32)
 
 
 class FittedPlanes(NamedTuple, Generic[Array]):
-    """As `ops.local_fit.LocalFit` has them."""
+    """As `ops.fields.local_fit.LocalFit` has them."""
 
     value: Array
     gradient: Array
@@ -40,7 +40,7 @@ def local_gradients(
     least_spread: float,
     minimum_points: int,
 ) -> FittedPlanes[Array]:
-    """Planes fitted as `ops.local_fit` has it, to rounding: sums run in another order.
+    """Planes fitted as `ops.fields.local_fit` has it, to rounding: sums run in another order.
 
     Points (B, N, 2), values (B, N, C), queries (B, Q, 2) and noise (B, N, 1 or C * C) share a dtype, float32 or
     float64; a batch is that of the results, or 1.
@@ -107,7 +107,7 @@ def area_medians(
     radius: float,
 ) -> tuple[Array, Array | None, Array]:
     """Medians (B, 5) over ellipses, their deviations and the share of positions (B,) in which they are known, as
-    `ops.area_medians` has them to rounding; all float32.
+    `ops.fields.area_medians` has them to rounding; all float32.
 
     Reference (1 or B, N, 2), displacement (B, N, 2), ellipses (B, 6) of centre, semi axes, cosine and sine, covariance
     (B, N, 2, 2); `apart` (B, N) bool with fields and deviations (B, N, 5), these where there is a covariance; measure 0
@@ -178,9 +178,9 @@ def triangle_strain(
     measure: int,
     stiffness: Sequence[float],
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Strain (B, M, 3), its deviation, density (B, M) and energy (B,) float64, as `ops.triangle_strain` has them to
-    rounding; the forces (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each adds
-    to the energy.
+    """Strain (B, M, 3), its deviation, density (B, M) and energy (B,) float64, as `ops.fields.triangle_strain` has them
+    to rounding; the forces (B, N, 2) at the points, and the sum (B,) float64 of the squares of what the error of each
+    adds to the energy.
 
     Triangles (M, 3) int64, slopes (M, 3, 2), products (3, 3, M) xx, xy, yy of the corners' slopes with those of what
     shares their errors, areas (M,) and flat (M,), displacement (B, N, 2), covariance (B, N, 2, 2), all float32;

@@ -69,8 +69,8 @@ def flow_descend(
     coarsest: int,
     damping: float,
 ) -> Array:
-    """(B, 2, H, W), as `ops.flow_descent.descended` has it to rounding, of the planes of all levels, five of each from
-    the finest on: tensor, right, down, inverse, inside, all float32; weights of the window of its course.
+    """(B, 2, H, W), as `ops.flow.flow_descent.descended` has it to rounding, of the planes of all levels, five of each
+    from the finest on: tensor, right, down, inverse, inside, all float32; weights of the window of its course.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -111,8 +111,8 @@ def flow_descend(
 
 
 def flow_levels(tensor: Array, right: Array, down: Array, inside: Array, count: int) -> Array:
-    """What `ops.flow_multigrid.pyramid` makes of the finest of so many levels, to rounding: (N,) of the inverse of the
-    finest (B, 3, H, W), then of tensor, right, down, inverse and inside of each coarser one, one behind the other.
+    """What `ops.flow.flow_multigrid.pyramid` makes of the finest of so many levels, to rounding: (N,) of the inverse of
+    the finest (B, 3, H, W), then of tensor, right, down, inverse and inside of each coarser one, one behind the other.
 
     Args:
         tensor, right, down, inside: float32 (B, 3, H, W), (B, 1, H, W - 1), (B, 1, H - 1, W) and (B, 1, H, W).
@@ -153,7 +153,7 @@ def level_shapes(batch: int, height: int, width: int, count: int) -> list[list[t
 
 
 def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array, rho_square: float) -> Array:
-    """(B, 3, H, W), as `ops.flow_covariance` has it, of tensors (B, 3, H, W) and of each image (B,) the density of
+    """(B, 3, H, W), as `ops.flow.flow_covariance` has it, of tensors (B, 3, H, W) and of each image (B,) the density of
     noise, alpha, and the eigenvalue above which texture is known; float32. Its exponentials are to 2e-7.
 
     Raises:
@@ -180,7 +180,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
 
 
 def flow_template(coefficients: Array, mask: Array, margin: int) -> Fields[Array]:
-    """As `ops.flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
+    """As `ops.flow.dense_flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -215,8 +215,8 @@ def flow_left(
     margin: float,
     most_gain: float,
 ) -> Left[Array]:
-    """As `ops.flow` has it: of images (B, 1, H, W) coefficients, value, gradient (B, 2, H, W) and inside, of cells
-    (B, ., h, w) a flow and where it is known, all float32.
+    """As `ops.flow.dense_flow` has it: of images (B, 1, H, W) coefficients, value, gradient (B, 2, H, W) and inside, of
+    cells (B, ., h, w) a flow and where it is known, all float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.
@@ -302,7 +302,7 @@ def flow_to_cells(fields: Array, inside: Array) -> Array:
 
 
 def flow_to_pixels(flow: Array, known: Array, height: int, width: int) -> Array:
-    """(B, 2, height, width), as `ops.flow_cells.to_pixels` has it to rounding, of cells (B, ., h, w), float32.
+    """(B, 2, height, width), as `ops.flow.flow_cells.to_pixels` has it to rounding, of cells (B, ., h, w), float32.
 
     Raises:
         TypeError, ValueError: another dtype, or shapes that do not belong together.

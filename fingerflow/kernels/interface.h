@@ -25,7 +25,7 @@ void fingerflow_median(const void* frames, void* medians, std::int64_t batch, st
                        std::int64_t frame_stride, std::int64_t row_stride, int pixel_bytes, int size,
                        const std::uint16_t* table, int threads);
 
-// Templates of points of images prepared, and found in frames, as fingerflow/ops/templates.py describes; all float32 and
+// Templates of points of images prepared, and found in frames, as fingerflow/ops/tracking/templates.py describes; all float32 and
 // contiguous. Of P = images x points: start (P, 2), NaN is written where there is no point; inverse_warp (P, 2, 2) or null,
 // samples (P, 3, window, window), numbers (P, 32); variance one an image or frame. Frames are (steps, batch):
 // points of one batch are followed through its frames, from place on at speed (batch x points, 2), which are replaced by
@@ -53,12 +53,12 @@ void fingerflow_find_pairs(const void* previous, const void* current, std::int64
 void fingerflow_halve(const void* frames, float* halved, std::int64_t batch, std::int64_t height, std::int64_t width,
                       std::int64_t frame_stride, std::int64_t row_stride, int kind, int threads);
 
-// Spline coefficients (batch, height, width) of frames of a kind of pixels.h, contiguous (fingerflow/ops/spline.py).
+// Spline coefficients (batch, height, width) of frames of a kind of pixels.h, contiguous (fingerflow/ops/filters/spline.py).
 void fingerflow_spline_coefficients(const void* frames, float* coefficients, std::int64_t batch, std::int64_t height,
                                     std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int kind,
                                     int threads);
 
-// Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/search.py describes: images
+// Windows found within `reach` of a guess by normalised cross-correlation, as fingerflow/ops/tracking/search.py describes: images
 // (B, height, width) of half resolution, templates `size` wide; image index (count), points, guess and found (count, 2).
 void fingerflow_search_windows(const float* templates, const float* images, std::int64_t height, std::int64_t width,
                                const std::int64_t* image_index, const float* points, const float* guess,
@@ -79,7 +79,7 @@ struct fingerflow_search_both_ways {
 };
 void fingerflow_search_and_return(const fingerflow_search_both_ways* given, int threads);
 
-// Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/window_correlation.py): image index
+// Deformed windows of images, at least 4 x 4, by cubic convolution (fingerflow/ops/tracking/window_correlation.py): image index
 // (windows), places (windows, 2), warp (windows, 2, 2); found (windows, side, side) at steps from -reach to reach.
 void fingerflow_sample_windows(const fingerflow_image* images, std::int64_t height, std::int64_t width,
                                const std::int64_t* image_index, const float* places, const float* warp,
@@ -100,11 +100,11 @@ struct fingerflow_lit_frames {
 };
 
 // Where most of a window of up to 15 x 15 lies below black + limit * light, and the pixel is lit
-// (fingerflow/ops/real_contact_mask.py); limits (batch), `real_contact_mask` is contiguous.
+// (fingerflow/ops/contact/real_contact_mask.py); limits (batch), `real_contact_mask` is contiguous.
 void fingerflow_real_contact_mask(const fingerflow_lit_frames* given, const float* limits, int size,
                                   unsigned char* real_contact_mask, int threads);
 
-// Brightness of the lamp in each frame (fingerflow/ops/light_gain.py), from blocks of `side` px, a multiple of 8.
+// Brightness of the lamp in each frame (fingerflow/ops/contact/light_gain.py), from blocks of `side` px, a multiple of 8.
 void fingerflow_light_gain(const fingerflow_lit_frames* given, std::int64_t side, float* gains, int threads);
 
 // Contact of frames in one call, as fingerflow/graphs/contact.py has it: the gains (batch) of the light from blocks of `block`
@@ -114,14 +114,14 @@ void fingerflow_contact_of_frames(const fingerflow_lit_frames* given, const floa
                                   std::int64_t radius, std::int64_t side, float* gains, unsigned char* real_contact_mask,
                                   float* density_margin, float* numbers, int threads);
 
-// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact_threshold.py), with gains
+// Relative intensity losses (batch) half-way between ridges and valleys (fingerflow/ops/contact/contact_threshold.py), with gains
 // (batch), medians of `size` x `size` px by the `table` of `fingerflow_median`, regions of `radius` on cells of `side` px, and
 // one pixel of `stride` across and down counted.
 void fingerflow_contact_threshold(const fingerflow_lit_frames* given, const float* gains, int size,
                                   const std::uint16_t* table, std::int64_t radius, std::int64_t side, std::int64_t stride,
                                   float* thresholds, int threads);
 
-// Light over that of the empty glass, (frame - black) / light, and where it is known (fingerflow/ops/illumination.py):
+// Light over that of the empty glass, (frame - black) / light, and where it is known (fingerflow/ops/filters/illumination.py):
 // where the light exceeds `least`, one number an image of it, and all is finite; elsewhere 1. Contiguous.
 void fingerflow_normalize(const fingerflow_lit_frames* given, const float* least, float* quotients,
                           unsigned char* known, int threads);
@@ -143,7 +143,7 @@ void fingerflow_dilate(const void* masks, unsigned char* dilated, std::int64_t b
                        std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride,
                        const std::int32_t* half_widths, std::int64_t radius, int of_background, int threads);
 
-// Masks of bytes with their holes filled (fingerflow/ops/components.py), or but their largest part; results are
+// Masks of bytes with their holes filled (fingerflow/ops/contact/components.py), or but their largest part; results are
 // contiguous.
 void fingerflow_fill_holes(const unsigned char* masks, unsigned char* filled, std::int64_t batch, std::int64_t height,
                            std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
@@ -151,7 +151,7 @@ void fingerflow_largest_component(const unsigned char* masks, unsigned char* lar
                                   std::int64_t height, std::int64_t width, std::int64_t frame_stride,
                                   std::int64_t row_stride, int threads);
 
-// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/apparent_contact.py has
+// The regions that contiguous masks of bytes span on cells of `side` 1, 2, 4 or 8 px, as fingerflow/ops/contact/apparent_contact.py has
 // them: density_margin (batch, cells down, cells across); numbers (batch, 7): pixels covered, area, centre x and y, semi axes,
 // angle.
 struct fingerflow_apparent_contacts {
@@ -162,7 +162,7 @@ struct fingerflow_apparent_contacts {
 void fingerflow_apparent_contact(const fingerflow_apparent_contacts* given, int threads);
 
 // Whether (batch, count) regions of density margins (batch, cells down, cells across) on cells of `side` px cover points
-// (batch, count, 2), each by the rows of `transform` (2, 3) times x, y and 1 (fingerflow/ops/cells.py).
+// (batch, count, 2), each by the rows of `transform` (2, 3) times x, y and 1 (fingerflow/ops/contact/cells.py).
 void fingerflow_covered(const float* density_margin, std::int64_t batch, std::int64_t down, std::int64_t across,
                         std::int64_t side, const float* points, std::int64_t count, const float* transform,
                         unsigned char* covered);
@@ -182,7 +182,7 @@ void fingerflow_mask_moments(const unsigned char* masks, std::int64_t* moments, 
 void fingerflow_fit_ellipse(const unsigned char* masks, double* ellipses, std::int64_t batch, std::int64_t height,
                             std::int64_t width, std::int64_t frame_stride, std::int64_t row_stride, int threads);
 
-// Weighted linear fits around queries, as fingerflow/ops/local_fit.py has them: arrays of float, or of double where
+// Weighted linear fits around queries, as fingerflow/ops/fields/local_fit.py has them: arrays of float, or of double where
 // `wide` is 1, all contiguous. A batch is that of the results, or 1. Noise (or null) has 1 or components^2 numbers a point.
 struct fingerflow_local_fit {
     const void *points, *values, *queries, *noise;
@@ -194,7 +194,7 @@ struct fingerflow_local_fit {
 void fingerflow_local_gradients(const fingerflow_local_fit* given, double radius, double least_spread, int wide,
                                 int threads);
 
-// Positions of points corrected for the deformation of the skin, as fingerflow/ops/deformation.py has it: start (points, 2),
+// Positions of points corrected for the deformation of the skin, as fingerflow/ops/tracking/deformation.py has it: start (points, 2),
 // found (frames, points, 2), covariance (frames, points, 2, 2), numbers (points, 32), inverse_warp (points, 2, 2). Results are
 // corrected, remaining (covariance) and warp of those shapes, shift (frames, points) and expected (frames, points, 2).
 struct fingerflow_deformation {
@@ -205,7 +205,7 @@ struct fingerflow_deformation {
 };
 void fingerflow_correct_points(const fingerflow_deformation* given, int threads);
 
-// Points off their neighbours, or far more uncertain than they, as fingerflow/ops/outliers.py has it: numbers of the
+// Points off their neighbours, or far more uncertain than they, as fingerflow/ops/tracking/outliers.py has it: numbers of the
 // neighbours (neighbours, stride), their offsets x and y, and whether they count, 1 or 0; stride is a multiple of 16 and at
 // least `points`, with zeros behind them. Displacement (frames, points, 2), deviation (frames, points); results (frames,
 // points) bytes.
@@ -219,7 +219,7 @@ struct fingerflow_outliers {
 };
 void fingerflow_find_outliers(const fingerflow_outliers* given, int threads);
 
-// Corners of uint8 frames, as fingerflow/ops/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
+// Corners of uint8 frames, as fingerflow/ops/tracking/corners.py has them, for a window of up to 15 px and fewer than 2^32 pixels
 // a frame: (batch, count) places and responses, NaN behind the last. `mask` (bytes, one image or one a frame, or null)
 // tells where they may lie, `floors` (batch) what their response must exceed.
 void fingerflow_corners(const unsigned char* frames, std::int64_t batch, std::int64_t height, std::int64_t width,
@@ -241,7 +241,7 @@ struct fingerflow_detection {
 };
 void fingerflow_detect_points(const fingerflow_detection* given, int threads);
 
-// Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/area_medians.py has them, and
+// Medians (batch, 5) over ellipses of divergence, curl, exx, eyy and exy, as fingerflow/ops/fields/area_medians.py has them, and
 // their standard deviations where there are covariances, and the shares (batch) of positions where they are known: reference (1 or batch, point_count, 2), displacement (batch,
 // point_count, 2), covariance (batch, point_count, 2, 2) or null, ellipses (batch, 6) with centre, semi axes, cosine and
 // sine, lattice (positions, 2) in the unit disc. Measure 0 is Green-Lagrange, 1 as printed, 2 infinitesimal. `apart`
@@ -258,7 +258,7 @@ struct fingerflow_area_medians {
 };
 void fingerflow_medians_over_area(const fingerflow_area_medians* given, int threads);
 
-// Strain of triangles and its energy, as fingerflow/ops/triangle_strain.py has them: displacement (batch, point_count, 2),
+// Strain of triangles and its energy, as fingerflow/ops/fields/triangle_strain.py has them: displacement (batch, point_count, 2),
 // covariance (batch, point_count, 2, 2), in_contact (batch, triangle_count) bytes; of the triangles corners (3, .), slopes
 // (2, 3, .) by x and y, their products xx, xy, yy with those of the errors that a corner shares (3, 3, .), areas and
 // whether they are flat, NaN or 0. Measure as above; direct, between and shear are the
@@ -278,7 +278,7 @@ struct fingerflow_triangle_strain {
 };
 void fingerflow_strain_of_triangles(const fingerflow_triangle_strain* given, int threads);
 
-// A flow led down to its fixed point, as fingerflow/ops/flow_descent.py does it: levels from the finest on, their planes those
+// A flow led down to its fixed point, as fingerflow/ops/flow/flow_descent.py does it: levels from the finest on, their planes those
 // of all images of the batch; pull, flow and moved (batch, 2, height, width) of the finest, known (batch, height, width).
 // Weights of a window: the middle one and `half` more.
 struct fingerflow_flow_level {
@@ -307,13 +307,13 @@ struct fingerflow_flow_levels_of {
 };
 void fingerflow_flow_levels(const fingerflow_flow_levels_of* given, int threads);
 
-// Covariance (batch, 3, height, width) of noise, as fingerflow/ops/flow_covariance.py has it, of tensors of that shape, and of
+// Covariance (batch, 3, height, width) of noise, as fingerflow/ops/flow/flow_covariance.py has it, of tensors of that shape, and of
 // each image the density of noise, alpha, and the eigenvalue above which texture is known.
 void fingerflow_flow_covariance(const float* tensor, const float* density, const float* alpha, const float* textured,
                                 float rho_square, float* covariance, std::int64_t batch, std::int64_t height,
                                 std::int64_t width, int threads);
 
-// What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow.py has it: of images (batch, height, width)
+// What dense flow takes from the first image, as `_fields` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients and mask, value, gradient (batch, 2, height, width), inside; of their cells tensor (batch, 3, ...), known and
 // the edges to the next of the row (one column less) and of the column (one row less), for alpha 1.
 struct fingerflow_flow_template_of {
@@ -323,7 +323,7 @@ struct fingerflow_flow_template_of {
 };
 void fingerflow_flow_template(const fingerflow_flow_template_of* given, int threads);
 
-// What a flow on cells leaves unexplained, as `_data` of fingerflow/ops/flow.py has it: of images (batch, height, width)
+// What a flow on cells leaves unexplained, as `_data` of fingerflow/ops/flow/dense_flow.py has it: of images (batch, height, width)
 // coefficients, value, gradient (batch, 2, height, width), inside; of their cells of 2 x 2 flow and data (batch, 2, ...), known,
 // squares and seen; gain (batch).
 struct fingerflow_flow_left_of {
@@ -356,7 +356,7 @@ struct fingerflow_flow_at_pixels_of {
 void fingerflow_flow_at_pixels(const fingerflow_flow_at_pixels_of* given, int threads);
 
 // The spline of coefficients (batch, height, width) at every pixel displaced by the flow (batch, 2, height, width), border
-// repeated, as fingerflow/ops/flow.py has it.
+// repeated, as fingerflow/ops/flow/dense_flow.py has it.
 void fingerflow_flow_warp(const float* coefficients, const float* flow, float* values, std::int64_t batch,
                           std::int64_t height, std::int64_t width, int threads);
 

@@ -1,4 +1,4 @@
-"""By what a point is judged to be off its neighbours, or far more uncertain than they (`ops.outliers`)."""
+"""By what a point is judged to be off its neighbours, or far more uncertain than they (`ops.tracking.outliers`)."""
 
 NEIGHBOURS = 16  # of a point that are asked; the nearest
 LEAST_NEIGHBOURS = 5  # below which there is nobody to judge by

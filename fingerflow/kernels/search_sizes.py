@@ -1,4 +1,4 @@
-"""Sizes of an exhaustive search (`ops.search`), which works on images of half resolution."""
+"""Sizes of an exhaustive search (`ops.tracking.search`), which works on images of half resolution."""
 
 # The template of a wide search is this many tracking windows wide. Ridges repeat every 15 px: 21 px hold little more
 # than one of them and match the neighbouring ridge almost as well; 63 px hold the bends and endings that tell them

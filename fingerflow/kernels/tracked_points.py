@@ -51,7 +51,7 @@ class Neighbours(NamedTuple):
 
 
 class Outliers(NamedTuple):
-    """(K, N) bool each, as `ops.outliers.Outliers`."""
+    """(K, N) bool each, as `ops.tracking.outliers.Outliers`."""
 
     off_neighbours: Array
     uncertain: Array
@@ -150,7 +150,7 @@ def search_and_return(
     forward_backward_limit: float,
     image_index: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Search windows around guesses, and back from there, as `ops.search.search_and_return` does.
+    """Search windows around guesses, and back from there, as `ops.tracking.search.search_and_return` does.
 
     Args:
         key, current: (B, 1, H, W) of FRAME_KINDS, at least 3 x 3 px.

@@ -47,7 +47,7 @@ def prepare_templates(
     gain_offset: bool,
     rounding: float,
 ) -> tuple[Array, Array, Array]:
-    """Start, samples and numbers of templates, as `ops.templates.Templates` has them.
+    """Start, samples and numbers of templates, as `ops.tracking.templates.Templates` has them.
 
     An image (B, 1, H, W) of FRAME_KINDS, H and W at least 4; float32 points (B, N, 2), inverse_warp (B, N, 2, 2) and
     variance (B,).
@@ -86,7 +86,9 @@ def prepare_templates(
 
 
 class FollowedPoints(NamedTuple, Generic[Array]):
-    """Of K frames, as `ops.templates.Found` has them, (K, B, N, ...); place and speed (B, N, 2) after the last one."""
+    """Of K frames, as `ops.tracking.templates.Found` has them, (K, B, N, ...); place and speed (B, N, 2) after the last
+    one.
+    """
 
     points: Array
     error: Array
@@ -165,7 +167,7 @@ def find_templates(
 
 
 class FoundPairs(NamedTuple, Generic[Array]):
-    """Of pairs of images, as `ops.templates.Found` and `Templates` have them, (B, N, ...)."""
+    """Of pairs of images, as `ops.tracking.templates.Found` and `Templates` have them, (B, N, ...)."""
 
     points: Array
     error: Array
@@ -246,7 +248,7 @@ def _check_window(window: int, frames: Array) -> None:
 
 
 def halve(frames: Array) -> Array:
-    """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.search` has them, of frames of FRAME_KINDS.
+    """Means of 2 x 2 px (B, 1, H // 2, W // 2) float32, as `ops.tracking.search` has them, of frames of FRAME_KINDS.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or frames below 3 x 3 px.
@@ -259,7 +261,7 @@ def halve(frames: Array) -> Array:
 
 
 def mean_response(frames: Array) -> Array:
-    """Mean absolute response (B,) float64 of the mask of `ops.noise`, of frames of FRAME_KINDS, at least 3 x 3.
+    """Mean absolute response (B,) float64 of the mask of `ops.filters.noise`, of frames of FRAME_KINDS, at least 3 x 3.
 
     Raises:
         TypeError, ValueError: another dtype or shape, or smaller frames.
@@ -273,7 +275,7 @@ def mean_response(frames: Array) -> Array:
 
 
 def spline_coefficients(frames: Array) -> Array:
-    """(B, 1, H, W) float32, as `ops.spline` has them, bit for bit, of frames of FRAME_KINDS.
+    """(B, 1, H, W) float32, as `ops.filters.spline` has them, bit for bit, of frames of FRAME_KINDS.
 
     Raises:
         TypeError, ValueError: another dtype or shape.
@@ -301,7 +303,7 @@ def _kernel_frames(frames: Array) -> Array:
 def search_windows(
     templates: Array, images: Array, image_index: Array, points: Array, guess: Array, size: int, reach: int
 ) -> Array:
-    """Places (P, 2) as `ops.search` has them, from images (B, 1, h, w) of half resolution, all float32.
+    """Places (P, 2) as `ops.tracking.search` has them, from images (B, 1, h, w) of half resolution, all float32.
 
     Image_index (P,) int64, points and guess (P, 2); templates `size` wide, found up to `reach` px away.
 
@@ -338,8 +340,8 @@ def search_windows(
 
 
 def sample_windows(images: Array, image_index: Array, places: Array, warp: Array, window: int, step: int) -> Array:
-    """Windows (N, m) as `ops.window_correlation` has them, to the rounding of their places, of images (n, 1, H, W) of
-    FRAME_KINDS, at least 4 x 4.
+    """Windows (N, m) as `ops.tracking.window_correlation` has them, to the rounding of their places, of images (n, 1,
+    H, W) of FRAME_KINDS, at least 4 x 4.
 
     Image_index (N,) int64; places (N, 2) and warp (N, 2, 2) float32.
 
@@ -391,7 +393,7 @@ def corners(
     window: int,
     border: int,
 ) -> CornerPlaces[Array]:
-    """Corners of uint8 frames (B, 1, H, W), as `ops.corners` has them; responses exceed `floors` (B,) float32.
+    """Corners of uint8 frames (B, 1, H, W), as `ops.tracking.corners` has them; responses exceed `floors` (B,) float32.
 
     Raises:
         TypeError, ValueError: another dtype or shape, a window that is even or above 15, 2^32 pixels a frame or more.

@@ -19,7 +19,8 @@ class TrackStatus(IntEnum):
     OFF_NEIGHBOURS = 8  # it was found, but not where any plane through its neighbours leads
     FRAME_NOT_USABLE = 9  # the whole frame is no picture of the trial: a recording's results have it, no op gives it
     WINDOW_DIFFERS = 10  # its window is no longer the one that was chosen (`stages.second_look`); no op gives it either
-    NOT_CHOSEN_YET = 11  # it was chosen in another frame, as skin came into contact there (`stages.new_skin`); no op
+    # it was chosen in another frame, as skin came into contact there (`pipeline.stages.tracking.new_skin`); no op
+    NOT_CHOSEN_YET = 11
 
 
 class Number(IntEnum):

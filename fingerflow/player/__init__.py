@@ -8,25 +8,25 @@ and another serves the live page.
 Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
 areas mm², axes mm, times s.
 
-A name is loaded when it is first asked for: who reads the contract of scenes alone needs neither numpy nor onnxruntime.
+A name is loaded when it is first asked for: who reads the schema of scenes alone needs neither numpy nor onnxruntime.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fingerflow.errors import PlayerError as PlayerError
     from fingerflow.player.cli import main as main
-    from fingerflow.player.errors import PlayerError as PlayerError
-    from fingerflow.player.results import StreamResults as StreamResults
-    from fingerflow.player.results import read_results as read_results
-    from fingerflow.player.results import write_table as write_table
+    from fingerflow.results.stream_folder import StreamResults as StreamResults
+    from fingerflow.results.stream_folder import read_results as read_results
+    from fingerflow.results.stream_folder import write_table as write_table
 
 _HOMES = {
     "main": "fingerflow.player.cli",
-    "PlayerError": "fingerflow.player.errors",
-    "StreamResults": "fingerflow.player.results",
-    "read_results": "fingerflow.player.results",
-    "write_table": "fingerflow.player.results",
+    "PlayerError": "fingerflow.errors",
+    "StreamResults": "fingerflow.results.stream_folder",
+    "read_results": "fingerflow.results.stream_folder",
+    "write_table": "fingerflow.results.stream_folder",
 }
 __all__ = ["PlayerError", "StreamResults", "main", "read_results", "write_table"]
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.errors import PlayerError
 from fingerflow.player.scene import View
 from fingerflow.player.sources import open_recording
 

@@ -14,8 +14,8 @@ import numpy as np
 from fingerflow.engines.bundle_settings import bundle_settings
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.engines.names import GRAPHS
-from fingerflow.player.contract.bundle_format import BUNDLE_FORMAT
-from fingerflow.player.errors import PlayerError
+from fingerflow.errors import PlayerError
+from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,19 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.engines.choice import STREAM_ENGINES, engine_of_stream
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.bundle import load_bundle
-from fingerflow.player.contract.unfinished import remove, unfinished
-from fingerflow.player.errors import PlayerError, first_line
 from fingerflow.player.handover import Slot
 from fingerflow.player.live import Forces
 from fingerflow.player.played import played_by
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.results import RESULTS_FORMAT, Sink
 from fingerflow.player.scene import contradictions, stream_settings
 from fingerflow.player.settings import Settings
 from fingerflow.player.sources import kinds
 from fingerflow.player.stream import Player
+from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
+from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.tracker.stream import StreamTracker
 
 _LEAST = 1e-6  # frames a second, as in scenes, or s: below, a computer's clock does not reach as far as the next frame

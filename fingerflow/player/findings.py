@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_quality import USABLE
 
 

@@ -9,9 +9,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.errors import PlayerError
 from fingerflow.player.scene import Scene, View
 from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 

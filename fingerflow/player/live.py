@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.handover import Slot
 

@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.live import LiveData
 
 log = logging.getLogger("fingerflow.player")

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.background import mean_view
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.errors import PlayerError
 from fingerflow.player.live import Expected
 from fingerflow.player.scene import Scene, check_scene, load_scene
 from fingerflow.player.sources import open_recording

@@ -1,4 +1,4 @@
-"""What a record of a frame holds: variables of `contract`, those of the tracker and those of the player itself."""
+"""What a record of a frame holds: variables of `schema`, those of the tracker and those of the player itself."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
-from fingerflow.player.contract.variables import (
+from fingerflow.engines.engine import Array
+from fingerflow.schema.variables import (
     CONTACT,
     FIELDS,
     FRAME,

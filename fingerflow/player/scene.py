@@ -1,4 +1,4 @@
-"""What a stream takes from a scene file, whose keys and rules are those of `contract`, as for `fingerflow process`."""
+"""What a stream takes from a scene file, whose keys and rules are those of `schema`, as for `fingerflow process`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.contract.region import region_runs
-from fingerflow.player.contract.scene_file import SceneError, read_scene
-from fingerflow.player.errors import PlayerError
+from fingerflow.schema.region import region_runs
+from fingerflow.schema.scene_file import SceneError, read_scene
 from fingerflow.tracker.stream import StreamSettings
 
 
@@ -39,7 +39,7 @@ class Scene:
 
     Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
     in place of one. ``region`` is the part of the topography view in which points are chosen, None for all of it.
-    ``drawn`` is one of another shape, as `contract.region` takes it.
+    ``drawn`` is one of another shape, as `schema.region` takes it.
     ``has_forces`` says whether it names a file of forces; what is in it the page has from the package.
     ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
     """

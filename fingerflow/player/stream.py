@@ -12,21 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.contract.variables import FRAME_STATUS
-from fingerflow.player.errors import PlayerError, first_line
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
 from fingerflow.player.live import Expected, Forces, LiveData, LiveViews
 from fingerflow.player.page import serve_page
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.results import Sink
 from fingerflow.player.scene import Scene
 from fingerflow.player.settings import Settings
 from fingerflow.player.sources.closing import close_within
 from fingerflow.player.sources.source import OpenSource, Source
+from fingerflow.results.stream_folder import Sink
+from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_quality import USABLE
 from fingerflow.tracker.stream import Event, Outcome, StreamTracker, Work
 

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.graphs import ContactGraph, LightGraph
+from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs
 from fingerflow.plot.axes_style import GREEN, RED, YELLOW, given_or_new
 from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.plot.wording import followed
 from fingerflow.recordings import Recording, open_recording
 from fingerflow.recordings.identity import identity_of
-from fingerflow.scene import Scene
-from fingerflow.stages.inputs import Inputs, open_inputs
+from fingerflow.schema.scene import Scene
 
 Values = NDArray[np.float64]
 MASK, AWAY, STUCK = "#2f9be0", "#8fd3ff", "#ff00c8"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.digest import digest_of_bytes
+from fingerflow.recordings.digest import digest_of_bytes
 from fingerflow.recordings.frames.recording import Recording
 
 

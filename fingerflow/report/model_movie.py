@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.plot.axes_style import GREY, INK, RED
 from fingerflow.report.simulated_presses import HIGH, LOW, SimulatedPresses
 from fingerflow.report.video import encode_video
+from fingerflow.results.atomic_write import write_atomically
 
 _INCHES, _DPI = (10.0, 5.4), 96
 _WIDE_MM = 9.0  # of the finger that is shown, from its middle

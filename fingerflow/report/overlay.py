@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import xarray as xr
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.recordings import open_recording
 from fingerflow.report.video import encode_video
 from fingerflow.report.views import Picture, ViewPainter
-from fingerflow.scene import Scene
+from fingerflow.results.atomic_write import write_atomically
+from fingerflow.schema.scene import Scene
 
 _MOST_FRAMES = 300
 _ARROW_PX = 40  # length that the largest displacements are drawn with

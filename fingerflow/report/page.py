@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fingerflow import plot
-from fingerflow.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
 from fingerflow.plot.abscissa import varies
 from fingerflow.plot.picture import said, views_of
 from fingerflow.plot.wording import followed, is_sensor
@@ -28,7 +27,8 @@ from fingerflow.report.overlay import write_overlay
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.slip_trials import SlipTrial, trial_figure, verdict_line
 from fingerflow.report.telling_frames import Telling, telling_frames
-from fingerflow.scene import Scene
+from fingerflow.results.atomic_write import MARK, is_marked, keep_others, spare, write_atomically
+from fingerflow.schema.scene import Scene
 
 _MAPS = ("divergence", "curl", "displacement", "strain_energy_density", "major_strain", "minor_strain")
 Draw = Callable[..., Axes]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from fingerflow.atomic_write import MARK, write_atomically
+from fingerflow.results.atomic_write import MARK, write_atomically
 
 _DPI = 110
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fingerflow.models.skin_chain import CONTACT_N, Press, follow
-from fingerflow.ops.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished
 
 Values = NDArray[np.float64]

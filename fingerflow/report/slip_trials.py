@@ -12,11 +12,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fingerflow.atomic_write import is_marked, keep_others
 from fingerflow.models.partial_slip import FrictionFit, TrialVerdict
 from fingerflow.plot.outlines import contact_outline, stuck_outline
 from fingerflow.report.partial_slip import draw_motion, draw_over_time, draw_trial, draw_trials
 from fingerflow.report.picture_files import save_figure
+from fingerflow.results.atomic_write import is_marked, keep_others
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.atomic_write import MARK
+from fingerflow.results.atomic_write import MARK
 
 RATE = 30  # frames a second of a video
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fingerflow.plot.outlines import stuck_outline
 from fingerflow.plot.picture import check_recording
 from fingerflow.recordings import Recording
-from fingerflow.scene import Scene
-from fingerflow.views import View
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.views import View
 
 Picture = NDArray[np.uint8]
 STUCK = (255, 0, 200)

@@ -6,7 +6,7 @@ A metric is named as in `fingerflow.report.trial_metrics`; without a suffix it i
 
 from collections.abc import Iterator
 
-from fingerflow.player.contract.variables import Variable
+from fingerflow.schema.variables import Variable
 
 #: Moments of a trial, and what they are.
 FORCES_N = (1.0, 2.0, 3.0)

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from fingerflow.atomic_write import write_atomically
-from fingerflow.digest import digest_of
 from fingerflow.errors import FingerflowError
+from fingerflow.recordings.digest import digest_of
+from fingerflow.results.atomic_write import write_atomically
 from fingerflow.study.keys import InputFile, Keys, look_at
 
 _DIGEST = "digest"  # of all else in `row.json`: a number that changed on the disk must not get into the table

@@ -9,14 +9,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_keys import SCENE, File, Key, Table
 from fingerflow.recordings.forces.opening import READER_OF
 from fingerflow.recordings.frames.opening import READERS
-from fingerflow.scene import scene_text
+from fingerflow.results.atomic_write import write_atomically
+from fingerflow.schema.scene import scene_text
+from fingerflow.schema.scene_keys import SCENE, File, Key, Table
+from fingerflow.schema.toml_string import toml_string
 from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, read_rows
-from fingerflow.toml_string import toml_string
 
 _SUFFIXES = {suffix for reader, suffixes in READERS.items() if reader != "images" for suffix in suffixes} - {".cihx"}
 _NO_TRIAL = re.compile(r"(^|[^a-z])(background|empty|dark|glass|target|ring|calib\w*)([^a-z]|$)")

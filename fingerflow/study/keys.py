@@ -1,7 +1,7 @@
 """What a result was made of: files by their content, settings and code.
 
 `result` is what the whole result comes from, `row` what the row of the table comes from, the result among it. Which
-stages a changed setting touches, `fingerflow.reuse` knows: a changed gauge length reads no picture.
+stages a changed setting touches, `fingerflow.pipeline.reuse` knows: a changed gauge length reads no picture.
 """
 
 import json
@@ -12,10 +12,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fingerflow.digest import digest_of, digest_of_bytes
 from fingerflow.errors import FingerflowError
-from fingerflow.reuse import code_version
-from fingerflow.scene import Scene
+from fingerflow.pipeline.reuse import code_version
+from fingerflow.recordings.digest import digest_of, digest_of_bytes
+from fingerflow.schema.scene import Scene
 
 _PARTS = ("result", "row")
 _ROW = ("row.py", "columns.py")  # beside this file

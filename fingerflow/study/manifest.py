@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_keys import SCENE, Table
-from fingerflow.scene import Scene, scene_from
+from fingerflow.schema.scene import Scene, scene_from
+from fingerflow.schema.scene_keys import SCENE, Table
 from fingerflow.study.columns import OF_RESULTS
 
 #: Columns of a table of trials that the study itself reads; one with a dot is a key of the scene.

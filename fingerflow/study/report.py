@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 from jinja2 import Environment
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.trial_metrics import METRICS
 from fingerflow.report.views import ViewPainter
-from fingerflow.result import load_result, open_result
-from fingerflow.scene import Scene
+from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.result import load_result, open_result
+from fingerflow.schema.scene import Scene
 from fingerflow.study.cluster import over_workers
 from fingerflow.study.figures import write_figures
 from fingerflow.study.files import MEASURED, read_row

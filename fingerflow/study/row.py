@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fingerflow.result import Own
-from fingerflow.stages.series import rate
+from fingerflow.pipeline.stages.trial.series import rate
+from fingerflow.results.result import Own
 from fingerflow.study.columns import AT_MAX, AT_MOMENTS, AT_ONSET, FORCES_N, NUMBERS
 
 Series = NDArray[np.float64]

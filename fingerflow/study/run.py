@@ -91,7 +91,7 @@ def run_study(
             threads of each.
         only, retry_failed: as in `plan_run`.
         progress: show a bar.
-        together: trials that a worker computes in lock-step (`fingerflow.pipeline.process_together`), of which an
+        together: trials that a worker computes in lock-step (`fingerflow.pipeline.run.process_together`), of which an
             accelerator has something; by default 8 where this computer has one, else 1.
 
     Raises FingerflowError where the cluster cannot be had.

@@ -19,9 +19,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.models.skin_chain import press
 from fingerflow.models.skin_parameters import named
+from fingerflow.results.atomic_write import write_atomically
 from fingerflow.synthetic import Camera, ChainPress, write_recording
 
 Values = NDArray[np.float64]

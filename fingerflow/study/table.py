@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError
+from fingerflow.results.atomic_write import write_atomically
 from fingerflow.study.columns import FACTS, NORMALISED, NUMBERS
 from fingerflow.study.files import MEASURED, TrialRow, read_row
 from fingerflow.study.manifest import Manifest, TrialEntry

@@ -20,8 +20,8 @@ import torch
 from fingerflow import __version__
 from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
-from fingerflow.pipeline import run_steps, steps_to
-from fingerflow.result import open_result, read_own
+from fingerflow.pipeline.run import run_steps, steps_to
+from fingerflow.results.result import open_result, read_own
 from fingerflow.study.allocator import keep_memory
 from fingerflow.study.files import FAILED, MEASURED, Part, TrialRow, has_result, read_row, result_name, write_row
 from fingerflow.study.keys import Keys, all_codes, code_of, keys_of, look_at

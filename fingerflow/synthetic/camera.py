@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.views import View
+from fingerflow.schema.views import View
 
 
 @dataclass(frozen=True)

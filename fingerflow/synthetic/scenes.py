@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fingerflow.schema.views import View
 from fingerflow.synthetic import optics
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.motion import Ellipse, SkinMotion
 from fingerflow.synthetic.skin import Skin
 from fingerflow.synthetic.texture import RidgeTexture
 from fingerflow.synthetic.truth import Truth
-from fingerflow.views import View
 
 Array = NDArray[np.float64]
 

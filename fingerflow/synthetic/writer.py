@@ -14,8 +14,9 @@ import torch
 from tqdm import tqdm
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.unfinished import unfinished as hidden
-from fingerflow.scene import scene_text
+from fingerflow.schema.scene import scene_text
+from fingerflow.schema.unfinished import unfinished as hidden
+from fingerflow.schema.views import View
 from fingerflow.synthetic.camera import Camera
 from fingerflow.synthetic.chain_press import ChainPress
 from fingerflow.synthetic.fingerprint import FingerprintTexture
@@ -26,7 +27,6 @@ from fingerflow.synthetic.press import Press
 from fingerflow.synthetic.scenes import Scene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
-from fingerflow.views import View
 
 #: What the settings of a scene are made of.
 KINDS = {

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.player.contract.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
+from fingerflow.schema.variables import DARK_SHARE, FRAME_STATUS, SATURATED_SHARE
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import LONGEST, evened, row_distances
 from fingerflow.tracker.frame_returns import FAR, REPEATED_SHARE

@@ -7,13 +7,13 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table as TomlTable
 
-from fingerflow.atomic_write import spare, write_atomically
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.scene_check import MISSING, check_scene
-from fingerflow.player.contract.scene_keys import SCENE
-from fingerflow.player.contract.scene_kinds import KINDS, default_kind
 from fingerflow.recordings import Recording
-from fingerflow.scene import Scene, scene_of_text, scene_text
+from fingerflow.results.atomic_write import spare, write_atomically
+from fingerflow.schema.scene import Scene, scene_of_text, scene_text
+from fingerflow.schema.scene_check import MISSING, check_scene
+from fingerflow.schema.scene_keys import SCENE
+from fingerflow.schema.scene_kinds import KINDS, default_kind
 
 Keys = tuple[str, ...]
 #: What is said of a key that is missing, where more helps than that it is.

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from fingerflow.player.contract.scene_keys import SCENE, Choice, File, Key, Number, Switch, Table, Text, Whole
-from fingerflow.player.contract.scene_kinds import KINDS
+from fingerflow.schema.scene_keys import SCENE, Choice, File, Key, Number, Switch, Table, Text, Whole
+from fingerflow.schema.scene_kinds import KINDS
 
 
 def kinds() -> list[str]:

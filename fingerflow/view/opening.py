@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.result import is_result, scene_of
+from fingerflow.results.result import is_result, scene_of
 from fingerflow.view.draft import Draft
 
 RESULT = "result.h5"  #: beside the scene, as `fingerflow process` names it

@@ -1,7 +1,7 @@
 """Which variables a run is asked for."""
 
-from fingerflow.plan import plan
-from fingerflow.scene import Scene
+from fingerflow.pipeline.plan import plan
+from fingerflow.schema.scene import Scene
 
 
 def all_of_default_stages(scene: Scene) -> list[str]:

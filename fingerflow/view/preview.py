@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.together import run_alone
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import VARIABLES, plan
-from fingerflow.scene import Scene
-from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.frame_check import FrameCheckStage
-from fingerflow.stages.inputs import Inputs, open_inputs, read_frames
-from fingerflow.stages.loading import LoadingStage
-from fingerflow.stages.stage import Batch, Trial
-from fingerflow.stages.tracking import TrackingStage
-from fingerflow.store import MemoryStore
+from fingerflow.pipeline.plan import VARIABLES, plan
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.trial.inputs import Inputs, open_inputs, read_frames
+from fingerflow.pipeline.stages.trial.loading import LoadingStage
+from fingerflow.results.store import MemoryStore
+from fingerflow.schema.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.variables import LABELS
-from fingerflow.result import open_result
-from fingerflow.untrusted.hdf5 import open_hdf5
+from fingerflow.recordings.guard.hdf5 import open_hdf5
+from fingerflow.results.result import open_result
+from fingerflow.schema.variables import LABELS
 
 _SAMPLED = 24  # frames that tell the range of colours
 _RANGE = 0.96  # share of the values below its end
@@ -119,7 +119,9 @@ class Results:
 
     def median_of_points(self, key: str, points: Sequence[int]) -> Values:
         """(frames,) median over these points of what is not NaN."""
-        from fingerflow.stages.series import nanmedian  # with it comes torch: not before the first picture
+        from fingerflow.pipeline.stages.trial.series import (
+            nanmedian,  # with it comes torch: not before the first picture
+        )
 
         return nanmedian(self.of_points(key, points))
 

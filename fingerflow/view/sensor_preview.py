@@ -8,12 +8,12 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
-from fingerflow.plan import VARIABLES
-from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.marker_contact import CELL_PX, MarkerContactStage
-from fingerflow.stages.markers import MarkerStage, Seen
-from fingerflow.stages.stage import Batch, Trial
-from fingerflow.store import MemoryStore
+from fingerflow.pipeline.plan import VARIABLES
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.soft_sensor.marker_contact import CELL_PX, MarkerContactStage
+from fingerflow.pipeline.stages.soft_sensor.markers import MarkerStage, Seen
+from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.results.store import MemoryStore
 from fingerflow.view.preview import Chosen, Preview, Previewer, numbers_of
 
 _LOOKS = 32  # frames that tell how the gel rests

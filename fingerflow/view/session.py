@@ -14,8 +14,9 @@ from tomlkit.exceptions import TOMLKitError
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import Recording, force_columns, open_recording
-from fingerflow.result import is_result, open_result
-from fingerflow.scene import Scene, load_scene, scene_of_settings
+from fingerflow.results.result import is_result, open_result
+from fingerflow.schema.scene import Scene, load_scene, scene_of_settings
+from fingerflow.schema.views import View
 from fingerflow.view.command import Command
 from fingerflow.view.draft import Draft, files_beside
 from fingerflow.view.keys import forms, kinds
@@ -23,7 +24,6 @@ from fingerflow.view.opening import RESULT, Opened
 from fingerflow.view.packing import packed
 from fingerflow.view.pictures import Pictures
 from fingerflow.view.results import Results
-from fingerflow.views import View
 
 if TYPE_CHECKING:  # torch takes seconds to load, and the first picture does without
     from fingerflow.view.preview import Previewer

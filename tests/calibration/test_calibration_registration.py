@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fingerflow.calibration import Calibration, Transform, calibrate, fit_affine, fit_similarity, match_discs
 from fingerflow.errors import FingerflowError
-from fingerflow.scene import load_scene, scene_text
-from fingerflow.views import View
+from fingerflow.schema.scene import load_scene, scene_text
+from fingerflow.schema.views import View
 
 SHAPE = (256, 272)
 MIDDLE = (135.5, 127.5)

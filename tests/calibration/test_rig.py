@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from fingerflow.calibration import Calibration, calibrate, draw_overlay
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
-from fingerflow.views import View
+from fingerflow.schema.views import View
 
 VIEWS = {"topography": View((0, 512), (0, 640)), "contact": View((0, 512), (640, 1280))}
 

@@ -11,8 +11,8 @@ from urllib.parse import unquote, urlparse
 import pytest
 
 import fingerflow
-from fingerflow.dictionary import dictionary
-from fingerflow.player.contract.scene_keys import SCENE
+from fingerflow.pipeline.dictionary import dictionary
+from fingerflow.schema.scene_keys import SCENE
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -24,7 +24,7 @@ import numpy as np
 
 absent = {name: None for name in ("torch", "scipy", "h5py", "cv2", *sys.argv[3:])}
 sys.modules.update(absent)
-from fingerflow.player.errors import PlayerError
+from fingerflow.errors import PlayerError
 from fingerflow.player.sources import open_recording
 
 try:
@@ -118,7 +118,7 @@ def test_the_whole_player_is_carried_and_nothing_that_needs_torch() -> None:
     left_out = {str(file.relative_to(rooms.PACKAGE)) for file in files if file not in carried.values()}
     assert left_out <= {"engines/torch.py"}, f"their imports need more than {sorted(rooms.ON_THE_LAB_PC)}"
     of_package = {name.split(".")[1] for name in carried if "." in name}
-    assert of_package <= {"engines", "errors", "kernels", "player", "recordings", "tracker", "untrusted"}
+    assert of_package <= {"engines", "errors", "kernels", "player", "recordings", "results", "schema", "tracker"}
     assert rooms.needed_to_load("fingerflow.player.cli") <= {"numpy", "onnxruntime"}
     assert "torch" in rooms.needed_to_load("fingerflow.export.build")
 
@@ -153,7 +153,7 @@ def test_the_library_goes_along_where_it_was_built(
 
 
 def test_the_scene_to_fill_in_has_views_of_the_size_of_the_bundle() -> None:
-    template = (resources.files("fingerflow") / "bundle" / "scene.toml").read_text(encoding="utf-8")
+    template = (resources.files("fingerflow.export") / "template" / "scene.toml").read_text(encoding="utf-8")
     assert scene_for(template, 512, 640).count("[640, 1280]") == 1  # what the template has
     views = tomllib.loads(scene_for(template, 192, 240))["views"]
     assert views["contact"] == {"rows": [0, 192], "columns": [240, 480]}

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from fingerflow.untrusted.idle import IdleLimit
+from fingerflow.recordings.guard.idle import IdleLimit
 from tests.fuzz.samples import READERS, samples
 from tests.fuzz.worker import damaged, write
 

@@ -243,8 +243,8 @@ def _calibration(folder: Path) -> list[Sample]:
 
 
 def _scene(folder: Path) -> list[Sample]:
-    from fingerflow.scene import scene_text
-    from fingerflow.views import View
+    from fingerflow.schema.scene import scene_text
+    from fingerflow.schema.views import View
 
     (calibration,) = _calibration(folder)
     np.save(folder / "a.npy", GREY8)
@@ -278,7 +278,7 @@ def _bundle(folder: Path) -> list[Sample]:
 def _result(folder: Path) -> list[Sample]:
     import xarray as xr
 
-    from fingerflow.result import save_result
+    from fingerflow.results.result import save_result
 
     frames = {"time": ("frame", TIMES, {"units": "s"}), "frame": np.arange(60)}
     values = {

@@ -156,7 +156,7 @@ def _calibration(path: Path) -> None:
 
 
 def _scene(path: Path) -> None:
-    from fingerflow.scene import load_scene
+    from fingerflow.schema.scene import load_scene
 
     load_scene(path)
 
@@ -168,7 +168,7 @@ def _bundle(path: Path) -> None:
 
 
 def _result(path: Path) -> None:
-    from fingerflow.result import load_result
+    from fingerflow.results.result import load_result
 
     load_result(path)
 
@@ -177,8 +177,8 @@ def play(bundle: Path) -> Path:
     """Plays a bundle's own scene as `fingerflow stream` does; the folder of results. Raises PlayerError where it says
     why not.
     """
+    from fingerflow.errors import PlayerError
     from fingerflow.player import main
-    from fingerflow.player.errors import PlayerError
 
     logging.disable()  # not of interest, and it would stay in memory
     results = bundle.parent / "results"
@@ -196,8 +196,8 @@ def _stream(path: Path) -> None:
 
 
 def _streamed(path: Path) -> None:
-    from fingerflow.player.results import write_table
-    from fingerflow.stream_result import open_stream
+    from fingerflow.results.stream_folder import write_table
+    from fingerflow.results.stream_result import open_stream
 
     open_stream(path).load()
     write_table(path, path / "table.csv")

@@ -1,11 +1,11 @@
-"""The gross region pixel by pixel: what `ops.apparent_contact` finds on cells."""
+"""The gross region pixel by pixel: what `ops.contact.apparent_contact` finds on cells."""
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fingerflow.ops.box_sum import box_sum
-from fingerflow.ops.components import fill_holes, largest_component
+from fingerflow.ops.contact.components import fill_holes, largest_component
+from fingerflow.ops.filters.box_sum import box_sum
 
 _LEAST_SHARE = 0.2
 _BOXES = 3

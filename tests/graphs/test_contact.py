@@ -10,7 +10,7 @@ from exact_region import exact_region
 from torch import Tensor
 
 from fingerflow.graphs import Contact, ContactGraph, LightGraph
-from fingerflow.ops.cells import mask_of
+from fingerflow.ops.contact.cells import mask_of
 
 PERIOD_PX = 14.0  # of ridges 0.45 mm apart
 EDGE_PX = 0.35  # width of the logistic blur of an edge in focus

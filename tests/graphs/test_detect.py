@@ -9,8 +9,8 @@ from torch import Tensor
 from fingerflow.graphs import detect
 from fingerflow.graphs.detect import DetectGraph
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.corners import corner_response
-from fingerflow.ops.noise import estimate_noise
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.tracking.corners import corner_response
 
 SHAPE, WINDOW = (150, 190), 15
 BORDER = WINDOW // 2 + 3

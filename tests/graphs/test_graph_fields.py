@@ -5,10 +5,10 @@ import torch
 from torch import Tensor
 
 from fingerflow.graphs import FieldsGraph, GrossEllipse
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.point_gradients import gradients_at
-from fingerflow.ops.strain import curl, divergence, green_lagrange
-from fingerflow.ops.strain_uncertainty import curl_std, divergence_std
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.fields.point_gradients import gradients_at
+from fingerflow.ops.fields.strain import curl, divergence, green_lagrange
+from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std
 
 GAUGE = 70.0
 

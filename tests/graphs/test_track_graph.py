@@ -6,8 +6,8 @@ from torch import Tensor
 
 from fingerflow.graphs.track import AgreementGraph, DeformationGraph
 from fingerflow.kernels.tracking_limits import Number, TrackStatus
-from fingerflow.ops.outliers import find_neighbours
-from fingerflow.ops.templates import find_templates, inverse_2x2, prepare_templates
+from fingerflow.ops.tracking.outliers import find_neighbours
+from fingerflow.ops.tracking.templates import find_templates, inverse_2x2, prepare_templates
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM = 0.0325

@@ -27,8 +27,8 @@ from fingerflow.kernels import block_means, contact_frames, deformation, library
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.models.skin_chain import press
-from fingerflow.ops.templates import find_templates, prepare_templates
-from fingerflow.ops.triangle_strain import triangle_strain
+from fingerflow.ops.fields.triangle_strain import triangle_strain
+from fingerflow.ops.tracking.templates import find_templates, prepare_templates
 from tests.embedded import CASES, scene, tensors_of
 
 THREADS = 3

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.ops.flow import dense_flow
-from fingerflow.ops.search import search_windows
-from fingerflow.ops.templates import find_templates, prepare_templates
-from fingerflow.ops.tracking import track_points
+from fingerflow.ops.flow.dense_flow import dense_flow
+from fingerflow.ops.tracking.search import search_windows
+from fingerflow.ops.tracking.templates import find_templates, prepare_templates
+from fingerflow.ops.tracking.track_points import track_points
 from fingerflow.synthetic import RidgeTexture
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

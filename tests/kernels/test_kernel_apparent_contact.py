@@ -7,9 +7,9 @@ import torch
 from kernel_images import SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.apparent_contact import Region, apparent_contact
-from fingerflow.ops.components import fill_holes, largest_component
-from fingerflow.ops.ellipse import fit_ellipse, mask_moments
+from fingerflow.ops.contact.apparent_contact import Region, apparent_contact
+from fingerflow.ops.contact.components import fill_holes, largest_component
+from fingerflow.ops.contact.ellipse import fit_ellipse, mask_moments
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.area_medians import Apart, AreaMedians, area_medians
+from fingerflow.ops.fields.area_medians import Apart, AreaMedians, area_medians
 
 Portable = Callable[[Callable[[], object]], Any]
 SETTINGS: dict[str, Any] = {"measure": 0, "radius": 1.0}

@@ -14,8 +14,8 @@ from fingerflow.kernels import contact_frames as native
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.contact_frames import ContactOfFrames, contact_of_frames
 from fingerflow.kernels.contact_sizes import cell_of
-from fingerflow.ops.cells import covered
-from fingerflow.ops.contact_threshold import contact_threshold
+from fingerflow.ops.contact.cells import covered
+from fingerflow.ops.contact.contact_threshold import contact_threshold
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

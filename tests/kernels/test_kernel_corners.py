@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.corners import Corners, detect_corners
+from fingerflow.ops.tracking.corners import Corners, detect_corners
 
 Portable = Callable[[Callable[[], object]], Any]
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.local_fit import LocalFit, local_gradients
+from fingerflow.ops.fields.local_fit import LocalFit, local_gradients
 
 Portable = Callable[[Callable[[], object]], Any]
 

@@ -10,7 +10,7 @@ import torch
 from kernel_images import images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.median import median_filter
+from fingerflow.ops.filters.median import median_filter
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

@@ -11,7 +11,7 @@ import torch
 from kernel_images import SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.morphology import dilate, erode
+from fingerflow.ops.filters.morphology import dilate, erode
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

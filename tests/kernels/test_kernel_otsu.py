@@ -9,7 +9,7 @@ import torch
 from kernel_images import CONTENTS, SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.otsu import histogram, otsu_threshold
+from fingerflow.ops.contact.otsu import histogram, otsu_threshold
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

@@ -7,8 +7,8 @@ import torch
 from kernel_images import CONTENTS, SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.light_gain import light_gain
-from fingerflow.ops.real_contact_mask import real_contact_mask
+from fingerflow.ops.contact.light_gain import light_gain
+from fingerflow.ops.contact.real_contact_mask import real_contact_mask
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.search import search_windows
+from fingerflow.ops.tracking.search import search_windows
 from fingerflow.synthetic import RidgeTexture
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

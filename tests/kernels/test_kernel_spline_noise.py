@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.spline import spline_coefficients
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 

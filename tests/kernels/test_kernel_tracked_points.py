@@ -14,9 +14,9 @@ from fingerflow.kernels import deformation
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracked_points as native
 from fingerflow.kernels.tracking_limits import NUMBERS, WARP_GAUGE_PX, Number
-from fingerflow.ops import outliers
-from fingerflow.ops.search import search_and_return
-from fingerflow.ops.templates import Found, find_templates, inverse_2x2, prepare_templates
+from fingerflow.ops.tracking import outliers
+from fingerflow.ops.tracking.search import search_and_return
+from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
 from tests.graphs.test_track_graph import grid, picture
 from tests.kernels.test_kernel_search import skin, starts
 from tests.ops import test_outliers as fields

@@ -12,9 +12,9 @@ from fingerflow.engines.engine import Engine, EngineSettings, Followed
 from fingerflow.engines.native import NativeEngine
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops import templates
-from fingerflow.ops.templates import find_templates, prepare_templates
-from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
+from fingerflow.ops.tracking import templates
+from fingerflow.ops.tracking.templates import find_templates, prepare_templates
+from fingerflow.ops.tracking.track_points import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

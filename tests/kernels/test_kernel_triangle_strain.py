@@ -8,7 +8,7 @@ import torch
 from scipy.spatial import Delaunay
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
+from fingerflow.ops.fields.triangle_strain import SharedErrors, TriangleStrain, triangle_strain
 
 Portable = Callable[[Callable[[], object]], Any]
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops import window_correlation
-from fingerflow.ops.window_correlation import sample_windows
+from fingerflow.ops.tracking import window_correlation
+from fingerflow.ops.tracking.window_correlation import sample_windows
 
 Portable = Callable[[Callable[[], Tensor]], Tensor]
 NUMBER, WINDOW = 60, 25

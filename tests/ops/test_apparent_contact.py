@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.ops.apparent_contact import apparent_contact, cell_of
-from fingerflow.ops.cells import mask_of
+from fingerflow.ops.contact.apparent_contact import apparent_contact, cell_of
+from fingerflow.ops.contact.cells import mask_of
 
 pytestmark = pytest.mark.usefixtures("each_form")
 

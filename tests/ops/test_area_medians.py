@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.area_medians import AreaMedians, area_medians
-from fingerflow.ops.strain import green_lagrange
+from fingerflow.ops.fields.area_medians import AreaMedians, area_medians
+from fingerflow.ops.fields.strain import green_lagrange
 
 pytestmark = pytest.mark.usefixtures("each_form")
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.box_sum import box_sum
+from fingerflow.ops.filters.box_sum import box_sum
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 6, 7, 8, 9, 21])

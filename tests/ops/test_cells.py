@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.cells import at_places, cell_means, covered, mask_of, widest
+from fingerflow.ops.contact.cells import at_places, cell_means, covered, mask_of, widest
 
 
 @pytest.mark.parametrize("cell", [1, 2, 4, 8])

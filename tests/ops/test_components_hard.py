@@ -5,7 +5,7 @@ import pytest
 import scipy.ndimage
 import torch
 
-from fingerflow.ops.components import fill_holes, largest_component
+from fingerflow.ops.contact.components import fill_holes, largest_component
 
 
 def spiral(size: int) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 import scipy.ndimage
 import torch
 
-from fingerflow.ops.contrast import stretch_contrast, subtract_background, unsharp_mask
+from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.int32, torch.float32, torch.float64])

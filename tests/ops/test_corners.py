@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops.corners import corner_response, detect_corners
+from fingerflow.ops.tracking.corners import corner_response, detect_corners
 
 
 def texture(seed: int, shape: tuple[int, int] = (120, 150), width: float = 2.5) -> np.ndarray:

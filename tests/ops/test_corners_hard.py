@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops.corners import corner_response, detect_corners
+from fingerflow.ops.tracking.corners import corner_response, detect_corners
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32])

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops import dense_flow, flow_descent, flow_multigrid
-from fingerflow.ops.flow import Flow, _sampled, find_flow, prepare_flow
-from fingerflow.ops.flow_penalty import Penalty
+from fingerflow.ops import dense_flow
+from fingerflow.ops.flow import flow_descent, flow_multigrid
+from fingerflow.ops.flow.dense_flow import Flow, _sampled, find_flow, prepare_flow
+from fingerflow.ops.flow.flow_penalty import Penalty
 
 HEIGHT, WIDTH = 128, 160
 Motion = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from fingerflow.ops.ellipse import fit_ellipse
+from fingerflow.ops.contact.ellipse import fit_ellipse
 
 
 def test_empty_mask_is_nan_with_area_zero_beside_a_full_one() -> None:

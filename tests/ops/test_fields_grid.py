@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.gridding import scattered_to_grid
+from fingerflow.ops.fields.gridding import scattered_to_grid
 
 GAUGE = 1.5
 

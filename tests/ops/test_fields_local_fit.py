@@ -10,9 +10,9 @@ from scipy.special import jv
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops import weighted_moments
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.strain import curl, divergence
+from fingerflow.ops.fields import weighted_moments
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.fields.strain import curl, divergence
 
 GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
 GAUGE = 2.0

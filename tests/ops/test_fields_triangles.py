@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.strain import green_lagrange
-from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_quality
+from fingerflow.ops.fields.strain import green_lagrange
+from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients, triangle_quality
 
 GRADIENT = torch.tensor([[0.03, -0.07], [0.05, 0.02]], dtype=torch.float64)
 UNIT_TRIANGLE = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]], dtype=torch.float64)

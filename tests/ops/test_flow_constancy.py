@@ -7,9 +7,9 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels.tracking_limits import GRADIENT_NOISE
 from fingerflow.ops import dense_flow
-from fingerflow.ops.flow import _fields, find_flow, prepare_flow
-from fingerflow.ops.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
-from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.flow.dense_flow import _fields, find_flow, prepare_flow
+from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
 from tests.ops.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave, with_few_sweeps
 
 

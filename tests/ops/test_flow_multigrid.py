@@ -5,10 +5,10 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.flow_cells import to_pixels
-from fingerflow.ops.flow_covariance import flow_covariance
-from fingerflow.ops.flow_descent import descended
-from fingerflow.ops.flow_multigrid import applied, edges, pyramid
+from fingerflow.ops.flow.flow_cells import to_pixels
+from fingerflow.ops.flow.flow_covariance import flow_covariance
+from fingerflow.ops.flow.flow_descent import descended
+from fingerflow.ops.flow.flow_multigrid import applied, edges, pyramid
 
 
 def system(height: int, width: int, masked: bool, seed: int = 0) -> tuple[list, Tensor, Tensor]:

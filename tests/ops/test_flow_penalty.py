@@ -8,12 +8,12 @@ from torch import Tensor
 
 from fingerflow.kernels.flow import Left
 from fingerflow.ops import dense_flow
-from fingerflow.ops.flow import _left, _refined, prepare_flow
-from fingerflow.ops.flow_cells import integrated, to_cells
-from fingerflow.ops.flow_course import course
-from fingerflow.ops.flow_multigrid import laplacian
-from fingerflow.ops.flow_penalty import data_weights, edge_weights
-from fingerflow.ops.spline import spline_coefficients
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.flow.dense_flow import _left, _refined, prepare_flow
+from fingerflow.ops.flow.flow_cells import integrated, to_cells
+from fingerflow.ops.flow.flow_course import course
+from fingerflow.ops.flow.flow_multigrid import laplacian
+from fingerflow.ops.flow.flow_penalty import data_weights, edge_weights
 from tests.ops.test_dense_flow import GREY, errors, grid, pair, photograph, wave
 
 SHAPE = (192, 240)

@@ -6,7 +6,7 @@ import cv2
 import pytest
 import torch
 
-from fingerflow.ops.illumination import contact_signal, dequantize, normalize_illumination, quantize
+from fingerflow.ops.filters.illumination import contact_signal, dequantize, normalize_illumination, quantize
 
 
 def lamp(height: int = 40, width: int = 50) -> torch.Tensor:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.illumination import contact_signal, dequantize, normalize_illumination, quantize
+from fingerflow.ops.filters.illumination import contact_signal, dequantize, normalize_illumination, quantize
 
 
 def test_reference_of_zeros_masks_everything() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.light_gain import light_gain
+from fingerflow.ops.contact.light_gain import light_gain
 
 pytestmark = pytest.mark.usefixtures("each_form")
 

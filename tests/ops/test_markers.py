@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.light_change import light_change
-from fingerflow.ops.marker_matching import match_markers, tie_neighbours
-from fingerflow.ops.markers import detect_markers, measure_markers
+from fingerflow.ops.contact.light_change import light_change
+from fingerflow.ops.markers.marker_matching import match_markers, tie_neighbours
+from fingerflow.ops.markers.markers import detect_markers, measure_markers
 
 HEIGHT, WIDTH, RADIUS = 120, 160, 5.0
 

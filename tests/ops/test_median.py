@@ -6,7 +6,7 @@ import pytest
 import scipy.ndimage
 import torch
 
-from fingerflow.ops.median import median_filter
+from fingerflow.ops.filters.median import median_filter
 
 
 def scipy_median(frames: torch.Tensor, size: int) -> torch.Tensor:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.median import median_filter
+from fingerflow.ops.filters.median import median_filter
 
 
 @pytest.mark.parametrize("value", [0, 7, 255])

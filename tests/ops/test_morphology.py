@@ -6,7 +6,7 @@ import scipy.ndimage
 import torch
 from skimage.morphology import diamond, disk
 
-from fingerflow.ops.morphology import Shape, dilate, erode
+from fingerflow.ops.filters.morphology import Shape, dilate, erode
 
 
 @pytest.mark.parametrize("radius", [0, 1, 2, 3, 5, 8, 13])

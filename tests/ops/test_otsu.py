@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops import otsu
-from fingerflow.ops.otsu import class_separation, histogram, otsu_threshold
+from fingerflow.ops.contact import otsu
+from fingerflow.ops.contact.otsu import class_separation, histogram, otsu_threshold
 
 
 def opencv_threshold(frame: np.ndarray) -> float:

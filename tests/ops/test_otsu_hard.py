@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from fingerflow.ops.otsu import class_separation, histogram, otsu_threshold
+from fingerflow.ops.contact.otsu import class_separation, histogram, otsu_threshold
 
 
 @pytest.mark.parametrize("level", [0, 9, 255])

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fingerflow.kernels.outlier_limits import LEAST_NEIGHBOURS
-from fingerflow.ops.outliers import Outliers, find_neighbours, find_outliers
+from fingerflow.ops.tracking.outliers import Outliers, find_neighbours, find_outliers
 
 SIDE = (400.0, 320.0)  # px, of a contact
 GAUGE = 120.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops.quantile import frame_quantile
+from fingerflow.ops.filters.quantile import frame_quantile
 
 FRACTIONS = [0.0, 0.01, 0.3, 0.5, 0.99, 1.0]
 

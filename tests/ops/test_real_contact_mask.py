@@ -6,8 +6,8 @@ import scipy.ndimage
 import torch
 from torch import Tensor
 
-from fingerflow.ops.illumination import glass_light
-from fingerflow.ops.real_contact_mask import majority, real_contact_mask
+from fingerflow.ops.contact.real_contact_mask import majority, real_contact_mask
+from fingerflow.ops.filters.illumination import glass_light
 
 pytestmark = pytest.mark.usefixtures("each_form")
 

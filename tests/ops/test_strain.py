@@ -6,7 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.strain import curl, divergence, green_lagrange, principal_strains, shear, strain_energy_density
+from fingerflow.ops.fields.strain import (
+    curl,
+    divergence,
+    green_lagrange,
+    principal_strains,
+    shear,
+    strain_energy_density,
+)
 
 
 def rotation(angle: float) -> Tensor:

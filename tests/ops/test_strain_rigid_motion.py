@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from fingerflow.ops.rigid_motion import rigid_residual
+from fingerflow.ops.fields.rigid_motion import rigid_residual
 
 
 def cloud(batch: int = 1, count: int = 30) -> Tensor:

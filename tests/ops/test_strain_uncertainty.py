@@ -6,10 +6,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.ops.strain import curl, divergence, energy_of_noise, green_lagrange, strain_energy_density, stress
-from fingerflow.ops.strain_uncertainty import curl_std, divergence_std, strain_covariance, strain_std
-from fingerflow.ops.triangles import triangle_gradients, triangle_slopes
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.fields.strain import (
+    curl,
+    divergence,
+    energy_of_noise,
+    green_lagrange,
+    strain_energy_density,
+    stress,
+)
+from fingerflow.ops.fields.strain_uncertainty import curl_std, divergence_std, strain_covariance, strain_std
+from fingerflow.ops.fields.triangles import triangle_gradients, triangle_slopes
 
 GAUGE = 2.0
 MEASURES = ("green_lagrange", "as_printed", "infinitesimal")

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from fingerflow.ops.median import median_filter
-from fingerflow.ops.strided_median import median_at
+from fingerflow.ops.filters.median import median_filter
+from fingerflow.ops.filters.strided_median import median_at
 
 
 @pytest.mark.parametrize("size", [1, 3, 5, 9, 15])

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fingerflow.ops.corners import detect_corners
-from fingerflow.ops.noise import estimate_noise
-from fingerflow.ops.tracking import Tracks, TrackStatus, track_points
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.tracking.corners import detect_corners
+from fingerflow.ops.tracking.track_points import Tracks, TrackStatus, track_points
 from fingerflow.synthetic import RidgeTexture, texture_image
 
 MM = 0.0325

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from fingerflow.ops.strain import green_lagrange, strain_energy_density
-from fingerflow.ops.strain_uncertainty import strain_covariance
-from fingerflow.ops.triangle_strain import SharedErrors, area_shares, triangle_strain
-from fingerflow.ops.triangles import triangle_areas, triangle_gradients, triangle_slopes
+from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
+from fingerflow.ops.fields.strain_uncertainty import strain_covariance
+from fingerflow.ops.fields.triangle_strain import SharedErrors, area_shares, triangle_strain
+from fingerflow.ops.fields.triangles import triangle_areas, triangle_gradients, triangle_slopes
 
 # Two squares of 2 mm side by side, and a flat triangle.
 POINTS = torch.tensor([[[0.0, 0.0], [2, 0], [4, 0], [0, 2], [2, 2], [4, 2], [2, 0.01]]], dtype=torch.float64)

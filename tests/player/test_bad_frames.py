@@ -13,7 +13,7 @@ import pytest
 import fingerflow
 from fingerflow import player
 from fingerflow.kernels.library import is_present
-from fingerflow.player.contract.variables import FRAME_STATUS, TRACK_STATUS
+from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS
 from fingerflow.tracker.frame_quality import USABLE
 from tests.small_trials import (
     FRAMES,

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from conftest import Stream
 
-from fingerflow.player import patient_file, read_results
-from fingerflow.player.errors import PlayerError
-from fingerflow.player.patient_file import PatientFile
-from fingerflow.player.results import Sink
+from fingerflow.errors import PlayerError
+from fingerflow.player import read_results
+from fingerflow.results import patient_file
+from fingerflow.results.patient_file import PatientFile
+from fingerflow.results.stream_folder import Sink
 
 DTYPE = np.dtype([("frame", "<i8"), ("time", "<f8"), ("value", "<f4", (1000,))])
 FIELDS = [
@@ -128,7 +129,7 @@ def test_other_errors_are_not_borne(path: Path, disk: Disk, monkeypatch: pytest.
 def test_results_go_on_where_there_is_room_again(tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every record is there, and the event says how long the disk was full."""
     clock = [0.0]
-    monkeypatch.setattr("fingerflow.player.results.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("fingerflow.results.stream_folder.time.perf_counter", lambda: clock[0])
     sink = Sink(tmp_path / "results", {"format": 2, "fields": FIELDS})
     sink.open()
     records = np.zeros(40, DTYPE)

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import fingerflow
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
-from fingerflow.ops.tracking import TrackStatus
-from fingerflow.player.contract.variables import CONTACT, STREAM, TRACKING, by_name
+from fingerflow.ops.tracking.track_points import TrackStatus
+from fingerflow.schema.variables import CONTACT, STREAM, TRACKING, by_name
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ def test_nothing_comes_from_elsewhere(parsed: Page) -> None:
 
 def test_the_script_reads_what_the_stream_sends() -> None:
     """Names of arrays and scalars are those of the records, which the table of results gives."""
-    from fingerflow.player.contract.variables import CONTACT, FIELDS, STREAM, TRACKING, by_name
+    from fingerflow.schema.variables import CONTACT, FIELDS, STREAM, TRACKING, by_name
 
     known = {
         *by_name(CONTACT, FIELDS, STREAM, TRACKING),

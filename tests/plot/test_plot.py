@@ -16,7 +16,7 @@ from fingerflow import load_scene, plot, process
 from fingerflow.errors import FingerflowError
 from fingerflow.plot.maps import principal
 from fingerflow.plot.picture import real_contact
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, write_recording
 
 SIZES = ((2.3, 1.9), (2.0, 1.6))  # semi-axes, mm: two fingers

@@ -131,8 +131,8 @@ def huge_png(path: Path, side: int) -> Path:
 MEASURE = """
 import sys
 from pathlib import Path
-from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
+from fingerflow.errors import FingerflowError
 import numpy, cv2
 
 def peak():
@@ -227,7 +227,7 @@ def test_a_data_set_by_its_path_is_found_every_time(tmp_path):
 
 
 def test_a_file_that_ends_the_process_that_looks_at_it_first_is_refused(tmp_path, monkeypatch):
-    from fingerflow.untrusted import walker
+    from fingerflow.recordings.guard import walker
 
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["x"] = GREY
@@ -427,7 +427,7 @@ def test_an_mkv_that_was_shortened_says_so(tmp_path, rate, share):
 
 
 def test_an_interrupted_look_answers_for_no_other_file(tmp_path, monkeypatch):
-    from fingerflow.untrusted import walker
+    from fingerflow.recordings.guard import walker
 
     for name in ("a.h5", "b.h5"):
         with h5py.File(tmp_path / name, "w") as file:

@@ -17,7 +17,7 @@ from fingerflow.report.cautions import cautions
 from fingerflow.report.key_numbers import key_numbers, scatter, with_uncertainty
 from fingerflow.report.settings_table import settings_tables, transform_rows
 from fingerflow.report.telling_frames import Telling, telling_frames
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, write_recording
 
 Trial = tuple[Scene, xr.Dataset]

@@ -14,7 +14,7 @@ from fingerflow.recordings import open_recording
 from fingerflow.report import write_report
 from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, write_figures
 from fingerflow.report.views import STUCK, ViewPainter
-from fingerflow.result import load_result, save_result
+from fingerflow.results.result import load_result, save_result
 
 
 def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

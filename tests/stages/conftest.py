@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
 

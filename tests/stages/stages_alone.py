@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.pipeline import _pass, _Way
-from fingerflow.plan import VARIABLES
-from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.frame_check import FrameCheckStage
-from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.loading import LoadingStage
-from fingerflow.stages.stage import Stage, Trial
-from fingerflow.stages.tracking import TrackingStage
-from fingerflow.store import MemoryStore
+from fingerflow.pipeline.plan import VARIABLES
+from fingerflow.pipeline.run import _pass, _Way
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.trial.inputs import Inputs
+from fingerflow.pipeline.stages.trial.loading import LoadingStage
+from fingerflow.results.store import MemoryStore
 
 
 def trial_of(inputs: Inputs, contact: dict[str, Any], frames: int, **given: NDArray[Any]) -> Trial:

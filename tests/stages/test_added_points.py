@@ -10,11 +10,11 @@ import xarray as xr
 from bench.contact_grid import skin_in_contact
 from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS
-from fingerflow.result import load_result
-from fingerflow.stages.new_skin import Known, NewSkin
+from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
+from fingerflow.results.result import load_result
+from fingerflow.results.tables import export_table
+from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from fingerflow.synthetic import write_recording
-from fingerflow.tables import export_table
 from tests.stages.rolling import Rolling
 
 ROLLING = Rolling(

@@ -9,10 +9,10 @@ from stages_alone import run, trial_of, values_of
 
 from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import EngineSettings
-from fingerflow.stages.displacement import DisplacementStage
-from fingerflow.stages.fields import FieldsStage
-from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.strain import StrainStage
+from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage
+from fingerflow.pipeline.stages.fields.fields import FieldsStage
+from fingerflow.pipeline.stages.strain.strain import StrainStage
+from fingerflow.pipeline.stages.trial.inputs import Inputs
 
 GRADIENT = np.array([[0.02, 0.013], [-0.005, -0.01]])
 FRAMES, SCALE = 4, 0.03

@@ -12,9 +12,9 @@ from bench.contact_grid import energies, skin_in_contact
 from fingerflow import load_scene, process
 from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import Ellipse, EngineSettings, Entered
-from fingerflow.ops.area_medians import Apart, area_medians
-from fingerflow.ops.local_fit import local_gradients
-from fingerflow.player.contract.variables import ENTRY
+from fingerflow.ops.fields.area_medians import Apart, area_medians
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.schema.variables import ENTRY
 from fingerflow.synthetic import Slide, write_recording
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.entry import Entries

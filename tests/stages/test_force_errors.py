@@ -10,7 +10,7 @@ import pytest
 
 from fingerflow import process
 from fingerflow.errors import FingerflowError
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
 
 Change = Callable[..., Scene]
 FORCES = ["normal_force", "load_ratio"]

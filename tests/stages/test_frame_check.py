@@ -12,8 +12,8 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.contract.variables import FRAME_STATUS, LOADING
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.variables import FRAME_STATUS, LOADING
 from fingerflow.synthetic import Press, Slide, rebuild_scene, write_recording
 from tests.small_trials import SPOILED, dim_contact
 

@@ -13,10 +13,10 @@ import torch
 import xarray as xr
 
 from fingerflow import process
+from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.recordings import Recording
-from fingerflow.result import load_result
-from fingerflow.scene import Scene
-from fingerflow.stages.contact import ContactStage
+from fingerflow.results.result import load_result
+from fingerflow.schema.scene import Scene
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.stages.missing_energy import MissingEnergy
+from fingerflow.pipeline.stages.strain.missing_energy import MissingEnergy
 
 AREAS = np.ones(3)  # mm^2
 

@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import load_scene, process
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.contract.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
-from fingerflow.result import open_result
-from fingerflow.stages.common_frame import common_frame
-from fingerflow.stages.new_skin import NewSkin
-from fingerflow.store import FileStore, MemoryStore
+from fingerflow.pipeline.stages.displacement.common_frame import common_frame
+from fingerflow.pipeline.stages.tracking.new_skin import NewSkin
+from fingerflow.results.result import open_result
+from fingerflow.results.store import FileStore, MemoryStore
+from fingerflow.schema.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
 from fingerflow.synthetic import write_recording
 from tests.stages.rolling import Rolling
 

@@ -11,9 +11,9 @@ import xarray as xr
 
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.trial import plausibility
 from fingerflow.report import write_report
-from fingerflow.scene import Scene
-from fingerflow.stages import plausibility
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import write_recording
 from tests.small_trials import TINY_PRESS
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene, process
-from fingerflow.plan import plan
-from fingerflow.scene import Scene
+from fingerflow.pipeline.plan import plan
+from fingerflow.schema.scene import Scene
 
 
 @pytest.fixture(scope="module")

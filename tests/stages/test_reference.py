@@ -10,7 +10,7 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.errors import FingerflowError
 from fingerflow.report.page import write_report
-from fingerflow.scene import Scene
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import Press, write_recording
 
 PRESS = Press(

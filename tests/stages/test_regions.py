@@ -11,14 +11,13 @@ import pytest
 from matplotlib.path import Path as Outline
 
 from fingerflow import load_scene, process
-from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.region import ellipse_runs, polygon_runs
-from fingerflow.player.errors import PlayerError
+from fingerflow.errors import FingerflowError, PlayerError
+from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.trial.regions import region_mask
 from fingerflow.player.scene import load_scene as load_stream
 from fingerflow.player.scene import stream_settings
-from fingerflow.scene import Scene
-from fingerflow.stages import plausibility
-from fingerflow.stages.regions import region_mask
+from fingerflow.schema.region import ellipse_runs, polygon_runs
+from fingerflow.schema.scene import Scene
 
 POINTS = "points = 700"
 CONTACT, TOPOGRAPHY = "[views.contact]", "[views.topography]"

@@ -6,8 +6,8 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.models.partial_slip.border import POWER, border_level, fit_border, seen_displacement
-from fingerflow.stages.flow_resolution import FlowResponse
-from fingerflow.stages.skin_flow import SkinFlow
+from fingerflow.pipeline.stages.slip.flow_resolution import FlowResponse
+from fingerflow.pipeline.stages.slip.skin_flow import SkinFlow
 
 SIZE = 128
 INSIDE = np.zeros((SIZE, SIZE), bool)

@@ -16,10 +16,10 @@ from fingerflow import load_scene, process
 from fingerflow.cli import app
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.contract.scene_file import SceneError, read_scene
+from fingerflow.pipeline.stages.soft_sensor.rest import find_rest
 from fingerflow.report import write_report
-from fingerflow.scene import gel_scene_text
-from fingerflow.stages.rest import find_rest
+from fingerflow.schema.scene import gel_scene_text
+from fingerflow.schema.scene_file import SceneError, read_scene
 from tests.small_trials import GEL, GEL_MM_PER_PX
 
 TACTILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile"

@@ -18,14 +18,14 @@ from stages_alone import run, trial_of, values_of
 from fingerflow.engines.choice import engine_for
 from fingerflow.engines.engine import EngineSettings
 from fingerflow.graphs.fields import Fields
-from fingerflow.stages import strain
-from fingerflow.stages.contact import ContactStage
-from fingerflow.stages.displacement import DisplacementStage, Moved
-from fingerflow.stages.fields import FieldsStage
-from fingerflow.stages.inputs import Inputs
-from fingerflow.stages.median_bias import MedianBias, of_ranks
-from fingerflow.stages.stage import Batch, Trial
-from fingerflow.stages.strain import StrainStage
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
+from fingerflow.pipeline.stages.fields.fields import FieldsStage
+from fingerflow.pipeline.stages.fields.median_bias import MedianBias, of_ranks
+from fingerflow.pipeline.stages.stage import Batch, Trial
+from fingerflow.pipeline.stages.strain import strain
+from fingerflow.pipeline.stages.strain.strain import StrainStage
+from fingerflow.pipeline.stages.trial.inputs import Inputs
 from fingerflow.tracker.border import BORDER_MM, Border
 
 FRAMES, MM_PER_PX, SPEED = 36, 0.03, 0.1  # of the border, mm a frame

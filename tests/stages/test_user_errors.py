@@ -13,10 +13,10 @@ from fingerflow import process
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings import open_recording
 from fingerflow.recordings.frames.npy import NpyRecording
-from fingerflow.result import load_result, save_result
-from fingerflow.scene import Scene
+from fingerflow.results.result import load_result, save_result
+from fingerflow.results.tables import export_table
+from fingerflow.schema.scene import Scene
 from fingerflow.synthetic import rebuild_scene
-from fingerflow.tables import export_table
 
 Array = np.ndarray[Any, Any]
 Change = Callable[..., Scene]
@@ -254,7 +254,7 @@ def test_files_are_let_go_of(changed: Change, monkeypatch: pytest.MonkeyPatch) -
         recording.close = closing  # type: ignore[method-assign]
         return recording
 
-    monkeypatch.setattr("fingerflow.stages.inputs.open_recording", counted)
+    monkeypatch.setattr("fingerflow.pipeline.stages.trial.inputs.open_recording", counted)
     process(changed(), AREAS)
     assert sorted(closed) == sorted(opened)
     assert len(opened) == 3

@@ -16,9 +16,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from fingerflow.atomic_write import write_atomically
 from fingerflow.errors import FingerflowError, NoRoomError
-from fingerflow.result import load_result, read_own
+from fingerflow.results.atomic_write import write_atomically
+from fingerflow.results.result import load_result, read_own
 from fingerflow.study import run
 from fingerflow.study import trial as worker
 from fingerflow.study.files import FAILED, MEASURED, read_row

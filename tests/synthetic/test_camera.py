@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from fingerflow.schema.views import View
 from fingerflow.synthetic import Camera
-from fingerflow.views import View
 
 SHAPE = (400, 500)
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.block_means import block_means
 from fingerflow.tracker.frame_distances import evened
 from fingerflow.tracker.frame_quality import USABLE, Blocks, FrameCheck

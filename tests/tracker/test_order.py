@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from fingerflow.engines.engine import Engine, EngineSettings
-from fingerflow.player.contract.variables import FRAME_STATUS
+from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.stream import (
     CONTACT_VIEW,
     TOPOGRAPHY_VIEW,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.ops.rigid_motion import rigid_residual
+from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.tracker.slip_flag import SlipFlag, rigid_residual_rms
 
 DRAW = np.random.default_rng(0)

@@ -15,7 +15,7 @@ from fingerflow import load_scene, process
 from fingerflow.engines.engine import Engine, EngineSettings
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.player.contract.variables import TRACK_STATUS
+from fingerflow.schema.variables import TRACK_STATUS
 from fingerflow.synthetic import Press, rebuild_scene, write_recording
 from fingerflow.tracker.points import Points
 from fingerflow.tracker.verification import STEP, Verification

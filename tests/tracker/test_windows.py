@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow.engines.together import Call, Steps, run_alone
-from fingerflow.ops.window_correlation import sample_windows
+from fingerflow.ops.tracking.window_correlation import sample_windows
 from fingerflow.tracker.windows import Sampler, correlation, deformed_alike
 
 Array = NDArray[Any]

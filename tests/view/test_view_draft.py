@@ -7,7 +7,7 @@ import pytest
 
 from fingerflow import load_scene, open_recording
 from fingerflow.errors import FingerflowError
-from fingerflow.scene import scene_of_settings
+from fingerflow.schema.scene import scene_of_settings
 from fingerflow.view.draft import Draft, NeedsLeaveError
 from fingerflow.view.opening import open_path
 

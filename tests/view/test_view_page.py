@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene
-from fingerflow.result import load_result
+from fingerflow.results.result import load_result
 from fingerflow.view.server import Served
 from tests.view.walk import drag as drag_in
 from tests.view.walk import fill

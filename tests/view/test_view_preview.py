@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene, process
-from fingerflow.result import load_result
-from fingerflow.scene import scene_of_text
+from fingerflow.results.result import load_result
+from fingerflow.schema.scene import scene_of_text
 from fingerflow.view.preview import Previewer
 from fingerflow.view.sensor_preview import SensorPreviewer
 

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from fingerflow.errors import FingerflowError
-from fingerflow.result import load_result
+from fingerflow.results.result import load_result
 from fingerflow.view.results import Results
 
 

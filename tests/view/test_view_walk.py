@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fingerflow import load_scene
-from fingerflow.result import load_result
+from fingerflow.results.result import load_result
 from fingerflow.synthetic import Scene
 from fingerflow.view.server import Served
 from tests.own_press import VIEWS, press_of, write_raw_press

@@ -13,7 +13,8 @@ centre has. At the border itself they show the level
 xi the places in the window along the normal of the border, w the width of the annulus that slips: beyond the contact
 nothing holds the skin, which moves as its rim does. Displacement below that level is what stuck skin shows. Below a
 fixed length of it (40 um in Terekhov & Hayward 2011) is also skin that has slipped by less. Dense flow shows less at
-the border, as it looks less far and is stiff; what it shows of x^p is measured (`stages.flow_resolution`).
+the border, as it looks less far and is stiff; what it shows of x^p is measured
+(`pipeline.stages.slip.flow_resolution`).
 """
 
 from collections.abc import Callable

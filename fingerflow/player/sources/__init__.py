@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from fingerflow.player.errors import PlayerError, first_line
+from fingerflow.errors import PlayerError, first_line
 from fingerflow.player.sources import video
 from fingerflow.player.sources.source import Asked, Source
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
-from fingerflow.player.errors import PlayerError
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Source
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 
-from fingerflow.player.errors import first_line
+from fingerflow.errors import first_line
 from fingerflow.player.sources.source import Source
 
 log = logging.getLogger("fingerflow.player")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from fingerflow.errors import FingerflowError
-from fingerflow.player.arrays import Array
-from fingerflow.player.errors import PlayerError
+from fingerflow.engines.engine import Array
+from fingerflow.errors import FingerflowError, PlayerError
 from fingerflow.player.sources.source import Asked, Source
 from fingerflow.recordings.frames.opening import open_recording
 from fingerflow.recordings.frames.recording import Recording

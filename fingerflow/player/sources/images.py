@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
-from fingerflow.player.contract.claimed_sizes import impossible_picture
-from fingerflow.player.errors import PlayerError
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Asked, Source
+from fingerflow.schema.claimed_sizes import impossible_picture
 
 READS = "a folder of pictures"
 _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fingerflow.player.errors import PlayerError
+from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Asked, Recording, Source
 
 READS = "a raw file"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
 
 
 class Source(Protocol):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
 from fingerflow.player.scene import Scene, View
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fingerflow.player.arrays import Array
+from fingerflow.engines.engine import Array
 
 _SKIN, _QUERIES = 500, 200  # places, at least; twice as many of both move the median by less than 2e-3
 _IN_A_FIT, _MOST_SKIN = 20, 2000  # places
@@ -82,8 +82,9 @@ def median_divergence(progress: float, reached: float, shape: tuple[int, int], g
 
     Skin u is touched at the progress p0(u) at which the growing contact reaches it: its displacement is x(u, p) -
     x(u, p0(u)). That is known without error here, and of skin everywhere; from it the gradient G is fitted as a stream
-    does (`ops.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 by reference
-    coordinates. What is left between this and a measurement is due to points: their errors, and how few they are.
+    does (`ops.fields.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 by
+    reference coordinates. What is left between this and a measurement is due to points: their errors, and how few they
+    are.
 
     Args:
         progress: of the frame.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
-from fingerflow.player.arrays import Array
-from fingerflow.player.errors import PlayerError
+from fingerflow.engines.engine import Array
+from fingerflow.errors import PlayerError
 
 
 class Video:

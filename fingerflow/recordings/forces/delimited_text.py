@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.forces.preamble import separator_of, without_preamble
 from fingerflow.recordings.forces.table import Table, split_unit
-from fingerflow.untrusted.files import first_line
 
 COMMENTS = ("#", "%", "//")
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted.files import reading
-from fingerflow.untrusted.hdf5 import open_hdf5, stored_whole
+from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
 
 
 def read_table(path: Path) -> Table:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted.files import check_file, reading
+from fingerflow.recordings.guard.files import check_file, reading
 
 READER_OF = {
     ".csv": "delimited_text",

@@ -10,8 +10,8 @@ import numpy as np
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.table import Table
-from fingerflow.untrusted.files import reading
-from fingerflow.untrusted.walker import check_by_walking
+from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.walker import check_by_walking
 
 
 def read_table(path: Path) -> Table:

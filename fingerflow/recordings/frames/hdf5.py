@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import (
     Description,
     FileRecording,
@@ -17,8 +17,8 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
-from fingerflow.untrusted.files import first_line, reading
-from fingerflow.untrusted.hdf5 import open_hdf5, stored_whole
+from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
 
 CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames; it should be unpacked once, not once a frame
 NEVER_WRITTEN = "was never written"

@@ -9,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.claimed_sizes import impossible_picture
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, container_bits, grey_dtype
 from fingerflow.recordings.frames.tiff import open_frames as open_tiff
-from fingerflow.untrusted.files import check_file, first_line
+from fingerflow.recordings.guard.files import check_file
+from fingerflow.schema.claimed_sizes import impossible_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.packing import packed_bytes, unpack_12bit
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
-from fingerflow.untrusted.files import check_file
+from fingerflow.recordings.guard.files import check_file
 
 HEADERS = (".cihx", ".cih")
 MOST_HEADER_BYTES = 1 << 24  # those of cameras have 10 kB, with a small picture 1 MB

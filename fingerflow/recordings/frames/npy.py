@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fingerflow.errors import FingerflowError
-from fingerflow.player.contract.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import (
     Description,
     FileRecording,
@@ -17,7 +16,7 @@ from fingerflow.recordings.frames.recording import (
     grey_dtype,
     missing_frames,
 )
-from fingerflow.untrusted.files import first_line
+from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:

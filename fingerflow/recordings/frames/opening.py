@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Recording
-from fingerflow.untrusted.files import check_file, reading
+from fingerflow.recordings.guard.files import check_file, reading
 
 # Readers are imported when they are needed: video and HDF5 libraries take a second to load.
 READERS = {

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
-from fingerflow.untrusted.files import first_line, plausible_size, reading
+from fingerflow.recordings.guard.files import plausible_size, reading
 
 LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # of tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)

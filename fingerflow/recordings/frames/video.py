@@ -19,11 +19,11 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.errors import FingerflowError
+from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.ffv1_checksum import slices_are_whole
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, missing_frames
-from fingerflow.untrusted.files import first_line, reading
-from fingerflow.untrusted.walker import check_by_walking
+from fingerflow.recordings.guard.files import reading
+from fingerflow.recordings.guard.walker import check_by_walking
 
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from fingerflow.atomic_write import is_marked, keep_others
 from fingerflow.report.model_movie import write_movie
 from fingerflow.report.supplement.of_models import decomposition, half_sphere, strains_at_depth
 from fingerflow.report.supplement.of_observer import curl, ideal_observer, individual_performance
@@ -19,6 +18,7 @@ from fingerflow.report.supplement.of_trials import (
 )
 from fingerflow.report.supplement.sheet import Panel, Sheet
 from fingerflow.report.supplement.sources import Sources
+from fingerflow.results.atomic_write import is_marked, keep_others
 
 __all__ = ["FIGURES", "Panel", "Sheet", "Sources", "Written", "write_supplement"]
 

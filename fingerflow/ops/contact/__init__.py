@@ -1,0 +1,1 @@
+"""Real and apparent contact area of a picture."""

@@ -1,0 +1,109 @@
+"""Pictures on cells of some pixels: means over them, and values read between them.
+
+Of cells of c px, (row i, column j) stands for the place (c j + (c - 1) / 2, c i + (c - 1) / 2) px, its middle.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fingerflow.ops.tensors import bytes_of
+
+
+def cell_means(image: Tensor, cell: int, precision: torch.dtype = torch.float32) -> Tensor:
+    """Means (B, 1, h, w) of cells of `cell` x `cell` px of an image (B, 1, H, W), zeros beyond it."""
+    height, width = image.shape[-2:]
+    exporting = torch.compiler.is_exporting()
+    # Of a mask four lines are added as bytes: a sum of floats takes five times as long.
+    values = bytes_of(image) if image.dtype == torch.bool else image.to(precision)
+    if height % cell or width % cell:
+        values = functional.pad(values, (0, -width % cell, 0, -height % cell))
+    lines = values.unflatten(2, (-1, cell))
+    # Down first, in whole lines. The runtimes of ONNX reduce; torch adds slices faster than it reduces short axes.
+    down = sum_of(lines.unbind(3))
+    columns = down.to(precision).unflatten(3, (-1, cell))
+    return (columns.sum(4) if exporting else sum_of(columns.unbind(4))) / cell**2
+
+
+def sum_of(parts: Sequence[Tensor]) -> Tensor:
+    """Sum of tensors of one shape and type, in pairs."""
+    while len(parts) > 1:
+        parts = [first + second for first, second in zip(parts[::2], parts[1::2], strict=False)] + list(
+            parts[len(parts) // 2 * 2 :]
+        )
+    return parts[0]
+
+
+def widest(cells: Tensor) -> Tensor:
+    """The largest of the 3 x 3 cells around each of non-negative cells (B, 1, h, w), zeros beyond."""
+    down = functional.pad(cells, (0, 0, 1, 1))
+    down = torch.maximum(torch.maximum(down[..., :-2, :], down[..., 2:, :]), cells)
+    along = functional.pad(down, (1, 1))
+    return torch.maximum(torch.maximum(along[..., :-2], along[..., 2:]), down)
+
+
+def enlarge(cells: Tensor, times: int) -> Tensor:
+    """Every cell of (B, 1, h, w) as a square of `times` x `times`."""
+    return functional.interpolate(cells, scale_factor=times, mode="nearest")
+
+
+def at_places(cells: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Bilinear values (B, N) of cells (B, 1, h, w) at places x, y (B, N), finite, in cells.
+
+    The nearest cell's value beyond the middle of the outermost.
+    """
+    height, width = cells.shape[-2:]
+    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
+    left, top = x.floor().clamp(0, max(width - 2, 0)), y.floor().clamp(0, max(height - 2, 0))
+    first = (top * width + left)[:, None].to(torch.int64)
+    right, down = min(1, width - 1), width * min(1, height - 1)  # to the next cell, where there is one
+    corners = torch.cat((first, first + right, first + down, first + (down + right)), dim=1)
+    values = cells.flatten(1).gather(1, corners.flatten(1)).unflatten(1, (4, -1))
+    across, along = (x - left)[:, None], (y - top)[:, None]
+    rows = values[:, ::2] * (1 - across) + values[:, 1::2] * across
+    result: Tensor = rows[:, 0] * (1 - along[:, 0]) + rows[:, 1] * along[:, 0]
+    return result
+
+
+def covered(density_margin: Tensor, x: Tensor, y: Tensor, cell: int) -> Tensor:
+    """Whether the regions of `ops.contact.apparent_contact` cover places, to a fraction of a pixel.
+
+    Args:
+        density_margin: (B, 1, h, w) of `Region`, cells of `cell` px.
+        x, y: (B, N) px.
+
+    Returns:
+        (B, N) bool; False beyond the cells and where x or y is not finite.
+    """
+    height, width = density_margin.shape[-2:]
+    # Beyond the frame lies nothing: what is not finite is taken there.
+    known = (x.abs() < torch.inf) & (y.abs() < torch.inf)
+    column, row = ((torch.where(known, place, -1e4) - (cell - 1) / 2) / cell for place in (x, y))
+    inside = (column >= -0.5) & (column < width - 0.5) & (row >= -0.5) & (row < height - 0.5)
+    return (at_places(density_margin, column, row) > 0) & inside
+
+
+def mask_of(density_margin: Tensor, cell: int, height: int, width: int) -> Tensor:
+    """(B, 1, height, width) bool: `covered` at every pixel of the frames that the cells were made of.
+
+    Of a lattice of places all in a column lie between the same cells: along the rows first, then down.
+    """
+    (left, right, across), (top, bottom, along) = (
+        _between(density_margin, pixels, cells, cell)
+        for pixels, cells in ((width, density_margin.shape[3]), (height, density_margin.shape[2]))
+    )
+    rows = density_margin[..., left] * (1 - across) + density_margin[..., right] * across
+    along = along[:, None]
+    return rows[..., top, :] * (1 - along) + rows[..., bottom, :] * along > 0
+
+
+def _between(cells: Tensor, pixels: int, count: int, cell: int) -> tuple[Tensor, Tensor, Tensor]:
+    """For each of a line of pixels the cells (pixels,) that it lies between, as in `at_places`, and how far from the
+    first.
+    """
+    place = ((torch.arange(pixels, dtype=cells.dtype, device=cells.device) - (cell - 1) / 2) / cell).clamp(0, count - 1)
+    first = place.floor().clamp(0, max(count - 2, 0))
+    index = first.to(torch.int64)
+    return index, index + min(1, count - 1), place - first

@@ -1,0 +1,1 @@
+"""Fields of tracked points: gradients, strain, medians over an area, and their deviations."""

@@ -1,0 +1,372 @@
+"""Medians of divergence, curl and strain over ellipses of the deformed picture, from scattered points."""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import field_limits as limits
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.fields.plane_fit import PlaneFit, fit_planes
+from fingerflow.ops.fields.scattered import check_scattered
+from fingerflow.ops.fields.strain import STRAIN_MEASURES, green_lagrange
+from fingerflow.ops.fields.strain_uncertainty import sensitivity_parts
+from fingerflow.ops.looking import looks
+from fingerflow.ops.pieces import in_pieces
+from fingerflow.ops.tensors import finite, sum_rows
+
+_FAR = 1e3  # radii, from all positions
+_TINY = 1e-30
+_FIELDS = 5
+_FRAMES = 8  # of which the points that are known are about the same
+_PAIRS = 1 << 20  # of points and positions, of the frames that are taken at once
+
+_LATTICE = torch.from_numpy(limits.lattice())
+
+
+class AreaMedians(NamedTuple):
+    """Over the ellipses of B frames: divergence, curl (rad) and strain (exx, eyy, exy); NaN where unknown."""
+
+    median: Tensor  # (B, 5)
+    std: Tensor | None  # (B, 5), its standard deviation from that of the points
+    known: Tensor  # (B,), share of the ellipse in which they are known; NaN where there is no ellipse
+
+
+class Apart(NamedTuple):
+    """Those of N points in B frames whose displacement is no part of the others', with fields of their own."""
+
+    among: Tensor  # (B, N) bool
+    fields: Tensor  # (B, N, 5) divergence, curl, exx, eyy, exy; NaN where they are not known
+    std: Tensor | None  # (B, N, 5), where covariances are given
+
+
+def area_medians(
+    reference: Tensor,
+    displacement: Tensor,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    *,
+    gauge_length: float,
+    measure: str = "green_lagrange",
+    covariance: Tensor | None = None,
+    apart: Apart | None = None,
+) -> AreaMedians:
+    """Medians over the area of ellipses in the current picture, of fields in reference coordinates.
+
+    At 800 positions spread evenly in the ellipse (a Fibonacci lattice, Vogel 1979) the gradient G of the displacement
+    by current coordinates is fitted as `local_gradients` does; by reference coordinates it is G (I - G)^-1 there.
+    The median is that of the current area. Over the points it is another one: they crowd where skin has texture; and
+    over reference positions too, as what spreads covers more of the area than before.
+
+    Args:
+        reference: (1 or B, N, 2) reference positions in a length unit L.
+        displacement: (B, N, 2) in L; NaN where a point is not known.
+        center: (B, 2) of the ellipses (x, y), L.
+        semi_axes: (B, 2), L; medians are NaN where one is not positive.
+        angle: (B,) of the first semi axis, from x towards y, rad.
+        gauge_length: diameter of the support of a fit, L.
+        measure: of strain, as in `green_lagrange`.
+        covariance: (B, N, 2, 2) of a point's displacement, L^2, with independent errors of the points: asks for the
+            standard deviation. To first order the error of a median is the mean of the errors at the positions whose
+            field lies next to it, within what the field itself is uncertain by, and so a sum over the points. What is
+            not the points' is not in it: the error of the ellipse, and the smoothing over the gauge length.
+        apart: points that count from another state than the others. Positions that are nearer to one of them whose
+            fields are known than to any other point, and within a quarter of a gauge length, have its fields; the
+            errors of these are taken for one and the same.
+
+    NaN where the field is known over less than 0.85 of the ellipse: a fit needs what `local_gradients` asks for,
+    and points on all sides.
+
+    Raises TypeError or ValueError for dtypes, shapes or settings that do not belong together.
+    """
+    _check(reference, displacement, center, semi_axes, angle, gauge_length, covariance)
+    if measure not in STRAIN_MEASURES:
+        raise ValueError(f"strain measure {measure!r} is not known: choose one of {', '.join(STRAIN_MEASURES)}")
+    kind = displacement.dtype
+    frame = (center.to(kind), semi_axes.to(kind), angle.to(kind))
+    if apart is not None:
+        apart = _checked(apart, displacement, covariance is not None)
+    among, fields, std = (None, None, None) if apart is None else apart
+    if kind == torch.float32 and kernels.serve(reference, displacement, *frame, covariance, among, fields, std):
+        return AreaMedians(
+            *kernels.area_medians(
+                reference,
+                displacement,
+                torch.cat((frame[0], frame[1], frame[2].cos()[:, None], frame[2].sin()[:, None]), dim=1),
+                None if covariance is None else covariance.to(kind),
+                among,
+                fields,
+                std,
+                measure=STRAIN_MEASURES.index(measure),
+                radius=gauge_length / 2,
+            )
+        )
+    result: AreaMedians = in_pieces(
+        partial(_of_known, gauge_length / 2, measure),
+        _FRAMES,
+        *(*frame, reference, displacement, covariance, among, fields, std),
+    )
+    return result
+
+
+def _of_known(
+    radius: float,
+    measure: str,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
+    *others: Tensor | None,
+) -> AreaMedians:
+    """`_medians`, of those points that are known in one of the frames where nothing is traced: while a contact grows
+    they are few.
+    """
+    points: list[Tensor | None] = [reference, displacement, *others]
+    count = displacement.shape[1]
+    if looks(*points):
+        known = finite((reference + displacement).sum(2)).any(0)
+        known[:1] = True
+        some = known.nonzero().squeeze(1)
+        points, count = [None if one is None else one.index_select(1, some) for one in points], len(some)
+    compute, at_once = partial(_medians, radius, measure), _PAIRS // max(1, count * len(_LATTICE))
+    result: AreaMedians = in_pieces(compute, at_once, center, semi_axes, angle, *points)
+    return result
+
+
+def _medians(
+    radius: float,
+    measure: str,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    reference: Tensor,
+    displacement: Tensor,
+    covariance: Tensor | None,
+    *entered: Tensor | None,
+) -> AreaMedians:
+    """Return the portable form, of fixed cost: `entered` are the three of `Apart` or None."""
+    reference, displacement = reference.mT, displacement.mT  # components before points from here on
+    if covariance is not None:
+        covariance = covariance.flatten(2).mT[:, (0, 1, 3)]  # (B, 3, N), uu, uv, vv
+    among, own, own_std = entered
+    now = reference + displacement
+    apart = None if among is None or own is None else Apart(among, own, own_std)
+    given = finite(sum_rows(now))
+    good = finite(torch.cat((center, semi_axes, angle[:, None]), dim=1)).all(1, keepdim=True)
+    good = (good & (semi_axes > 0).all(1, keepdim=True))[..., None]
+    middle, axes, turn = (
+        torch.where(good, one, 0.0) for one in (center[..., None], semi_axes[..., None], angle[:, None, None])
+    )
+    usable, theirs = given, None
+    if covariance is not None:
+        usable = usable & finite(sum_rows(covariance)) & (covariance[:, ::2] >= 0).all(1, keepdim=True)
+    if apart is not None:
+        usable = usable & ~apart.among[:, None]
+        theirs = given & apart.among[:, None] & finite(sum_rows(apart.fields.mT))
+    # Of points that are neither none is the nearest.
+    counts, elsewhere = (usable, 0.0) if theirs is None else (usable | theirs, _FAR)
+    places = torch.where(counts, (now - middle) / radius, elsewhere)
+    cosine, sine = turn.cos(), turn.sin()
+    along, across = (axes / radius * _LATTICE.to(displacement).T).split(1, dim=1)
+    positions = torch.cat((along * cosine - across * sine, along * sine + across * cosine), dim=1)
+    fit = fit_planes(places, displacement, positions, usable, radius)
+    xx, xy, yx, yy = fit.gradient.split(1, dim=1)
+    # G (I - G)^-1 = (I - G)^-1 - I, with little lost where G is small.
+    ratio = (1 - xx) * (1 - yy) - xy * yx
+    beside = fit.centroid - positions
+    known = (
+        fit.known
+        & good
+        & (sum_rows(beside * beside) < (2 * limits.FARTHEST_CENTROID) ** 2)
+        & (ratio > limits.LEAST_RATIO)
+    )
+    lost = xx * yy - xy * yx
+    gradient = torch.cat((xx - lost, xy, yx, yy - lost), dim=1) / torch.where(known, ratio, 1.0)
+    fields = _fields(gradient, measure)
+    nearest = None
+    if apart is not None and theirs is not None:
+        nearest = _of_nearest(apart, theirs, fit.weights)
+        fields = torch.where(nearest.apart, nearest.fields, fields)
+        known = (nearest.apart & nearest.within & good) | (known & ~nearest.apart)  # runtimes choose no booleans
+    count = known.to(fields.dtype).sum(2, keepdim=True)
+    enough = (count >= limits.LEAST_SHARE * fields.shape[2]).squeeze(2)
+    median = _median(fields, known, count)
+    median = torch.where(enough, median, math.nan)
+    known_share = torch.where(good[:, 0, 0], (count / fields.shape[2])[:, 0, 0], math.nan)
+    if covariance is None:
+        return AreaMedians(median, None, known_share)
+    share = _beside(fields, median[..., None], fit, gradient, usable, covariance, radius, measure) * known
+    joint = torch.zeros_like(median)
+    if nearest is not None and nearest.std is not None:
+        away = (fields - median[..., None]).square() / (limits.REACH * nearest.std).square().clamp_min(_TINY)
+        share = torch.where(nearest.apart, (1 - away).clamp_min(0).square() * known, share)
+    share = share / share.sum(2, keepdim=True).clamp_min(1)
+    if nearest is not None and nearest.std is not None:
+        joint = (share * torch.where(nearest.apart & known, nearest.std, 0.0)).sum(2)
+        share = torch.where(nearest.apart, 0.0, share)
+    by_points = _by_points(fit, places, gradient, share, measure) / radius  # (B, 5, 2, N)
+    x, y = by_points[:, :, 0], by_points[:, :, 1]
+    uu, uv, vv = (torch.where(usable, covariance[:, k : k + 1], 0.0) for k in range(3))
+    variance = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(2) + joint * joint
+    return AreaMedians(median, torch.where(enough, variance.clamp_min(0).sqrt(), math.nan), known_share)
+
+
+def _median(fields: Tensor, known: Tensor, count: Tensor) -> Tensor:
+    """(B, 5) of the `count` (B, 1, 1) that are known, half of all at least; any number of fewer."""
+    if not torch.compiler.is_exporting():
+        lower, upper = torch.where(known, torch.stack((fields, -fields)), math.nan).nanmedian(3).values.unbind()
+        return (lower - upper) / 2
+    falling = torch.where(known, fields, -math.inf).topk(fields.shape[2] // 2 + 1, dim=2).values
+    # The same place twice where the count is odd.
+    ranks = torch.cat(((count - 1).clamp_min(0) / 2, count / 2), dim=2).floor()
+    result: Tensor = falling.gather(2, ranks.to(torch.int64).expand(-1, _FIELDS, -1)).mean(2)
+    return result
+
+
+class _OfNearest(NamedTuple):
+    """What positions have of the point that is nearest to each, if it is one of `Apart`."""
+
+    apart: Tensor  # (B, 1, Q) bool
+    within: Tensor  # (B, 1, Q) bool, whether it is near enough
+    fields: Tensor  # (B, 5, Q)
+    std: Tensor | None
+
+
+def _of_nearest(apart: Apart, theirs: Tensor, weights: Tensor) -> _OfNearest:
+    """By `Support.weights` (B, Q, N), which fall with distance; `theirs` (B, 1, N) is where fields are known."""
+    nearest = weights.amax(2, keepdim=True)
+    own = apart.fields if apart.std is None else torch.cat((apart.fields, apart.std), dim=2)
+    columns = torch.cat((torch.ones_like(theirs), theirs), dim=1).to(weights.dtype).mT
+    columns = torch.cat((columns, torch.where(theirs.mT, own, 0.0)), dim=2)
+    # A product with 0 and 1: runtimes gather far more slowly.
+    found = ((weights == nearest).to(weights.dtype) @ columns).mT
+    count, of_them = found[:, :1], found[:, 1:2]
+    fields = found[:, 2:] / of_them.clamp_min(1)
+    within = (nearest > (1 - limits.SAME_PLACE**2) ** 2).mT
+    return _OfNearest(
+        of_them > count / 2, within, fields[:, :_FIELDS], None if apart.std is None else fields[:, _FIELDS:]
+    )
+
+
+def _fields(gradient: Tensor, measure: str) -> Tensor:
+    """Divergence, curl and strain (B, 5, Q) of (B, 4, Q)."""
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    strain = green_lagrange(gradient.unflatten(1, (2, 2)).permute(0, 3, 1, 2), measure)
+    return torch.cat((xx + yy, yx - xy, strain.transpose(1, 2)), dim=1)
+
+
+def _beside(
+    fields: Tensor,
+    median: Tensor,
+    fit: PlaneFit,
+    gradient: Tensor,
+    usable: Tensor,
+    covariance: Tensor,
+    radius: float,
+    measure: str,
+) -> Tensor:
+    """How much (B, 5, Q) of the error at each position the median (B, 5, 1) has: (1 - z^2)^2, z the distance from it in
+    two standard deviations of a single fit.
+
+    Those deviations are of the size of a fit among points spread evenly, of which each has the mean covariance:
+    sum w^2 d d' is 0.4 sum w d d' there.
+    """
+    number = usable.to(fields.dtype).sum(2, keepdim=True).clamp_min(1)
+    mean = _symmetric(torch.where(usable, covariance, 0.0).sum(2, keepdim=True) / number)
+    slopes = _symmetric(limits.EVEN / radius**2 * fit.inverse / fit.mass)
+    sensitivity = _sensitivity(gradient, measure)
+    by_slopes = _times(sensitivity, slopes[:, None])
+    variance = (_times(mean[:, None], by_slopes) * sensitivity).sum((2, 3))
+    away = (fields - median).square() / (limits.REACH**2 * variance).clamp_min(_TINY)
+    result: Tensor = (1 - away).clamp_min(0).square()
+    return result
+
+
+def _by_points(fit: PlaneFit, places: Tensor, gradient: Tensor, share: Tensor, measure: str) -> Tensor:
+    """Derivatives (B, 5, 2, N) of the means of five fields, positions weighted by `share` (B, 5, Q), by displacements.
+
+    Where a point is displaced by d, the gradient H at a position changes by d l', l = (I + H)' A^-1 w (x - c) / sum w:
+    the point moves together with its displacement, so that the fit changes by (I - G) d, and I - G undoes I + H.
+    """
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    onward = torch.cat((1 + xx, yx, xy, 1 + yy), dim=1).unflatten(1, (2, 2))  # (I + H)'
+    around = _times(onward, _symmetric(fit.inverse / fit.mass))
+    # By the place of a point, and by that of the centroid.
+    around = torch.cat((around, _times(around, fit.centroid[:, :, None])), dim=2)  # (B, 2, 3, Q)
+    columns = (_times(_sensitivity(gradient, measure), around[:, None]) * share[:, :, None, None]).flatten(1, 3)
+    sums = (columns @ fit.weights).unflatten(1, (_FIELDS, 2, 3))  # (B, 5, 2, 3, N)
+    result: Tensor = (sums[:, :, :, :2] * places[:, None, None]).sum(3) - sums[:, :, :, 2]
+    return result
+
+
+def _sensitivity(gradient: Tensor, measure: str) -> Tensor:
+    """`field_sensitivity` (B, 5, 2, 2, Q) of (B, 4, Q)."""
+    xx, xy, yx, yy = gradient.split(1, dim=1)
+    parts = sensitivity_parts(xx, xy, yx, yy, measure)
+    result: Tensor = torch.cat(parts, dim=1).unflatten(1, (_FIELDS, 2, 2))
+    return result
+
+
+def _symmetric(three: Tensor) -> Tensor:
+    """(B, 2, 2, Q) of xx, xy, yy (B, 3, Q)."""
+    xx, xy, yy = three.split(1, dim=1)
+    result: Tensor = torch.cat((xx, xy, xy, yy), dim=1).unflatten(1, (2, 2))
+    return result
+
+
+def _times(left: Tensor, right: Tensor) -> Tensor:
+    """Products (..., I, K, Q) of matrices (..., I, 2, Q) and (..., 2, K, Q); batches of small ones take longer."""
+    first, second = left.split(1, dim=-2)
+    upper, lower = right.split(1, dim=-3)
+    result: Tensor = first * upper + second * lower
+    return result
+
+
+def _check(
+    reference: Tensor,
+    displacement: Tensor,
+    center: Tensor,
+    semi_axes: Tensor,
+    angle: Tensor,
+    gauge_length: float,
+    covariance: Tensor | None,
+) -> None:
+    check_scattered(reference, displacement)
+    if displacement.shape[2] != 2 or reference.dtype != displacement.dtype:
+        raise ValueError(
+            f"displacement must be (B, N, 2) of the type of reference, found {tuple(displacement.shape)} "
+            f"{displacement.dtype} and {reference.dtype}"
+        )
+    batch, points = displacement.shape[:2]
+    if reference.shape[0] not in (1, batch):
+        raise ValueError(f"reference has {reference.shape[0]} frames, displacement {batch}: the same, or 1 are needed")
+    for name, values, shape in (
+        ("center", center, (batch, 2)),
+        ("semi_axes", semi_axes, (batch, 2)),
+        ("angle", angle, (batch,)),
+    ):
+        if not values.is_floating_point() or values.shape != shape:
+            raise ValueError(f"{name} must be floating {shape}, found {values.dtype} {tuple(values.shape)}")
+    if not (math.isfinite(gauge_length) and gauge_length > 0):
+        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    if covariance is not None and covariance.shape != (batch, points, 2, 2):
+        raise ValueError(f"covariance must be {(batch, points, 2, 2)}, found {tuple(covariance.shape)}")
+
+
+def _checked(apart: Apart, displacement: Tensor, with_std: bool) -> Apart:
+    """Of the type of the displacement, with deviations where they are asked for and without them else."""
+    batch, points = displacement.shape[:2]
+    for name, values, shape in (
+        ("among", apart.among, (batch, points)),
+        ("fields", apart.fields, (batch, points, _FIELDS)),
+        *([("std", apart.std, (batch, points, _FIELDS))] if with_std else []),
+    ):
+        if values is None or values.shape != shape:
+            found = None if values is None else tuple(values.shape)
+            raise ValueError(f"{name} of apart must be {shape}, found {found}")
+    std = apart.std.to(displacement.dtype) if with_std and apart.std is not None else None
+    return Apart(apart.among, apart.fields.to(displacement.dtype), std)

@@ -1,0 +1,177 @@
+"""Value and gradient of a field known at scattered points, by a weighted linear fit around each query."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
+from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
+from fingerflow.ops.fields.weighted_moments import weighted_moments
+
+
+class LocalFit(NamedTuple):
+    """A linear fit at Q queries of C components; NaN where the points do not determine it."""
+
+    value: Tensor  # (B, Q, C), the unit of the values
+    gradient: Tensor  # (B, Q, C, 2), [..., i, j] = d value_i / d x_j, value unit per length unit
+    covariance: Tensor | None  # (B, Q, C, 2, C, 2), [..., i, j, k, l] = cov(gradient_ij, gradient_kl)
+    point_count: Tensor  # (B, Q) int64, usable points within the support
+    centroid_offset: Tensor  # (B, Q), distance from the query to the weighted centroid of its points, length unit
+
+
+def local_gradients(
+    points: Tensor,
+    values: Tensor,
+    queries: Tensor | None = None,
+    *,
+    gauge_length: float,
+    variance: Tensor | None = None,
+    minimum_points: int = MINIMUM_POINTS,
+) -> LocalFit:
+    """Weighted least-squares plane through the values around each query: its height and its slope.
+
+    A point at distance r from the query weighs (1 - (r/R)^2)^2 within R = gauge_length / 2 and nothing beyond.
+
+    Args:
+        points: (B, N, 2) positions (x, y) in a length unit L; reference positions where a strain is to follow.
+        values: (B, N, C), for example a displacement (u, v) in L. Either batch may be 1; one set of points for many
+            frames is several times faster than a set a frame, as the weights are shared.
+        queries: (B, Q, 2) places in L where the fit is wanted; the points themselves by default.
+        gauge_length: diameter of the support in L. It sets the resolution: in a dense uniform cloud a sinusoid of
+            wavelength w keeps 48 J3(k)/k^3 of its value and 384 J4(k)/k^4 of its slope, k = pi gauge_length / w
+            (0.88 of the slope at two gauge lengths a wave, 0.97 at four).
+        variance: (B, N), the variance of each component of a value, or (B, N, C, C), its covariance, in value unit
+            squared. Asks for the covariance of the gradient: A^-1 (sum w^2 s d d') A^-1, the exact covariance of this
+            linear estimator for independent errors s. It does not contain the smoothing above.
+        minimum_points: at least 3, which a plane needs; the default leaves two to spare.
+
+    A point whose position or value is NaN or infinite, or whose variance is that or negative, is left out. A query is
+    NaN where fewer than `minimum_points` remain within the support, or where their weighted standard deviation is below
+    5 % of the gauge length in some direction (collinear or coincident points). Queries at the border get a one-sided
+    fit, which `centroid_offset` tells: 0 inside a uniform cloud, 0.15 gauge lengths on its straight border.
+
+    Computed in float32 at least and from differences to the query, so the distance from the origin costs nothing but
+    the rounding of the positions. Memory is bounded by working through the queries in pieces (autograd keeps them all).
+    Raises TypeError or ValueError for a wrong dtype, shape or setting.
+    """
+    queries = points if queries is None else queries
+    _check(points, values, queries, gauge_length, variance, minimum_points)
+    given = (points, values, queries)
+    dtype = working_dtype(*given)
+    positions, measured, wanted = (tensor.to(dtype) for tensor in given)
+    components, radius = values.shape[2], gauge_length / 2
+    noise = None
+    if variance is not None:
+        noise = variance.to(dtype).flatten(2) if variance.dim() == 4 else variance.to(dtype)[..., None]
+    if kernels.serve(positions, measured, wanted, noise):
+        fitted = kernels.local_gradients(
+            positions,
+            measured,
+            wanted,
+            noise,
+            radius=radius,
+            least_spread=MINIMUM_SPREAD * radius,
+            minimum_points=minimum_points,
+        )
+        kept = result_dtype(*given)
+        return LocalFit(
+            fitted.value.to(kept),
+            fitted.gradient.to(kept),
+            None if fitted.covariance is None else fitted.covariance.to(kept),
+            fitted.point_count,
+            fitted.centroid_offset.to(kept),
+        )
+
+    # NaN becomes 0 here with a weight of 0, rather than being masked at the end: autograd stays finite that way.
+    usable = torch.isfinite(positions).all(-1) & torch.isfinite(measured).all(-1)
+    if noise is not None:
+        own = noise[..., :: components + 1] if noise.shape[2] == components**2 else noise
+        usable = usable & torch.isfinite(noise).all(-1) & (own >= 0).all(-1)
+        noise = torch.where(usable[..., None], noise, 0)
+    asked = torch.isfinite(wanted).all(-1)
+    positions = torch.where(torch.isfinite(positions), positions, 0)
+    wanted = torch.where(asked[..., None], wanted, 0)
+    measured = torch.where(usable[..., None], measured, 0)
+    # A plane fits as well from any height: taking off the mean keeps the digits that the slope needs.
+    level = (measured.sum(1, keepdim=True) / usable.sum(1)[:, None, None].clamp(min=1)).detach()
+    measured = torch.where(usable[..., None], measured - level, 0)
+
+    sums = weighted_moments(positions, wanted, usable, measured, noise, radius)
+    count = torch.where(asked, sums.point_count, 0)
+    determined = count >= minimum_points
+
+    # Moments about the weighted centroid; the fit there separates into a mean and a 2 x 2 system.
+    safe_mass = torch.where(determined, sums.mass, 1)
+    centre = sums.first / safe_mass[..., None]
+    centre_x, centre_y = centre.unbind(-1)
+    xx, xy, yy = (sums.second / safe_mass[..., None]).unbind(-1)
+    xx, xy, yy = xx - centre_x * centre_x, xy - centre_x * centre_y, yy - centre_y * centre_y
+    narrowest = (xx + yy) / 2 - torch.hypot((xx - yy) / 2, xy)  # the smaller eigenvalue
+    determined = determined & (narrowest >= (MINIMUM_SPREAD * radius) ** 2)
+    determinant = torch.where(determined, xx * yy - xy * xy, 1)
+    inverse = _matrix(yy, -xy, -xy, xx) / determinant[..., None, None]
+
+    mean, moment_x, moment_y = (sums.data / safe_mass[..., None, None]).unbind(-2)
+    moments = torch.stack((moment_x, moment_y), dim=-1) - mean[..., None] * centre[..., None, :]
+    gradient = moments @ inverse
+    value = mean - (gradient * centre[..., None, :]).sum(-1) + level
+
+    def or_nan(tensor: Tensor) -> Tensor:
+        known = determined.reshape(determined.shape + (1,) * (tensor.dim() - 2))
+        return torch.where(known, tensor, torch.nan).to(result_dtype(*given))
+
+    covariance = None
+    if sums.noise is not None:
+        covariance = or_nan(_gradient_covariance(sums.noise, centre, safe_mass, inverse, components))
+    offset = torch.hypot(centre_x, centre_y).detach()
+    return LocalFit(or_nan(value), or_nan(gradient), covariance, count.to(torch.int64), or_nan(offset))
+
+
+def _check(
+    points: Tensor,
+    values: Tensor,
+    queries: Tensor,
+    gauge_length: float,
+    variance: Tensor | None,
+    minimum_points: int,
+) -> None:
+    check_scattered(points, values)
+    if not queries.is_floating_point() or queries.dim() != 3 or queries.shape[-1] != 2:
+        raise ValueError(f"queries must be floating (B, Q, 2), found {queries.dtype} {tuple(queries.shape)}")
+    check_batches(points=points, values=values, queries=queries)
+    if not (math.isfinite(gauge_length) and gauge_length > 0):
+        raise ValueError(f"gauge_length must be a positive length in the unit of the points, found {gauge_length}")
+    if minimum_points < 3:
+        raise ValueError(f"minimum_points must be at least 3, which a plane needs, found {minimum_points}")
+    if variance is not None:
+        allowed = (tuple(values.shape[1:2]), (values.shape[1], values.shape[2], values.shape[2]))
+        if not variance.is_floating_point() or tuple(variance.shape[1:]) not in allowed:
+            raise ValueError(
+                f"variance must be floating (B, N) or (B, N, C, C) with N and C of values {tuple(values.shape)}, "
+                f"found {variance.dtype} {tuple(variance.shape)}"
+            )
+        check_batches(points=points, values=values, variance=variance)
+
+
+def _gradient_covariance(noise_sums: Tensor, centre: Tensor, mass: Tensor, inverse: Tensor, components: int) -> Tensor:
+    """The sandwich (B, Q, C, 2, C, 2): the noise moved to the centroid, between two inverses."""
+    plain, along_x, along_y, xx, xy, yy = (noise_sums / mass.square()[..., None, None]).unbind(-2)  # (B, Q, V) each
+    x, y = centre[..., :1], centre[..., 1:]
+    xx = xx - 2 * x * along_x + x * x * plain
+    xy = xy - x * along_y - y * along_x + x * y * plain
+    yy = yy - 2 * y * along_y + y * y * plain
+    bread = inverse[..., None, :, :]
+    sandwich = bread @ _matrix(xx, xy, xy, yy) @ bread  # (B, Q, V, 2, 2)
+    if sandwich.shape[2] == 1:
+        between_components = torch.eye(components, dtype=sandwich.dtype, device=sandwich.device)
+        return between_components[:, None, :, None] * sandwich[:, :, :, :, None, :]
+    batch, queries = sandwich.shape[:2]
+    return sandwich.reshape(batch, queries, components, components, 2, 2).transpose(3, 4)
+
+
+def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor) -> Tensor:
+    """(...) four times to (..., 2, 2), row by row."""
+    return torch.stack((torch.stack((a, b), dim=-1), torch.stack((c, d), dim=-1)), dim=-2)

@@ -1,0 +1,110 @@
+"""Gradients of the displacement at the points themselves, at fixed cost."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.ops.fields.plane_fit import Support, about_their_mean, fit_planes, gradient_covariance, support_of
+from fingerflow.ops.looking import looks
+from fingerflow.ops.tensors import finite, sum_rows
+
+
+def point_gradients(
+    reference: Tensor, displacement: Tensor, gauge_length: float, covariance: Tensor | None = None
+) -> tuple[Tensor, Tensor | None]:
+    """`local_gradients` of displacements (B, N, 2) at reference positions (1 or B, N, 2), and their covariance.
+
+    Gradient (B, N, 2, 2) and, with ``covariance`` (B, N, 2, 2) of the displacements, its covariance (B, N, 2, 2, 2, 2)
+    as `LocalFit` has them; NaN also where a point's own displacement is not known. Compiled kernels fit from
+    differences of positions; the portable form, which is exported, by products of matrices (`ops.fields.plane_fit`).
+    """
+    if kernels.serve(reference, displacement, covariance):
+        fit = local_gradients(reference, displacement, gauge_length=gauge_length, variance=covariance)
+        across, down = displacement.unbind(-1)  # torch is slow over an axis of two
+        own = torch.where(finite(across + down), 0.0, torch.nan).to(displacement.dtype)[..., None, None]
+        return fit.gradient + own, None if fit.covariance is None else fit.covariance + own[..., None, None]
+    radius = gauge_length / 2
+    if not looks(reference, displacement, covariance):
+        return _gradients(radius, reference, displacement, covariance)
+    # Of points that are known in none of the frames nothing follows.
+    some = finite(displacement.sum(2)).any(0).nonzero().squeeze(1)
+    noise = None if covariance is None else covariance.index_select(1, some)
+    gradient, spread = _gradients(radius, reference.index_select(1, some), displacement.index_select(1, some), noise)
+
+    def for_all(found: Tensor) -> Tensor:
+        shape = len(found), displacement.shape[1], *found.shape[2:]
+        return found.new_full(shape, torch.nan).index_copy(1, some, found)
+
+    return for_all(gradient), None if spread is None else for_all(spread)
+
+
+def _gradients(
+    radius: float, reference: Tensor, displacement: Tensor, covariance: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    places, given = about_their_mean(reference, radius)
+    usable = given & finite(sum_rows(displacement.mT))
+    planes = None
+    if covariance is not None:
+        planes = covariance.flatten(2).mT[:, (0, 1, 3)]
+        usable = usable & finite(sum_rows(planes)) & (planes[:, ::2] >= 0).all(1, keepdim=True)
+        planes = torch.where(usable, planes, 0.0)
+    fitted = fit_planes(places, displacement.mT, places, usable, radius)
+    gradient = torch.where(fitted.known & usable, fitted.gradient, torch.nan).mT.unflatten(2, (2, 2))
+    if planes is None:
+        return gradient, None
+    return gradient, gradient_covariance(fitted, places, planes, radius) + 0 * gradient[..., None, None]
+
+
+class NeighbourPlanes(NamedTuple):
+    """What their neighbours say of N points: values (B, N, C) there, and gradients (B, N, C, 2)."""
+
+    value: Tensor
+    gradient: Tensor
+
+
+def neighbours_support(reference: Tensor, gauge_length: float) -> Support | None:
+    """What the portable form of `neighbour_planes` needs to know of reference positions (1 or B, N, 2), once for all
+    that is asked there; None where compiled kernels do without.
+    """
+    if kernels.serve(reference):
+        return None
+    places, _ = about_their_mean(reference, gauge_length / 2)
+    return support_of(places, places)
+
+
+def neighbour_planes(
+    reference: Tensor, values: Tensor, gauge_length: float, support: Support | None = None
+) -> NeighbourPlanes:
+    """`local_gradients` of values (B, N, C) at all given reference positions (1 or B, N, 2).
+
+    Also where a point's own value is not known, from its neighbours; where one of the C is not known, none is. Forms as
+    for `point_gradients`; the portable one takes the `neighbours_support` of these positions, if that is known.
+    """
+    if kernels.serve(reference, values):
+        fit = local_gradients(reference, values, gauge_length=gauge_length)
+        return NeighbourPlanes(fit.value, fit.gradient)
+    radius = gauge_length / 2
+    places, given = about_their_mean(reference, radius)
+    usable = given & finite(sum_rows(values.mT))
+    fitted = fit_planes(places, values.mT, places, usable, radius, support)
+    known = fitted.known & given
+    value, gradient = (torch.where(known, one, torch.nan).mT for one in (fitted.value, fitted.gradient))
+    return NeighbourPlanes(value, gradient.unflatten(2, (-1, 2)))
+
+
+def gradients_at(points: Tensor, values: Tensor, queries: Tensor, gauge_length: Tensor) -> Tensor:
+    """Gradients (B, Q, C, 2) at queries (B, Q, 2) of values (B, N, C) known at points (B, N, 2), NaN where they do not
+    determine them: the portable form of `local_gradients` at fixed cost, which is exported.
+
+    ``gauge_length`` (1,) is in the unit of the points.
+    """
+    radius = gauge_length.to(points.dtype) / 2
+    both, given = about_their_mean(torch.cat((points, queries), dim=1), radius)
+    (places, asked), (known, wanted) = (one.split((points.shape[1], queries.shape[1]), dim=2) for one in (both, given))
+    usable = known & finite(sum_rows(values.mT))
+    fitted = fit_planes(places, values.mT, asked, usable, radius)
+    gradient: Tensor = torch.where(fitted.known & wanted, fitted.gradient, torch.nan).mT.unflatten(2, (-1, 2))
+    return gradient

@@ -1,0 +1,64 @@
+"""What a rigid motion of the whole finger leaves unexplained: the usual sign of incipient slip."""
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops.fields.scattered import check_batches, check_scattered, result_dtype, working_dtype
+from fingerflow.ops.tensors import finite
+
+
+def rigid_residual(points: Tensor, displacement: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Displacement (B, N, 2) minus the best rigid motion of the points, one rotation and one translation a frame.
+
+    Args:
+        points: (B, N, 2) reference positions, any length unit L; B may be 1 for all frames.
+        displacement: (B, N, 2) in L.
+        weights: (B, N), not negative; equal by default. A point of weight 0 has no part in the fit, but a residual.
+
+    The motion minimises the weighted sum of squared residuals (Procrustes, closed form in the plane). A point with a
+    NaN or infinite position or displacement has no part in the fit and a residual of NaN; one with such a weight has
+    no part either. A frame whose points do not determine the rotation (fewer than two distinct ones) is NaN throughout.
+    Computed in float32 at least. Raises TypeError or ValueError for a wrong dtype or shape.
+    """
+    check_scattered(points, displacement)
+    if displacement.shape[2] != 2:
+        raise ValueError(f"displacement must have shape (B, N, 2), found {tuple(displacement.shape)}")
+    dtype = working_dtype(points, displacement)
+    # Each component by itself in memory: torch is several times as slow where the last axis is short.
+    (place_x, place_y), (moved_x, moved_y) = (one.to(dtype).unbind(-1) for one in (points, displacement))
+    present = finite(place_x + place_y) & finite(moved_x + moved_y)
+    place_x, place_y, moved_x, moved_y = (torch.where(present, one, 0) for one in (place_x, place_y, moved_x, moved_y))
+    mass = present.to(dtype)
+    if weights is not None:
+        if weights.dim() != 2 or weights.shape[1] != points.shape[1]:
+            raise ValueError(f"weights must have shape (B, {points.shape[1]}) as points, found {tuple(weights.shape)}")
+        check_batches(points=points, displacement=displacement, weights=weights)
+        mass = mass * torch.where(torch.isfinite(weights), weights, 0).to(dtype)
+
+    # Centred twice: the first mean of far coordinates is itself rounded.
+    x, y = (_centred(_centred(one, mass), mass) for one in (place_x, place_y))
+    change_x, change_y = (_centred(one, mass) for one in (moved_x, moved_y))
+    # Dot and cross product of the positions before and after; the cross product of a position with itself is left out.
+    spread = _sum(mass * (x * x + y * y))
+    along = spread + _sum(mass * (x * change_x + y * change_y))
+    across = _sum(mass * (x * change_y - y * change_x))
+
+    # Points that differ by no more than the rounding of their coordinates are one point.
+    rounding = torch.finfo(dtype).eps * (place_x.abs() + place_y.abs())
+    determined = (spread > _sum(mass * rounding.square())) & ((along != 0) | (across != 0))
+    angle = torch.atan2(across, torch.where(determined, along, 1))
+    # R - I by the half angle: cos(angle) - 1 would lose the digits of a small rotation.
+    less, sine = -2 * torch.sin(angle / 2).square(), torch.sin(angle)
+    left = torch.stack((change_x - (less * x - sine * y), change_y - (sine * x + less * y)), dim=-1)
+    known = (present & determined)[..., None]
+    return torch.where(known, left, torch.nan).to(result_dtype(points, displacement))
+
+
+def _centred(values: Tensor, mass: Tensor) -> Tensor:
+    total = _sum(mass)
+    return values - _sum(mass * values) / torch.where(total > 0, total, 1)
+
+
+def _sum(values: Tensor) -> Tensor:
+    """(B, 1) of (B, N)."""
+    return values.sum(1, keepdim=True)

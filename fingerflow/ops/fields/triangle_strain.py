@@ -1,0 +1,158 @@
+"""Strain of triangles in many frames, its energy over those that touch, and what errors of the points make of both."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.ops.fields.strain import STRAIN_MEASURES, energy_form, stiffness, strain_parts, stress_parts
+from fingerflow.ops.fields.strain_uncertainty import strain_covariance_parts
+from fingerflow.ops.fields.triangles import MINIMUM_QUALITY, triangle_areas, triangle_quality, triangle_slopes
+
+
+class SharedErrors(NamedTuple):
+    """Correlation of the errors of points that lie near each other."""
+
+    corners: Tensor  # (M, 3), of corners 0 and 1, 1 and 2, 2 and 0 of the triangles
+    pairs: Tensor  # (K, 2) int64, all points that have errors in common, each pair once
+    correlation: Tensor  # (K,) theirs
+
+
+class TriangleStrain(NamedTuple):
+    """Of M triangles in B frames; NaN where not known."""
+
+    strain: Tensor  # (B, M, 3) as (exx, eyy, exy)
+    strain_std: Tensor  # (B, M, 3)
+    density: Tensor  # (B, M) mJ/mm^3
+    energy: Tensor  # (B,) float64 mJ per mm of depth, without what the errors of the points add on average
+    energy_std: Tensor  # (B,) float64
+
+
+def triangle_strain(
+    reference: Tensor,
+    triangles: Tensor,
+    displacement: Tensor,
+    covariance: Tensor,
+    in_contact: Tensor,
+    shared: SharedErrors | None = None,
+    *,
+    measure: str = "green_lagrange",
+    young_modulus_mpa: float = 1.0,
+    poisson_ratio: float = 0.4,
+) -> TriangleStrain:
+    """Strain of the gradients of `triangle_gradients`, and its energy density integrated over the triangles that touch.
+
+    Frames share triangles and slopes: here they are the last axis, each number of a point or a triangle a row of its
+    own, so that a corner is fetched for all frames at once.
+
+    Args:
+        reference: (1, N, 2) reference positions, mm.
+        triangles: (M, 3) indices of points, int64.
+        displacement: (B, N, 2) mm, NaN where a point is not known.
+        covariance: (B, N, 2, 2) mm^2 of the displacement.
+        in_contact: (B, M) bool, which triangles count in the energy.
+        shared: which errors are the same ones in part; none by default.
+        measure: of strain, as in `green_lagrange`.
+        young_modulus_mpa, poisson_ratio: of the solid, as in `strain_energy_density`.
+    """
+    solid = young_modulus_mpa, poisson_ratio
+    corners = triangles.T.flatten()
+    usable = triangle_quality(reference, triangles)[0] >= MINIMUM_QUALITY
+    slopes = torch.where(usable[:, None, None], triangle_slopes(reference, triangles)[0], 0.0)
+    # sum_ij x_i x_j C_ij with C_ij = r_ij (C_i + C_j) / 2 is a sum over corners, sum_i x_i (x_i + sum_j r_ij x_j) C_i.
+    joint = slopes if shared is None else slopes + _beside(slopes, shared.corners.to(slopes.dtype))
+    xx, yy = (slopes * joint).unbind(-1)
+    xy = (slopes * joint.flip(-1)).mean(-1)
+    products = torch.stack((xx, xy, yy)).mT  # (3, 3, M)
+    along, down = slopes.permute(2, 1, 0)[..., None].unbind()  # (3, M, 1)
+    flat = torch.where(usable, 0.0, torch.nan)[:, None].to(slopes.dtype)
+
+    areas = triangle_areas(reference, triangles)
+    compiled = kernels.serve(reference, displacement, covariance, in_contact)
+    if compiled and displacement.dtype == torch.float32 and len(triangles):
+        strain_of, strain_std, held, energy, forces, own = kernels.triangle_strain(
+            *(triangles, slopes, products, areas[0], flat[:, 0], displacement, covariance, in_contact),
+            measure=STRAIN_MEASURES.index(measure),
+            stiffness=stiffness(*solid),
+        )
+        deviation = _energy_deviation(forces[..., 0].T, forces[..., 1].T, covariance, own, shared)
+        return TriangleStrain(strain_of, strain_std, held, energy, deviation + 0 * energy)
+
+    def at_corners(values: Tensor) -> Tensor:
+        """(B, N) to (3, M, B)."""
+        result: Tensor = values.T.contiguous().index_select(0, corners).unflatten(0, triangles.T.shape)
+        return result
+
+    def gradient(values: Tensor) -> tuple[Tensor, Tensor]:
+        first, second, third = at_corners(values)
+        second, third = second - first, third - first
+        return along[1] * second + along[2] * third + flat, down[1] * second + down[2] * third + flat
+
+    def at_points(corner_values: Tensor) -> Tensor:
+        """Sums (N, B) of what corners (3, M, B) add to points."""
+        sums = corner_values.new_zeros(displacement.shape[1], len(displacement))
+        return sums.index_add_(0, corners, corner_values.flatten(0, 1))
+
+    (ux, uy), (vx, vy) = (gradient(moved) for moved in displacement.unbind(-1))
+    exx, eyy, exy = strain = strain_parts(ux, uy, vx, vy, measure)
+    density = energy_form(exx * exx, eyy * eyy, exy * exy, exx * eyy, *solid)
+    shares = area_shares(in_contact, (density.abs() < torch.inf).T, areas).T
+    counted = shares.nan_to_num(0.0)
+
+    uu, uv, vv = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    at_corner = (at_corners(part) for part in (uu, uv, vv))
+    errors = strain_covariance_parts(*products[..., None], *at_corner)  # (3, M, B) each
+    added = counted * energy_form(*errors, *solid).nan_to_num(0.0)
+    energy = (shares * density.nan_to_num(0.0)).sum(0, dtype=torch.float64) - added.sum((0, 1), dtype=torch.float64)
+    sxx, syy, sxy = (counted * part.nan_to_num(0.0) for part in stress_parts(*strain, *solid))
+    x, y, own = (at_points(part) for part in (sxx * along + sxy * down, syy * down + sxy * along, added))
+    deviations = [error.sum(0).clamp_min(0).sqrt() + 0 * part for error, part in zip(errors[:3], strain, strict=True)]
+    return TriangleStrain(
+        torch.stack(strain).permute(2, 1, 0),
+        torch.stack(deviations).permute(2, 1, 0),
+        density.T,
+        energy,
+        _energy_deviation(x, y, covariance, (own * own).sum(0, dtype=torch.float64), shared) + 0 * energy,
+    )
+
+
+def _energy_deviation(x: Tensor, y: Tensor, covariance: Tensor, own: Tensor, shared: SharedErrors | None) -> Tensor:
+    """(B,) of the energy, from the forces (N, B) at the points and the squares of what their errors add to it (B,),
+    summed.
+
+    To first order by the forces; of the noise's own energy, by what each point adds to it: its displacement has two
+    components, and a sixth more comes from being stiffly joined to its neighbours. The forces that are measured have
+    noise too, which adds twice that variance on average.
+    """
+    uu, uv, vv = (covariance[..., i, j].nan_to_num(0.0).T for i, j in ((0, 0), (0, 1), (1, 1)))
+    linear = (x * x * uu + 2 * x * y * uv + y * y * vv).sum(0, dtype=torch.float64)
+    if shared is not None:
+        forces = torch.stack((x, y)) * ((uu + vv) / 2).clamp_min(0).sqrt()
+        correlation = shared.correlation.to(x.dtype)
+        # The device is stated: else torch takes the default one, whatever the tensors are on.
+        beside = torch.sparse_coo_tensor(
+            shared.pairs.T, correlation, (len(x), len(x)), device=x.device, check_invariants=True
+        )
+        of_others = torch.stack([torch.sparse.mm(beside, one) for one in forces])
+        linear = linear + 2 * (forces * of_others).sum((0, 1), dtype=torch.float64)
+    of_itself = 7 / 6 * own
+    return torch.maximum(linear - of_itself, of_itself).sqrt()
+
+
+def area_shares(in_contact: Tensor, known: Tensor, areas: Tensor) -> Tensor:
+    """Area (B, M) by which each triangle counts in an integral over those that are ``in_contact`` (B, M).
+
+    Triangles that are not ``known`` are taken at the mean of the others; NaN where these are less than half of the
+    area, or where no triangle touches.
+    """
+    areas = areas.nan_to_num(0.0)
+    counted = (in_contact & known) * areas
+    whole, seen = (in_contact * areas).sum(1, keepdim=True), counted.sum(1, keepdim=True)
+    return counted * torch.where((seen > 0) & (seen >= whole / 2), whole / seen, torch.nan)
+
+
+def _beside(slopes: Tensor, shared: Tensor) -> Tensor:
+    """(M, 3, 2): slopes of the other two corners, each times the correlation with it (M, 3)."""
+    after, before = slopes.roll(-1, 1), slopes.roll(1, 1)
+    return after * shared[..., None] + before * shared.roll(1, 1)[..., None]

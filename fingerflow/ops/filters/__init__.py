@@ -1,0 +1,1 @@
+"""Filters of pictures: illumination, medians, splines, noise, histograms of neighbourhoods."""

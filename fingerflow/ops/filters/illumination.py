@@ -1,0 +1,173 @@
+"""From camera counts to a contact signal: uneven light divided out, contact bright, one byte a pixel."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT
+from fingerflow.ops.filters.quantile import frame_quantile
+
+# The signal of levels 0 and 255. The lower end leaves room for pixels brighter than the empty glass.
+LEVEL_RANGE = (-0.25, 1.0)
+
+
+class NormalizedFrames(NamedTuple):
+    """`frames` (B, 1, H, W): light over that of the empty glass; `valid` (B, 1, H, W) bool: where that is known."""
+
+    frames: Tensor
+    valid: Tensor
+
+
+def normalize_illumination(
+    frames: Tensor, reference: Tensor, dark: Tensor | None = None, *, minimum_illumination: float = LEAST_LIGHT
+) -> NormalizedFrames:
+    """(frames - dark) / (reference - dark), where the reference, the empty glass, is lit.
+
+    Outside the lit disc the quotient is noise over noise. A pixel is masked (valid False, quotient exactly 1 as for
+    empty glass) where reference - dark is at most `minimum_illumination` of its own 0.99 quantile, not positive, or
+    where any input or the quotient is not finite. At the default limit of 5 % one count of camera noise on an 8-bit
+    reference of 200 counts becomes 0.1 in the quotient: already ten times the noise at full light and no better use.
+
+    A saturated pixel is taken at its value, since no dtype tells the camera's white level: the quotient is too small
+    where a frame saturates (bright, never mistaken for contact) and too large where the reference does.
+
+    Args:
+        frames: (B, 1, H, W), integers of 8 to 16 bit or floating, in camera counts.
+        reference: (1 or B, 1, H, W), the empty glass under the same light, in the same counts.
+        dark: (1 or B, 1, H, W), counts without light; None for zero.
+        minimum_illumination: least light, as a fraction of full light, at which a quotient means anything.
+
+    Returns:
+        `frames` float32 (float64 if any input is), `valid` bool, both (B, 1, H, W). Gradients flow where valid.
+
+    Raises:
+        ValueError: shapes that do not fit, or `minimum_illumination` outside 0 to 1.
+    """
+    images = [image for image in (frames, reference, dark) if image is not None]
+    check_images(images, minimum_illumination)
+    precision = torch.float64 if any(image.dtype == torch.float64 for image in images) else torch.float32
+    empty, *black = (image.to(precision) for image in images[1:])
+    light = empty - black[0] if black else empty
+    least = minimum_illumination * _full_light(light)
+    if precision == torch.float32 and frames.dtype in kernels.FRAME_KINDS and kernels.serve(frames, light):
+        none = black[0] if black else torch.zeros_like(light[:1])
+        return NormalizedFrames(*kernels.normalize(frames, light, none, least))
+    counts = frames.to(precision)
+    passed = counts - black[0] if black else counts
+
+    known = _exceeds(light, least) & torch.isfinite(passed)
+    # Both branches of a where are differentiated: the masked one must be finite too.
+    quotient = torch.where(known, passed, 1.0) / torch.where(known, light, 1.0)
+    valid = known & torch.isfinite(quotient)
+    return NormalizedFrames(torch.where(valid, quotient, 1.0), valid)
+
+
+def glass_light(
+    empty: Tensor, dark: Tensor | None = None, precision: torch.dtype = torch.float32
+) -> tuple[Tensor, Tensor]:
+    """What the empty glass gives a pixel, in the counts of its frames.
+
+    Args:
+        empty: (B, 1, H, W) counts of the empty glass, one frame or a mean of several.
+        dark: the same without light; None for zero.
+        precision: of the result.
+
+    Returns:
+        (B, 1, H, W) light = empty - dark, 0 where the glass is not lit (as for `normalize_illumination`), and black =
+        dark, 0 where it is not finite.
+
+    Raises:
+        ValueError: shapes that do not fit.
+    """
+    check_images([empty] if dark is None else [empty, dark], LEAST_LIGHT)
+    counts = empty.to(precision)
+    black = torch.zeros_like(counts) if dark is None else dark.to(precision).expand(counts.shape)
+    light = counts - black
+    return torch.where(_lit(light, LEAST_LIGHT), light, 0.0), torch.where(black.abs() < torch.inf, black, 0.0)
+
+
+def _lit(light: Tensor, minimum: float) -> Tensor:
+    """Where light (B, 1, H, W) exceeds a share of the full light of its frame."""
+    return _exceeds(light, minimum * _full_light(light))
+
+
+def _full_light(light: Tensor) -> Tensor:
+    """(B,) of light (B, 1, H, W)."""
+    step = max(1, min(light.shape[-2:]) // PIXELS_OF_LIGHT)
+    return frame_quantile(light.detach()[..., ::step, ::step], FULL_LIGHT).to(light.dtype)
+
+
+def _exceeds(light: Tensor, least: Tensor) -> Tensor:
+    return torch.isfinite(light) & (light > 0) & (light > least.reshape(-1, 1, 1, 1))
+
+
+def contact_signal(normalized: NormalizedFrames, first: NormalizedFrames | None = None) -> Tensor:
+    """How much light a pixel has lost: 1 - quotient, or first quotient - quotient; contact is bright.
+
+    Args:
+        normalized: quotients (B, 1, H, W) of `normalize_illumination`.
+        first: the same at the first instant of contact, (1 or B, 1, H, W), where the signal is to be relative to it.
+
+    Returns:
+        (B, 1, H, W): 0 for no change and wherever either side is masked, 1 for intensity lost altogether.
+    """
+    if first is None:
+        return 1 - normalized.frames
+    return torch.where(normalized.valid & first.valid, first.frames - normalized.frames, 0.0)
+
+
+def quantize(signal: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
+    """The contact signal in one byte: level = round(255 (signal - low) / (high - low)), saturating.
+
+    One level is (high - low) / 255, 0.0049 by default, below the noise of one 8-bit camera pixel; the median and
+    Otsu's threshold run on it. `low` leaves room for pixels brighter than the empty glass.
+
+    Args:
+        signal: any shape, floating. NaN becomes level 0, infinities saturate.
+        low, high: the values of levels 0 and 255.
+
+    Returns:
+        uint8 of the same shape.
+
+    Raises:
+        ValueError: `high` is not above `low`.
+    """
+    scaled = (signal - low) * levels_per_unit(low, high)
+    return torch.nan_to_num(scaled, nan=0.0).clamp(0, 255).round().to(torch.uint8)
+
+
+def dequantize(levels: Tensor, low: float = LEVEL_RANGE[0], high: float = LEVEL_RANGE[1]) -> Tensor:
+    """The contact signal of a level, the inverse of `quantize`: for a threshold found on quantised frames.
+
+    Args:
+        levels: any shape, uint8 or floating; NaN stays NaN.
+        low, high: as given to `quantize`.
+
+    Returns:
+        float32, or the dtype of floating `levels`.
+    """
+    values = levels if levels.is_floating_point() else levels.float()
+    return values / levels_per_unit(low, high) + low
+
+
+def check_images(images: list[Tensor], minimum_illumination: float) -> None:
+    """Raises ValueError where frames, reference and dark, in this order, or the limit do not fit."""
+    if not 0 <= minimum_illumination < 1:
+        raise ValueError(f"minimum_illumination is {minimum_illumination}: give a fraction of full light from 0 to 1")
+    frames = images[0]
+    for name, image in zip(("frames", "reference", "dark"), images, strict=False):
+        fits = image.ndim == 4 and image.shape[1:] == frames.shape[1:] and image.shape[0] in (1, frames.shape[0])
+        if not fits or image.shape[1] != 1:
+            raise ValueError(
+                f"{name} has shape {tuple(image.shape)} beside frames of {tuple(frames.shape)}: "
+                "frames are (B, 1, H, W), reference and dark (1 or B, 1, H, W) of the same size"
+            )
+
+
+def levels_per_unit(low: float, high: float) -> float:
+    """Levels that a unit of the signal spans where `low` and `high` are levels 0 and 255."""
+    if not low < high:
+        raise ValueError(f"levels 0 to 255 cannot span {low} to {high}: high must be above low")
+    return 255 / (high - low)

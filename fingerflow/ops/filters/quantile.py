@@ -1,0 +1,84 @@
+"""Quantiles of whole frames by counting, without a sort: any device, exact for uint8, exportable."""
+
+import torch
+from torch import Tensor
+
+from fingerflow.ops.contact.otsu import histogram
+
+_HALVINGS = 24
+
+
+def frame_quantile(frames: Tensor, fraction: float) -> Tensor:
+    """The smallest value that at least this fraction of a frame's finite pixels do not exceed.
+
+    uint8 is read from its histogram. For other types each step halves the interval that holds the value and counts the
+    pixels up to its middle.
+
+    Args:
+        frames: (B, 1, H, W) integers of 8 to 32 bit or floating.
+        fraction: 0 to 1; 0 gives the smallest finite value, 1 the largest.
+
+    Returns:
+        (B,) float64. Exactly one of the pixel values for integers of up to 16 bit. For others it may lie above the
+        exact quantile by 2^-24 of the frame's range. NaN for a frame without a finite pixel.
+
+    Raises:
+        ValueError: `fraction` lies outside 0 to 1 or `frames` is not (B, 1, H, W).
+    """
+    if not 0 <= fraction <= 1:
+        raise ValueError(f"fraction is {fraction}: a quantile needs a fraction from 0 to 1")
+    if frames.ndim != 4 or frames.shape[1] != 1:
+        raise ValueError(f"frames have shape {tuple(frames.shape)}: give (B, 1, H, W)")
+    if frames.shape[2:].numel() == 0:
+        return torch.full(frames.shape[:1], torch.nan, dtype=torch.float64, device=frames.device)
+    if frames.dtype == torch.uint8:
+        return _from_histogram(histogram(frames), fraction)
+    return _by_halving(frames.flatten(1), fraction)
+
+
+def median_of_counts(counts: Tensor) -> Tensor:
+    """Median (B,) of integers from their histogram (B, bins), 0 the value of the first bin; NaN if empty. float64, or
+    the type of floating counts.
+
+    Values are taken to be spread evenly over the unit around each integer, as rounding left them: a median between
+    two integers, free of their steps.
+    """
+    counts = counts if counts.is_floating_point() else counts.double()
+    total = counts.sum(1, keepdim=True)
+    reached = counts.cumsum(1)
+    place = (reached < total / 2).to(counts.dtype).sum(1, keepdim=True).clamp(max=counts.shape[1] - 1)
+    own = counts.gather(1, place.to(torch.int64))
+    before = reached.gather(1, place.to(torch.int64)) - own
+    median = place - 0.5 + (total / 2 - before) / own.clamp_min(1)
+    return torch.where(total > 0, median, torch.nan).squeeze(1)
+
+
+def _from_histogram(counts: Tensor, fraction: float) -> Tensor:
+    wanted = (counts.sum(1, keepdim=True).double() * fraction).ceil().clamp(min=1)
+    return (counts.cumsum(1) < wanted).sum(1).double()
+
+
+def _by_halving(values: Tensor, fraction: float) -> Tensor:
+    whole = not values.is_floating_point()
+    if values.dtype not in (torch.float32, torch.float64):
+        values = values.to(torch.int32) if whole else values.float()
+    finite = values.isfinite()
+    present = finite.sum(1, keepdim=True)
+    wanted = (present.double() * fraction).ceil().clamp(min=1)
+    lowest = torch.where(finite, values, torch.inf).amin(1, keepdim=True).double()
+    high = torch.where(finite, values, -torch.inf).amax(1, keepdim=True).double()
+    # What is not finite is never counted below a middle.
+    counted = values if whole else torch.where(finite, values, torch.inf)
+
+    def enough(limit: Tensor) -> Tensor:
+        return (counted <= limit.to(counted.dtype)).sum(1, keepdim=True) >= wanted
+
+    low = lowest - 1 if whole else lowest
+    for _ in range(_HALVINGS):
+        middle = low + (high - low) / 2
+        middle = middle.floor() if whole else middle
+        reached = enough(middle)
+        low, high = torch.where(reached, low, middle), torch.where(reached, middle, high)
+    if not whole:  # the smallest value itself is never a middle
+        high = torch.where(enough(lowest), lowest, high)
+    return torch.where(present > 0, high, torch.nan).squeeze(1)

@@ -1,0 +1,78 @@
+"""Medians at one pixel in many: what a threshold is measured from, without the medians between."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.median_network import join_program
+from fingerflow.ops.filters.median import median_filter, run_network
+
+# A window of its own takes up to 7 times the operations of one that shares them with all its neighbours.
+_OWN_WINDOWS = 3
+
+
+def median_at(frames: Tensor, size: int, step: int) -> Tensor:
+    """Every `step`-th median of every `step`-th line: `median_filter(frames, size)[..., ::step, ::step]`.
+
+    The columns of all windows are sorted at once, then one half of each window's columns is merged with the other
+    half, those of all windows at once again, until one is left.
+
+    Args:
+        frames: (B, 1, H, W) of any type that has a minimum; the nearest pixel beyond the border.
+
+    Returns:
+        (B, 1, ceil(H / step), ceil(W / step)).
+    """
+    height, width = frames.shape[-2:]
+    if size == 1 or step < _OWN_WINDOWS:
+        return median_filter(frames, size)[..., ::step, ::step]
+    rows, columns = (_window_places(side, size, step, frames.device) for side in (height, width))
+    # Columns become lines: whole lines are gathered in one piece each.
+    lines = frames[:, 0].index_select(1, rows.flatten()).unflatten(1, rows.shape).transpose(2, 3)
+    # (B, size, size, w, h): pixel of a column, column of a window.
+    windows = lines.index_select(2, columns.flatten()).unflatten(2, columns.shape)
+    (median,) = _merge_columns(_sort(list(windows.unbind(1)), size), size, size)
+    return median.transpose(2, 3)
+
+
+def _window_places(side: int, size: int, step: int, device: torch.device) -> Tensor:
+    """(size, places): where the first, second, ... pixels of the windows lie, those beyond the border at the border."""
+    middle = torch.arange(0, side, step, device=device)
+    return (torch.arange(size, device=device)[:, None] - size // 2 + middle).clamp(0, side - 1)
+
+
+def _sort(pixels: list[Tensor], size: int) -> list[Tensor]:
+    if len(pixels) == 1:
+        return pixels
+    half = 1 << (len(pixels) - 1).bit_length() - 1  # the largest power of two that is smaller
+    first, second = _sort(pixels[:half], size), _sort(pixels[half:], size)
+    return _join(first, half, second, len(pixels) - half, size)
+
+
+def _merge_columns(columns: list[Tensor], count: int, size: int) -> list[Tensor]:
+    """Columns side by side in axis 1, of `count` pixels each, to one."""
+    width = columns[0].shape[1]
+    if width == 1:
+        return columns
+    half = width // 2
+    parts = [plane.split([half, half, width - 2 * half][: 2 + width % 2], dim=1) for plane in columns]
+    merged = _join([part[0] for part in parts], count, [part[1] for part in parts], count, size)
+    merged = _merge_columns(merged, 2 * count, size)
+    if width % 2:
+        merged = _join(merged, (width - 1) * count, [part[2] for part in parts], count, size)
+    return merged
+
+
+def _join(first: list[Tensor], first_count: int, second: list[Tensor], second_count: int, size: int) -> list[Tensor]:
+    compiling = torch.compiler.is_compiling() and not torch.compiler.is_exporting()
+    steps, outputs = (_planned if compiling else join_program)(size, first_count, second_count)
+    return run_network(steps, outputs, [*first, *second])
+
+
+@kernels.constant_to_compiler
+def _planned(size: int, first: int, second: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """`join_program` for a compiler, which would trace the planning, and takes nothing but plain tuples for it."""
+    steps, outputs = join_program(size, first, second)
+    return tuple(map(tuple, steps)), tuple(map(tuple, outputs))

@@ -1,0 +1,154 @@
+"""Square windows around points: cut from the pixel grid, or sampled from the spline at fractional and warped positions.
+
+Everything here is flat: P points of any mixture of images, each with the index of its image.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from fingerflow.ops.filters.spline import spline_weights
+
+_POINTS_AT_A_TIME = 128
+
+
+def cut_windows(images: Tensor, image_index: Tensor, corner: Tensor, size: int) -> Tensor:
+    """Windows of ``size`` x ``size`` pixels.
+
+    Args:
+        images: (B, 1, H, W).
+        image_index: (P,) int64, which image a point lies in.
+        corner: (P, 2) int64 (x, y) of the first pixel. Pixels beyond the border repeat the border.
+
+    Returns:
+        (P, size, size) as (row, column).
+    """
+    height, width = images.shape[-2:]
+    steps = torch.arange(size, device=images.device)
+    row = (corner[:, 1, None] + steps).clamp(0, height - 1)
+    if not images.requires_grad and not torch.compiler.is_exporting():
+        wide = F.pad(images, (size, size, 0, 0), mode="replicate")
+        column = (corner[:, 0, None] + size).clamp(0, width + size)
+        first = (row + image_index[:, None] * height) * wide.shape[3] + column
+        return lines_of(wide, first, size)
+    # The derivative of that view would be ``size`` times as large as the image.
+    column = (corner[:, 0, None] + steps).clamp(0, width - 1)
+    return taken(images.reshape(-1), ((row + image_index[:, None] * height) * width)[:, :, None] + column[:, None, :])
+
+
+def sample_windows(
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """The spline and its gradient on a window around each point.
+
+    Args:
+        coefficients: (B, 1, H, W) from :func:`~fingerflow.ops.filters.spline.spline_coefficients`.
+        image_index: (P,) int64.
+        points: (P, 2) (x, y) in px, finite.
+        size: odd number of samples a side.
+        order: spline order, 1 or 3.
+        warp: (P, 2, 2) A; samples lie at ``point + A w`` instead of ``point + w``, w the integer window offsets.
+
+    Returns:
+        Values (P, size, size) and gradients with respect to w (P, 2, size, size), as (d/dx, d/dy).
+    """
+    if warp is not None:
+        return _sample_warped(coefficients, image_index, points, size, order, warp)
+    whole = points.detach().floor()
+    weights, slopes = (torch.stack(taps, dim=-1) for taps in spline_weights(points - whole, order))
+    patch = cut_windows(coefficients, image_index, whole.long() - size // 2 - (order - 1) // 2, size + order)
+    rows = _convolve(patch, weights[:, 1], size, dim=1)
+    rows_slope = _convolve(patch, slopes[:, 1], size, dim=1)
+    value = _convolve(rows, weights[:, 0], size, dim=2)
+    gradient = torch.stack(
+        (_convolve(rows, slopes[:, 0], size, dim=2), _convolve(rows_slope, weights[:, 0], size, dim=2)), dim=1
+    )
+    return value, gradient
+
+
+def _convolve(patch: Tensor, weights: Tensor, size: int, dim: int) -> Tensor:
+    """``size`` weighted sums of neighbours along ``dim``; weights (P, taps) differ from point to point."""
+    taps = weights[:, :, None, None].unbind(1)
+    total = taps[0] * patch.narrow(dim, 0, size)
+    for k in range(1, len(taps)):
+        total = torch.addcmul(total, taps[k], patch.narrow(dim, k, size))
+    return total
+
+
+def _sample_warped(
+    coefficients: Tensor, image_index: Tensor, points: Tensor, size: int, order: int, warp: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions that do not form a pixel grid have no common fraction, so every sample has weights of its own."""
+    flat = coefficients.reshape(-1)
+    # Few points at a time: their weights then stay in the cache.
+    pieces = zip(*(whole.split(_POINTS_AT_A_TIME) for whole in (image_index, points, warp)), strict=True)
+    sampled = [
+        _sample_piece(flat, coefficients.shape, indices, places, warps, size, order)
+        for indices, places, warps in pieces
+    ]
+    values, gradients = zip(*sampled, strict=True)
+    return torch.cat(values), torch.cat(gradients)
+
+
+def _sample_piece(
+    flat: Tensor, shape: torch.Size, image_index: Tensor, points: Tensor, warp: Tensor, size: int, order: int
+) -> tuple[Tensor, Tensor]:
+    height, width = shape[-2:]
+    half = size // 2
+    offset = torch.arange(-half, half + 1, device=points.device, dtype=points.dtype)
+    # (P, size, size) positions from the pixel nearest to the point: in the frame they have two digits less. The
+    # rows of a window are y, its columns x.
+    center = points.detach().round()[..., None, None]
+    (at_x, at_y), (pixel_x, pixel_y) = (points[..., None, None] - center).unbind(1), center.unbind(1)
+    x = at_x + warp[:, 0, 0, None, None] * offset + warp[:, 0, 1, None, None] * offset[:, None]
+    y = at_y + warp[:, 1, 0, None, None] * offset + warp[:, 1, 1, None, None] * offset[:, None]
+    first, last = (1 - order) // 2, (order + 1) // 2
+    # Kept where all taps exist; a window that reaches beyond the frame is no result, whatever is sampled there.
+    whole_x = (x.detach().floor() + pixel_x).clamp(-first, width - 1 - last)
+    whole_y = (y.detach().floor() + pixel_y).clamp(-first, height - 1 - last)
+    # Beyond the frame, where a cubic would grow, the border is repeated.
+    weights_x, slopes_x = spline_weights((x - (whole_x - pixel_x)).clamp(first, last), order)
+    weights_y, slopes_y = spline_weights((y - (whole_y - pixel_y)).clamp(first, last), order)
+    image = image_index[:, None, None] * height
+    index = (whole_y.long() + first + image) * width + (whole_x.long() + first)
+    # Less the pixel in the middle, so that what is flat has no slope in any precision.
+    middle = (pixel_y.clamp(0, height - 1).long() + image) * width + pixel_x.clamp(0, width - 1).long()
+    level = taken(flat, middle)
+    value = along_x = along_y = torch.zeros((), dtype=points.dtype, device=points.device)
+    for k in range(order + 1):
+        taps = [taken(flat, index, k * width + j) - level for j in range(order + 1)]
+        row_value, row_slope = weights_x[0] * taps[0], slopes_x[0] * taps[0]
+        for j in range(1, order + 1):
+            row_value = torch.addcmul(row_value, weights_x[j], taps[j])
+            row_slope = torch.addcmul(row_slope, slopes_x[j], taps[j])
+        value = torch.addcmul(value, weights_y[k], row_value)
+        along_x = torch.addcmul(along_x, weights_y[k], row_slope)
+        along_y = torch.addcmul(along_y, slopes_y[k], row_value)
+    # Chain rule: d/dw = A^T d/dx.
+    gradient = torch.stack(
+        (
+            warp[:, 0, 0, None, None] * along_x + warp[:, 1, 0, None, None] * along_y,
+            warp[:, 0, 1, None, None] * along_x + warp[:, 1, 1, None, None] * along_y,
+        ),
+        dim=1,
+    )
+    return value + level, gradient
+
+
+def lines_of(planes: Tensor, first: Tensor, length: int) -> Tensor:
+    """Lines (..., length) of planes in memory order, from the numbers of their ``first`` pixels (...), int64.
+
+    Whole lines are copied ten times as fast as single pixels are gathered.
+    """
+    if not len(first):
+        return planes.new_empty(*first.shape, length)
+    lines = planes.flatten().unfold(0, length, 1).index_select(0, first.flatten())
+    return lines.reshape(*first.shape, length)
+
+
+def taken(flat: Tensor, index: Tensor, later: int = 0) -> Tensor:
+    """The numbers (P, ...) of flat (M,) at places some numbers later than ``index`` (P, ...) says."""
+    if torch.compiler.is_exporting():  # runtimes of ONNX take single numbers four times as fast by elements
+        return flat.gather(0, index.flatten().to(torch.int32) + later).reshape(index.shape)
+    # The same index from a later start; `take` and indexing need four times as long.
+    return flat[later:].index_select(0, index.flatten()).reshape(index.shape)

@@ -1,0 +1,1 @@
+"""Dense optical flow of a picture."""

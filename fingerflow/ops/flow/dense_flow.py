@@ -1,0 +1,443 @@
+"""Displacement of every pixel of the skin between two images: combined local and global flow.
+
+It minimises, over the pixels x of a mask,
+
+    sum_x K * (a S_f - S_g(x + w) + b)^2 + alpha |grad (w - M w)|^2
+
+(Bruhn, Weickert, Schnoerr, IJCV 61(3), 2005): K integrates the data term over a window (J_rho), which noise and the
+aperture problem ask for, alpha smooths beyond it. S is the spline of the tracker (`ops.filters.spline`), so that both
+images are seen through one low-pass. Departures from the paper:
+
+- What is smoothed is the departure of w from its own course M w: the plane that fits it best and, beside that, planes
+  fitted around every place over some two periods of ridges. With |grad w|^2 a finger that widens evenly is pulled flat
+  at the border of the mask, and a wave of 300 px loses 3 % of its height; so noise could be averaged over a few pixels
+  only. On ridges with 2 grey levels of noise the error falls from 0.027 to 0.019 px (0.016 to 0.012 where ridges run in
+  all directions).
+- The image is warped and linearised about the latest w with the gradient of the *first* image, which the warped one has
+  to equal: J and its pyramid belong to the first image and are prepared once for all that follow. The fixed point,
+  K * (grad S_f r) = alpha L (w - M w), does not depend on how it is reached.
+- Gain a and offset b of the light are fitted over the mask.
+- Both terms are quadratic, as written, or Charbonnier's (`ops.flow.flow_penalty`); what is constant is the grey level,
+  as written, or its gradient (`ops.flow.flow_constancy`).
+- Images are halved for a start from nothing only as far as texture stands out of the noise. On ridges that reaches no
+  further, as they have no energy below one period in 20 px: motion of more than a quarter of a period needs
+  ``initial``: the frame before, tracked points, a search.
+"""
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.flow import Fields, Left
+from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.ops.filters.halving import halved_image
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.spline import spline_coefficients, spline_weights
+from fingerflow.ops.flow.flow_cells import (
+    CELL,
+    halved,
+    integrated,
+    spread,
+    to_cells,
+    to_pixels,
+    window,
+    window_variance,
+)
+from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels, check_constancy
+from fingerflow.ops.flow.flow_covariance import flow_covariance
+from fingerflow.ops.flow.flow_descent import descended
+from fingerflow.ops.flow.flow_multigrid import Level, edges, halved_edges, pyramid
+from fingerflow.ops.flow.flow_penalty import Penalty, check_penalty, data_weights, mean_edge_weight, weighted_levels
+from fingerflow.ops.tensors import finite
+
+_ROUNDING = 1 / 12  # variance that whole grey levels have against the light
+_CYCLES = 3  # of multigrid after the last warp
+_MARGIN = 2  # px at the border of an image, where its spline takes pixels that are not there
+_SMALLEST_SIDE = 32  # px, of a halved image
+_TINY = 1e-12
+
+
+class Flow(NamedTuple):
+    """Displacement field of B pairs of images.
+
+    Attributes:
+        displacement: (B, 2, H, W) px as (u, v), where what stands at each pixel of the first image has moved to; NaN
+            outside the mask, and where that lies outside the current image.
+        covariance: (B, 2, 2, H, W) px^2, of the noise of both images; NaN as the displacement, and where the texture
+            does not stand out of the noise in any direction: there the displacement is that of the surroundings. What
+            smoothing takes off the motion comes on top: nothing to speak of where ridges run in all directions, once
+            more the deviation where they run in one.
+        residual: (B, 1, H, W) grey levels, root mean square over the window of what displacement and light left
+            unexplained before the last step; NaN as the displacement. Noise alone leaves 0.42 of its deviation (0.84
+            where the gradient is constant).
+    """
+
+    displacement: Tensor
+    covariance: Tensor
+    residual: Tensor
+
+
+class FlowTemplate(NamedTuple):
+    """What the flow needs to know of the first image (B, 1, H, W): `prepare_flow`."""
+
+    value: Tensor  # (C B, 1, H, W) splines of what is constant, at the pixels
+    gradient: Tensor  # (C B, 2, H, W), 0 outside the mask
+    inside: Tensor  # (B, 1, H, W), 1 in the mask, else 0
+    levels: list[Level]
+    products: Tensor  # (B, 3, h, w) of the slopes, xx, xy, yy: means over cells, J without its windows
+    variance: Tensor  # (B,) of the noise
+    roughness: float
+    constancy: Constancy
+    covariance: Tensor | None  # (B, 3, h, w) xx, xy, yy on cells, for a gain of 1; None of a halved image
+    weights: list[float]  # of the window, on cells
+    coarser: "FlowTemplate | None"  # of the image halved, for a start from nothing; None where its texture ends
+
+
+def dense_flow(
+    first: Tensor,
+    current: Tensor,
+    initial: Tensor | None = None,
+    mask: Tensor | None = None,
+    *,
+    box: int = 9,
+    roughness: float = 0.04,
+    warps: int = 2,
+    noise: Tensor | None = None,
+    penalty: Penalty = "quadratic",
+    constancy: Constancy = "brightness",
+) -> Flow:
+    """Displacement of every pixel from one image to another.
+
+    Args:
+        first, current: (B, 1, H, W), 8 to 16 bit or floating.
+        initial: (B, 2, H, W) px, within a quarter of a ridge's period of the truth. Where it is not
+            finite it counts as 0. By default it is found in the halved images, from 0.
+        mask: (B, 1, H, W) bool of the pixels of ``first`` that belong to the skin; all by default. Nothing outside it
+            has any influence but through the windows' spline.
+        box: px; the data term is integrated by two boxes of this side, one after the other.
+        roughness: expected root mean square of the gradient of what the displacement has beside its own course. Smaller
+            is smoother.
+        warps: how often the current image is warped, and each halved one; a warm start needs 1, a start from nothing 2,
+            motion of a quarter of a period 3.
+        noise: (B,) standard deviation of white noise, grey levels; estimated from ``first`` by default.
+        penalty: of both terms. "charbonnier" is for what does not follow the skin (dust on the glass: less than half of
+            the error) and for jumps of the motion (at 1.5 px, with five warps, 0.6 of it); elsewhere errors are within
+            2 % of "quadratic", and it takes twice the time. It asks for one more warp, at a jump for three. The
+            covariance is then that of the weighted system with its weights as they are.
+        constancy: "gradient" holds the gradient of grey levels constant in place of these, for light that differs from
+            place to place: on Dimetrodon half of the error, under even light and noise a fifth more on ridges in all
+            directions, and two to three times as much at dust.
+
+    Raises:
+        ValueError: shapes that do not fit, or a setting out of range.
+    """
+    check_penalty(penalty)
+    check_constancy(constancy)
+    robust, of_gradient = penalty == "charbonnier", constancy == "gradient"
+    return whole_flow(first, current, initial, mask, noise, box, roughness, warps, robust, of_gradient)
+
+
+def _like_flow(first: Tensor, *others: Any) -> "Flow":
+    batch, _, height, width = first.shape
+    kind = torch.float64 if first.dtype == torch.float64 else torch.float32
+    sizes = ((2,), (2, 2), (1,))
+    return Flow(*(first.new_empty((batch, *size, height, width), dtype=kind) for size in sizes))
+
+
+@torch_op(shapes=_like_flow)
+def whole_flow(
+    first: Tensor,
+    current: Tensor,
+    initial: Tensor | None,
+    mask: Tensor | None,
+    noise: Tensor | None,
+    box: int,
+    roughness: float,
+    warps: int,
+    robust: bool,
+    of_gradient: bool,
+) -> Flow:
+    """`dense_flow`, whose arguments these are: how often the images are halved depends on them."""
+    constant: Constancy = "gradient" if of_gradient else "brightness"
+    template = prepare_flow(first, mask, box=box, roughness=roughness, noise=noise, constancy=constant)
+    return find_flow(template, current, initial, warps, "charbonnier" if robust else "quadratic")
+
+
+def prepare_flow(
+    first: Tensor,
+    mask: Tensor | None = None,
+    *,
+    box: int = 9,
+    roughness: float = 0.04,
+    noise: Tensor | None = None,
+    constancy: Constancy = "brightness",
+) -> FlowTemplate:
+    """What `find_flow` needs to know of a first image; arguments as for `dense_flow`."""
+    _check_image("first", first, first)
+    if mask is not None and (mask.shape != first.shape or mask.dtype != torch.bool):
+        raise ValueError(f"mask must be bool {tuple(first.shape)}, not {mask.dtype} {tuple(mask.shape)}")
+    if box < 1 or box % 2 == 0 or not roughness > 0:
+        raise ValueError(f"box must be odd and at least 1 px, roughness above 0, not {box} and {roughness}")
+    check_constancy(constancy)
+    kind = torch.float64 if first.dtype == torch.float64 else torch.float32
+    variance = (estimate_noise(first) if noise is None else noise).to(kind).square()
+    least = 0.0 if first.is_floating_point() else _ROUNDING
+    variance = variance.nan_to_num(0.0).clamp_min(max(least, _TINY))
+    everywhere = torch.ones_like(first, dtype=torch.bool) if mask is None else mask
+    template, tensor = _prepared(first.to(kind), everywhere.to(kind), variance, box, roughness, constancy)
+    alpha, of_noise = _smoothing(variance, roughness), _noise_of_tensor(variance, constancy)
+    spread = flow_covariance(tensor, variance, alpha, window_variance(template.weights), of_noise)
+    return template._replace(covariance=spread)
+
+
+def _prepared(
+    first: Tensor, mask: Tensor, variance: Tensor, box: int, roughness: float, constancy: Constancy
+) -> tuple[FlowTemplate, Tensor]:
+    """Of a floating image, and of the halved ones while their texture lasts, without covariance; and J."""
+    given = channels(spline_coefficients(first), constancy)
+    count = len(given) // len(first)
+    fields = _fields(given, mask if count == 1 else mask.repeat(count, 1, 1, 1))
+    value, gradient = fields.value, fields.gradient
+    # What one channel does not know, none does.
+    inside, known, *between = (_least(one, count) for one in (fields.inside, *fields[4:]))
+    products = _sum(fields.tensor, count)
+    weights = window(max(box / CELL, 1.0))
+    tensor = known * integrated(products, weights)
+    alpha = _smoothing(variance, roughness)
+    energy = (tensor[:, 0] + tensor[:, 2]).sum((1, 2)) / known.sum((1, 2, 3)).clamp_min(1)
+    of_noise = _noise_of_tensor(variance, constancy)
+    lasts = (energy > limits.TEXTURE_TO_NOISE * 2 * of_noise).all()
+    coarser = None
+    if min(first.shape[-2:]) >= 2 * _SMALLEST_SIDE and lasts:
+        # A mean of four has a fourth of the noise. Where one of the four is not known it is not either.
+        all_known = (halved_image(inside) == 1).to(inside.dtype)
+        coarser, _ = _prepared(halved_image(first), all_known, variance / 4, box, roughness, constancy)
+    right, down = (alpha * one for one in between)
+    levels = pyramid(tensor, right, down, known)
+    template = FlowTemplate(
+        value, gradient, inside, levels, products, variance, roughness, constancy, None, weights, coarser
+    )
+    return template, tensor
+
+
+def _least(fields: Tensor, count: int) -> Tensor:
+    """Of so many channels (C B, ...), the least (B, ...)."""
+    return fields if count == 1 else fields.unflatten(0, (count, -1)).amin(0)
+
+
+def _sum(fields: Tensor, count: int) -> Tensor:
+    return fields if count == 1 else fields.unflatten(0, (count, -1)).sum(0)
+
+
+def _noise_of_tensor(variance: Tensor, constancy: Constancy) -> Tensor:
+    """Eigenvalue (B,) of J that noise alone has."""
+    return NOISE_OF_TENSOR[constancy] * limits.GRADIENT_NOISE * variance
+
+
+def _smoothing(variance: Tensor, roughness: float) -> Tensor:
+    """alpha (B, 1, 1, 1)."""
+    return (2 * variance / roughness**2)[:, None, None, None]
+
+
+def _fields(coefficients: Tensor, mask: Tensor) -> Fields[Tensor]:
+    """What the spline of a first image and its mask (B, 1, H, W), 1 or 0, tell beside the windows."""
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
+        return kernels.flow_template(coefficients, mask, _MARGIN)
+    usable = finite(coefficients)
+    # The spline at a pixel takes its neighbours' coefficients.
+    inside = -functional.max_pool2d(-usable.to(mask.dtype), 3, 1, 1) * mask
+    clean = torch.where(usable, coefficients, 0.0)
+    still = clean.new_zeros(len(clean), 2, *clean.shape[-2:])
+    value = _sampled(clean, still)  # as `find_flow` has it: what does not move leaves nothing
+    gradient = _slopes(clean) * _arrives(still, inside, _MARGIN)
+    x, y = gradient[:, :1], gradient[:, 1:]
+    tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
+    known = (halved(inside) > 0).to(inside.dtype)
+    return Fields(value, gradient, inside, tensor, known, *halved_edges(*edges(inside)))
+
+
+def find_flow(
+    template: FlowTemplate,
+    current: Tensor,
+    initial: Tensor | None = None,
+    warps: int = 2,
+    penalty: Penalty = "quadratic",
+) -> Flow:
+    """The flow from a prepared first image to a current one; arguments as for `dense_flow`."""
+    _check_image("current", current, template.inside)
+    check_penalty(penalty)
+    if warps < 1:
+        raise ValueError(f"warps must be at least 1, not {warps}")
+    shape = (len(current), 2, *current.shape[-2:])
+    if initial is not None and initial.shape != shape:
+        raise ValueError(f"initial must be {shape}, not {tuple(initial.shape)}")
+    given = current.to(template.value.dtype)
+    if initial is None:
+        flow = _from_nothing(template, given, warps, penalty)
+    else:
+        flow = to_cells(initial.to(given.dtype), template.inside)
+    flow, left, finest = _refined(template, given, flow, warps, penalty)
+    spread = template.covariance
+    if spread is None or penalty == "charbonnier":
+        alpha = _smoothing(template.variance, template.roughness) * mean_edge_weight(finest, template.levels[0])
+        of_noise = _noise_of_tensor(template.variance, template.constancy)
+        spread = flow_covariance(finest.tensor, template.variance, alpha, window_variance(template.weights), of_noise)
+    return _at_pixels(template, flow, left, spread)
+
+
+def _at_pixels(template: FlowTemplate, flow: Tensor, left: Left[Tensor], spread_at: Tensor) -> Flow:
+    """The result, of the flow on cells, what was left before the last step, and the covariance for a gain of 1."""
+    size = template.inside.shape[-2:]
+    known = template.levels[0].inside
+    # Half of it is noise of the first image, half of the current one, which counts for more where the light is less.
+    covariance = spread_at * ((1 + 1 / (left.gain * left.gain)) / 2)
+    squares, seen = (integrated(one, template.weights) for one in (left.squares, left.seen))
+    residual = (squares / seen.clamp_min(_TINY)).sqrt()
+    others = torch.cat((covariance, residual), dim=1)
+    if flow.dtype == torch.float32 and kernels.serve(flow, others, template.inside):
+        return Flow(*kernels.flow_at_pixels(flow, others, known, template.inside))
+    displacement = to_pixels(flow, known, *size)
+    xx, xy, yy, residual = spread(others, known, *size).split(1, dim=1)
+    lost = torch.where(_arrives(displacement, template.inside) > 0, 0.0, torch.nan).to(flow.dtype)
+    rows = torch.cat((xx, xy, xy, yy), dim=1) + lost
+    return Flow(displacement + lost, rows.unflatten(1, (2, 2)), residual + lost)
+
+
+def _from_nothing(template: FlowTemplate, current: Tensor, warps: int, penalty: Penalty) -> Tensor:
+    """The flow on cells in px, as the halved images have it."""
+    batch, _, height, width = template.levels[0].inside.shape
+    coarser = template.coarser
+    if coarser is None:
+        return template.value.new_zeros(batch, 2, height, width)
+    half = halved_image(current)
+    found, _, _ = _refined(coarser, half, _from_nothing(coarser, half, warps, penalty), warps, penalty)
+    # Pixels of the halved images are the cells of these.
+    wide = 2 * to_pixels(found, coarser.levels[0].inside, *half.shape[-2:])
+    return functional.pad(wide, (0, width - half.shape[-1], 0, height - half.shape[-2]), mode="replicate")
+
+
+def _refined(
+    template: FlowTemplate, current: Tensor, flow: Tensor, warps: int, penalty: Penalty
+) -> tuple[Tensor, Left[Tensor], Level]:
+    """The flow on cells after so many warps, what was left before the last one, and the finest level of its system."""
+    coefficients = channels(spline_coefficients(current), template.constancy)
+    for warp in range(warps):
+        left = _left(template, coefficients, flow)
+        known, data, levels = (left.seen > 0).to(flow.dtype), left.data, template.levels
+        if penalty == "charbonnier":
+            of_data = data_weights(left, LEFT_BY_NOISE[template.constancy] ** 2 * template.variance)
+            tensor = integrated(of_data * template.products, template.weights)
+            levels = weighted_levels(levels[0], tensor, flow, known, template.roughness)
+            data = of_data * data
+        pull = -levels[0].inside * integrated(data, template.weights)
+        # Warps before the last one only bring the image to where it can be linearised.
+        flow = descended(levels, pull, flow, known, _CYCLES if warp + 1 == warps else 1)
+    return flow, left, levels[0]
+
+
+def _left(template: FlowTemplate, coefficients: Tensor, flow: Tensor) -> Left[Tensor]:
+    """What a flow on cells leaves unexplained of all channels (C B, 1, H, W) together: means over cells of its products
+    with the slopes, over the gain (B, 2, h, w), of its squares and of where it was seen (B, 1, h, w); and the gain of
+    the light (B, 1, 1, 1).
+    """
+    count = len(coefficients) // len(flow)
+    known, inside = template.levels[0].inside, template.inside
+    if count > 1:
+        known, inside, flow = (one.repeat(count, 1, 1, 1) for one in (known, inside, flow))
+    data, squares, seen, gain = _left_of_each(coefficients, template.value, template.gradient, inside, flow, known)
+    # Slopes and step of the first image: in the light of the current one both count by the gain, J by its square.
+    return Left(
+        _sum(data / gain, count),
+        _sum(squares, count),
+        _least(seen, count),
+        gain if count == 1 else _sum(gain, count) / count,
+    )
+
+
+def _left_of_each(
+    coefficients: Tensor, value: Tensor, gradient: Tensor, inside: Tensor, flow: Tensor, known: Tensor
+) -> Left[Tensor]:
+    """`_left` of every channel, its products not over the gain."""
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow, value, gradient, inside):
+        return kernels.flow_left(coefficients, value, gradient, inside, flow, known, _MARGIN, limits.MOST_GAIN)
+    displacement = to_pixels(flow, known, *coefficients.shape[-2:])
+    seen, warped = _warped(coefficients, displacement, inside)
+    gain, offset = _light(value, warped, seen)
+    left = seen * (warped - offset - gain * value)
+    means = halved(torch.cat((gradient * left, left * left, seen), dim=1))
+    return Left(means[:, :2], means[:, 2:3], means[:, 3:], gain)
+
+
+def _slopes(coefficients: Tensor) -> Tensor:
+    """(B, 2, H, W) of the spline at whole pixels."""
+    wide = functional.pad(coefficients, (1, 1, 1, 1), mode="replicate")
+
+    def smooth(cells: Tensor, dim: int) -> Tensor:
+        count = cells.shape[dim] - 2
+        return (cells.narrow(dim, 0, count) + 4 * cells.narrow(dim, 1, count) + cells.narrow(dim, 2, count)) / 6
+
+    def slope(cells: Tensor, dim: int) -> Tensor:
+        count = cells.shape[dim] - 2
+        return (cells.narrow(dim, 2, count) - cells.narrow(dim, 0, count)) / 2
+
+    return torch.cat((slope(smooth(wide, 2), 3), smooth(slope(wide, 2), 3)), dim=1)
+
+
+def _warped(coefficients: Tensor, flow: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:
+    """Which pixels of the mask arrive where the spline knows the image, and its values there (B, 1, H, W)."""
+    values = _sampled(coefficients, flow)
+    usable = finite(values)
+    return _arrives(flow, inside, _MARGIN) * usable.to(values.dtype), torch.where(usable, values, 0.0)
+
+
+def _sampled(coefficients: Tensor, flow: Tensor) -> Tensor:
+    """The spline (B, 1, H, W) where the pixels have moved to; beyond the border its coefficients are repeated."""
+    if coefficients.dtype == torch.float32 and kernels.serve(coefficients, flow):
+        return kernels.flow_warp(coefficients, flow)
+    height, width = coefficients.shape[-2:]
+    whole = flow.floor()
+    (weights_x, _), (weights_y, _) = (spline_weights(flow[:, k : k + 1] - whole[:, k : k + 1], 3) for k in (0, 1))
+    column = torch.arange(width, device=flow.device) + whole[:, :1].to(torch.int64)
+    row = torch.arange(height, device=flow.device)[:, None] + whole[:, 1:].to(torch.int64)
+    columns = [(column + k).clamp(0, width - 1) for k in range(-1, 3)]
+    flat = coefficients.flatten(1)
+    values = torch.zeros_like(coefficients)
+    for k in range(4):
+        start = (row + (k - 1)).clamp(0, height - 1) * width
+        line = torch.zeros_like(coefficients)
+        for weight, place in zip(weights_x, columns, strict=True):
+            line = line + weight * flat.gather(1, (start + place).flatten(1)).unflatten(1, (1, height, width))
+        values = values + weights_y[k] * line
+    return values
+
+
+def _arrives(flow: Tensor, inside: Tensor, margin: int = 0) -> Tensor:
+    """1 for the pixels of the mask that lie within the current image, so many px inside, else 0."""
+    height, width = flow.shape[-2:]
+    x = torch.arange(width, dtype=flow.dtype, device=flow.device) + flow[:, :1]
+    y = torch.arange(height, dtype=flow.dtype, device=flow.device)[:, None] + flow[:, 1:]
+    within = (x >= margin) & (x <= width - 1 - margin) & (y >= margin) & (y <= height - 1 - margin)
+    return inside * within.to(inside.dtype)
+
+
+def _light(value: Tensor, warped: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+    """Gain and offset (B, 1, 1, 1) of the warped image against the first one: least squares over what is seen."""
+    count = seen.sum((1, 2, 3), keepdim=True).clamp_min(1)
+    mean, mean_warped = ((seen * one).sum((1, 2, 3), keepdim=True) / count for one in (value, warped))
+    apart = seen * (value - mean)
+    energy = (apart * apart).sum((1, 2, 3), keepdim=True)
+    gain = (apart * (warped - mean_warped)).sum((1, 2, 3), keepdim=True) / energy.clamp_min(_TINY)
+    # A picture that has nothing in common with the first one would have its sign turned: it is compared as it is.
+    gain = torch.where(gain > 1 / limits.MOST_GAIN, gain.clamp_max(limits.MOST_GAIN), 1.0)
+    return gain, mean_warped - gain * mean
+
+
+def _check_image(name: str, image: Tensor, like: Tensor) -> None:
+    if image.ndim != 4 or image.shape[1] != 1 or image.shape != like.shape:
+        raise ValueError(f"{name} must be (B, 1, H, W), as large as the other image, not {tuple(image.shape)}")
+    if min(image.shape[-2:]) < 8:
+        raise ValueError(f"{name} must be at least 8 x 8 px, not {tuple(image.shape[-2:])}")

@@ -1,0 +1,29 @@
+"""The course of a flow, from which its departure is smoothed."""
+
+from torch import Tensor
+
+from fingerflow.ops.flow.flow_cells import (
+    halved,
+    integrated,
+    magnified,
+    moments,
+    places,
+    plane_of,
+    planes,
+    window,
+)
+
+WINDOW = window(9)  # cells of the course, of 4 px
+
+
+def course(flow: Tensor, known: Tensor) -> Tensor:
+    """The course (B, 2, h, w) of a flow on cells of which some are known (B, 1, h, w), 1 or 0.
+
+    It is the plane that fits it best and, beside that, for the rest, planes that fit it around every place: in two
+    boxes of 36 px, one after the other.
+    """
+    whole = plane_of(flow, known).at(*places(flow))
+    share = halved(known)
+    x, y = places(share)
+    around = planes(integrated(moments(share, halved(known * (flow - whole)), x, y), WINDOW))
+    return whole + magnified(around.at(x, y), 2)[..., : flow.shape[-2], : flow.shape[-1]]

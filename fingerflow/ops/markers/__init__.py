@@ -1,0 +1,1 @@
+"""Printed markers of soft sensors: found, and matched between frames."""

@@ -1,0 +1,1 @@
+"""Points of the skin: corners, subsets (templates), registration, outliers."""

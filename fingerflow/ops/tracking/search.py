@@ -1,0 +1,166 @@
+"""Exhaustive search for windows that moved further than Lucas-Kanade can follow."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels.search_sizes import SEARCHED, sizes_of
+from fingerflow.kernels.tracking_limits import SEARCH_TIE
+from fingerflow.ops.filters.halving import halved_image
+from fingerflow.ops.filters.windows import cut_windows
+
+_CHUNK = 128  # points a pass, which bounds the memory of the transforms
+
+
+def search_windows(
+    template_images: Tensor,
+    images: Tensor,
+    image_index: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    window: int,
+    radius: int,
+) -> Tensor:
+    """The place of highest normalised cross-correlation (ZNCC) within ``radius`` px of ``guess`` in x and y; of several
+    that are as high to `SEARCH_TIE`, the one nearest to ``guess``.
+
+    Works on the images at half resolution through the Fourier transform, so it serves as the start of
+    :func:`~fingerflow.ops.tracking.track_points.track_points`, not in its place: the answer is good to about a pixel.
+
+    A pyramid of Lucas-Kanade would be cheaper, but does not work on skin: ridges are a narrow band of frequencies,
+    the levels that
+    could bridge 50 px contain none of them, and what remains there is the illumination, which does not move.
+
+    Args:
+        template_images, images: (B, 1, H, W), 8 to 16 bit or floating.
+        image_index: (P,) int64.
+        points: (P, 2) px in ``template_images``.
+        guess: (P, 2) px in ``images``.
+        window: side of the tracking window, px.
+        radius: px.
+
+    Returns:
+        (P, 2) px; ``guess`` where it is not finite or nothing correlates.
+    """
+    coarse_templates, coarse_images = halved_image(template_images), halved_image(images)
+    size, reach = sizes_of(window, radius)
+    given = (coarse_templates, coarse_images, image_index, points, guess)
+    if all(image.dtype == torch.float32 for image in given[:2]) and kernels.serve(*given):
+        return kernels.search_windows(*given, size, reach)
+    if torch.compiler.is_exporting():
+        return _search_coarse(coarse_templates, coarse_images, image_index, points, guess, size, reach)
+    if not len(points):
+        return guess.clone()
+    found = [
+        _search_coarse(coarse_templates, coarse_images, *part, size, reach)
+        for part in zip(image_index.split(_CHUNK), points.split(_CHUNK), guess.split(_CHUNK), strict=True)
+    ]
+    return torch.cat(found)
+
+
+def search_and_return(
+    key: Tensor,
+    current: Tensor,
+    image_index: Tensor,
+    start: Tensor,
+    guess: Tensor,
+    window: int,
+    radius: int,
+    forward_backward_limit: float,
+) -> tuple[Tensor, Tensor]:
+    """The places (P, 2) of `search_windows`, and whether (P,) a search back from there, which does not know the way,
+    returns to the start within the limit and the pixel that a search is good to.
+
+    Args:
+        key, current: (B, 1, H, W); others as for `search_windows`.
+        forward_backward_limit: px.
+    """
+    ahead = search_windows(key, current, image_index, start, guess, window, radius)
+    back = search_windows(current, key, image_index, ahead, start, window, radius)
+    return ahead, (back - start).square().sum(-1).sqrt() <= forward_backward_limit + SEARCHED
+
+
+def _search_coarse(
+    templates: Tensor, images: Tensor, image_index: Tensor, points: Tensor, guess: Tensor, size: int, reach: int
+) -> Tensor:
+    half = size // 2
+    span = 2 * reach + 1
+    finite = points.isfinite().all(-1) & guess.isfinite().all(-1)
+    # Pixel i of the half-resolution image is centred at 2 i + 1/2 of the full one.
+    start = torch.where(finite[:, None], (points - 0.5) / 2, 0.0).round()
+    center = torch.where(finite[:, None], (guess - 0.5) / 2, 0.0).round()
+    # In double, as transforms round by the whole patch, and a window may hold a thousandth of its contrast.
+    template = cut_windows(templates, image_index, start.long() - half, size).double().nan_to_num(0.0, 0.0, 0.0)
+    patch = cut_windows(images, image_index, center.long() - half - reach, size + span - 1)
+    patch = patch.double().nan_to_num(0.0, 0.0, 0.0)
+    template = template - template.mean((-1, -2), keepdim=True)
+    patch = patch - patch.mean((-1, -2), keepdim=True)
+    product = _correlated(patch, template, span)
+    deviation = _box_sum(patch.square(), size) - _box_sum(patch, size).square() / size**2
+    # A window without contrast correlates with nothing; the bound keeps rounding from making one win.
+    least = 1e-3 * deviation.amax((-1, -2), keepdim=True) + torch.finfo(torch.float32).tiny
+    score = torch.where(deviation > least, product / deviation.clamp_min(least).sqrt(), -torch.inf)
+    best = _nearest_of_highest(score.flatten(1), span)
+    row, column = best // span, best % span
+    point = torch.arange(len(best), device=best.device)
+    peak = score[point, row, column]
+    subpixel = torch.stack(
+        (
+            _vertex(
+                score[point, row, (column - 1).clamp_min(0)], peak, score[point, row, (column + 1).clamp_max(span - 1)]
+            ),
+            _vertex(
+                score[point, (row - 1).clamp_min(0), column], peak, score[point, (row + 1).clamp_max(span - 1), column]
+            ),
+        ),
+        dim=-1,
+    )
+    moved = torch.stack((column, row), dim=-1) - reach + subpixel.to(points.dtype)
+    # The motion of the template's pixel, carried over to the point itself.
+    result = points + 2 * (center + moved - start)
+    return torch.where((finite & (peak > 0))[:, None], result, guess)
+
+
+def _correlated(patch: Tensor, template: Tensor, span: int) -> Tensor:
+    """Sums (P, span, span) of templates (P, n, n) times patches (P, n + span - 1, n + span - 1), shift by shift."""
+    size = template.shape[-1]
+    if torch.compiler.is_exporting():  # runtimes of ONNX take six times as long for the transforms of small patches
+        columns = [patch[:, :, shift : shift + size] for shift in range(span)]
+        sums = [(one[:, down : down + size] * template).sum((1, 2)) for down in range(span) for one in columns]
+        stacked: Tensor = torch.stack(sums, dim=1).unflatten(1, (span, span))
+        return stacked
+    shape = patch.shape[-2:]
+    # Not `conj`: in an op that compiled code calls torch 2.13 forgets a conjugation that it has only noted down.
+    spectrum = torch.fft.rfft2(patch) * torch.fft.rfft2(template, s=shape).conj_physical()
+    sums_of_all: Tensor = torch.fft.irfft2(spectrum, s=shape)[:, :span, :span]
+    return sums_of_all
+
+
+def _nearest_of_highest(score: Tensor, span: int) -> Tensor:
+    """Numbers (P,) of the highest of scores (P, span span), to `SEARCH_TIE`; of several the nearest to the middle."""
+    highest = score.amax(1, keepdim=True)
+    number = torch.arange(span * span, device=score.device)
+    away = (number // span - span // 2) ** 2 + (number % span - span // 2) ** 2
+    order = away * span * span + number
+    return torch.where(score >= highest - SEARCH_TIE * highest.abs(), order, order.max() + 1).argmin(1)
+
+
+def _vertex(before: Tensor, peak: Tensor, after: Tensor) -> Tensor:
+    """Where the parabola through three neighbouring scores has its maximum, in -1/2 .. 1/2 from the middle one; there,
+    where they are equal to `SEARCH_TIE`.
+    """
+    curvature = before - 2 * peak + after
+    return (
+        torch.where(curvature < -SEARCH_TIE * peak, (before - after) / (2 * curvature), 0.0)
+        .nan_to_num(0.0)
+        .clamp(-0.5, 0.5)
+    )
+
+
+def _box_sum(x: Tensor, size: int) -> Tensor:
+    """Sums (float64) over size x size windows of (P, h, w), by running sums along each axis."""
+    total = F.pad(x.double().cumsum(1), (0, 0, 1, 0))
+    total = total[:, size:] - total[:, :-size]
+    total = F.pad(total.cumsum(2), (1, 0))
+    return total[:, :, size:] - total[:, :, :-size]

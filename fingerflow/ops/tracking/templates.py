@@ -1,0 +1,489 @@
+"""Templates of points, prepared once in a key frame and found in many frames by steps of Lucas-Kanade.
+
+A template is the spline of the key frame on the window of a point, deformed like the skin since then: with the
+deformation gradient F its sample at the offset w of a frame is S_key(p + F^-1 w). In a frame the point lies at the y
+that solves sum_w g(w) (S(y + w) - T(w)) = 0, g the gradient of T (Lucas & Kanade 1981). With gain and offset free, g is
+taken without its parts along a constant and along T: then the equation holds whatever they are.
+
+*A step.* The window M is sampled where the point is expected. Its slopes are taken to be those of the template times
+the gain a, so that sum g g', known from the key frame, is all that a step asks for (Baker & Matthews, "Lucas-Kanade 20
+years on", IJCV 2004). It misses the root by 1 % of its length (window 25) to 2.4 % (window 11) at a noise of 2 grey
+levels, and ends the search where it is shorter than 0.1 px: by a fifteenth of a standard deviation at most. From where
+a longer one leads, another one is taken.
+
+*Backward check.* From what was found to the template the equation has the slopes of the frame, grad M = a grad T + grad
+D with the residual D = M - a T - b. Linearly, and as a root leaves sum D grad T = 0, the two ways differ by the sum of
+D grad D, which over a window is half the difference of D^2 between its opposite edges.
+
+A step has a fixed cost and no branch on data, so that the portable form is what is exported.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tracking_limits import ROUNDING, ROUNDS, Number, TrackStatus
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.filters.windows import sample_windows
+from fingerflow.ops.tensors import components_first, finite, sum_rows
+from fingerflow.ops.tracking.spline_windows import (
+    along_x,
+    along_y,
+    cut_patches,
+    onto_pixels,
+    taps_and_slopes,
+    windows_at,
+)
+
+_TINY = 1e-20
+
+
+class Templates(NamedTuple):
+    """Templates of B x N points in windows of n px: what a frame needs to know of the key frame.
+
+    Attributes:
+        start: (B, N, 2) px in the key frame, NaN where there is no point.
+        samples: (B, N, 3, n n), values less their mean, then gx and gy, grey levels (a px).
+        numbers: (B, N, 32), see :class:`~fingerflow.kernels.tracking_limits.Number`.
+    """
+
+    start: Tensor
+    samples: Tensor
+    numbers: Tensor
+
+    @property
+    def window(self) -> int:
+        """px."""
+        result: int = round(self.samples.shape[-1] ** 0.5)
+        return result
+
+    def of(self, chosen: Tensor) -> "Templates":
+        """Those of chosen points (B, L), int64."""
+        return Templates._make(rows_of(one, chosen) for one in self)
+
+
+class Found(NamedTuple):
+    """Points found in a frame.
+
+    Attributes:
+        points: (B, N, 2) px; NaN where the status is not TRACKED.
+        error: (B, N) px, forward-backward distance to first order; NaN where the status says that no window with
+            texture was found: up to NOT_CONVERGED, without TRACKED.
+        covariance: (B, N, 2, 2) px^2 of ``points``; NaN as ``points``.
+        status: (B, N) uint8, a :class:`~fingerflow.kernels.tracking_limits.TrackStatus`.
+        estimate: (B, N, 2) px, where to look next; that of a point that was found is ``points``.
+    """
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+    estimate: Tensor
+
+    @property
+    def variance(self) -> Tensor:
+        """(B, N) px^2 of a component of ``points``, the mean of both."""
+        return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
+
+
+def prepare_templates(
+    image: Tensor,
+    points: Tensor,
+    window: int = 21,
+    warp: Tensor | None = None,
+    *,
+    gain_offset: bool = True,
+    noise: Tensor | None = None,
+) -> Templates:
+    """Templates of points of a key frame.
+
+    Args:
+        image: (B, 1, H, W), 8 to 16 bit or floating.
+        points: (B, N, 2) (x, y) px; one that is not finite has a template that matches nothing.
+        window: odd side of the square window, px.
+        warp: (B, N, 2, 2) deformation gradient F since the key frame: an offset w there is F w in the frames to come.
+        gain_offset: leave gain and offset of the light free in every window. Off, three grey levels more light move a
+            point by 0.1 px on ridges.
+        noise: (B,) standard deviation of white noise, grey levels; estimated by default.
+
+    Raises:
+        ValueError: shapes that do not fit, an even window.
+    """
+    check_window(image, points, window)
+    if warp is not None and warp.shape != (*points.shape, 2):
+        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
+    dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
+    variance = (estimate_noise(image) if noise is None else noise).to(dtype).square()
+    rounding = 0.0 if image.is_floating_point() else ROUNDING
+    given = points.to(dtype)
+    inverse = None if warp is None else inverse_2x2(warp.to(dtype))
+    if kernels.serve(image, given, inverse, variance) and image.dtype in kernels.FRAME_KINDS:
+        return Templates(*kernels.prepare_templates(image, given, inverse, variance, window, gain_offset, rounding))
+    if inverse is not None:
+        spline = spline_coefficients(image)
+        return _of_spline(spline, given, inverse, window, gain_offset=gain_offset, variance=variance, rounding=rounding)
+    known = finite(given).all(-1, keepdim=True)
+    place = torch.where(known, given, 0.0)
+    sampled = _straight(image, place, window)
+    return _from_samples(sampled, place, known, image, gain_offset=gain_offset, variance=variance, rounding=rounding)
+
+
+def renew_templates(
+    coefficients: Tensor, noise: Tensor, points: Tensor, window: int, warp: Tensor, *, gain_offset: bool = True
+) -> Templates:
+    """`prepare_templates` of whole grey levels where spline and noise of a key frame are known: what is exported.
+
+    Args:
+        coefficients: (B, 1, H, W) of the key frame (`spline_coefficients`).
+        noise: (B,) standard deviation of white noise, grey levels.
+        points, window, warp, gain_offset: as for `prepare_templates`.
+    """
+    kind = coefficients.dtype
+    inverse, variance = inverse_2x2(warp.to(kind)), noise.to(kind).square()
+    settings = {"gain_offset": gain_offset, "variance": variance, "rounding": ROUNDING}
+    return _of_spline(coefficients, points.to(kind), inverse, window, **settings)
+
+
+def _of_spline(coefficients: Tensor, given: Tensor, inverse: Tensor, window: int, **settings: Any) -> Templates:
+    """Templates sampled from the spline at given (B, N, 2) + F^-1 w."""
+    known = finite(given).all(-1, keepdim=True) & finite(inverse).flatten(2).all(-1, keepdim=True)
+    inverse = torch.where(known[..., None], inverse, torch.eye(2, dtype=given.dtype, device=given.device))
+    place = torch.where(known, given, 0.0)
+    batch, count = place.shape[:2]
+    image_index = torch.arange(batch, device=place.device)[:, None].expand(batch, count).flatten()
+    sampled = sample_windows(coefficients, image_index, place.flatten(0, 1), window, 3, inverse.flatten(0, 1))
+    return _from_samples(sampled, place, known, coefficients, **settings)
+
+
+def _from_samples(
+    sampled: tuple[Tensor, Tensor],
+    place: Tensor,
+    known: Tensor,
+    image: Tensor,
+    *,
+    gain_offset: bool,
+    variance: Tensor,
+    rounding: float,
+) -> Templates:
+    """Templates of places (B, N, 2), known or not, from (P, n, n) values and (P, 2, n, n) slopes."""
+    own, slope = sampled[0].flatten(1), sampled[1].flatten(2)
+    batched, window = place.shape[:2], sampled[0].shape[-1]
+    level = own.mean(1, keepdim=True)
+    own = own - level
+    gradient = _without_gain_and_offset(own, slope) if gain_offset else slope
+    numbers = _numbers(
+        own, slope, gradient, level.flatten(), variance.repeat_interleave(batched[1]), rounding, gain_offset
+    )
+    numbers[:, Number.INSIDE] = contains(place.flatten(0, 1), image, window).to(own.dtype)
+    return Templates(
+        torch.where(known, place, torch.nan),
+        torch.cat((own[:, None], gradient), dim=1).unflatten(0, batched),
+        numbers.unflatten(0, batched),
+    )
+
+
+def find_templates(
+    templates: Templates,
+    current: Tensor,
+    prediction: Tensor,
+    *,
+    rounds: int = ROUNDS,
+    forward_backward_limit: float = 1.0,
+    mismatch_limit: float = limits.MISMATCH_SHARE,
+    noise: Tensor | None = None,
+) -> Found:
+    """Finds templates in a frame, each near its prediction.
+
+    Args:
+        templates: from :func:`prepare_templates`.
+        current: (B, 1, H, W).
+        prediction: (B, N, 2) px.
+        rounds: steps at most, the longest of a pixel in x and in y. More than one depends on data: it does not export.
+        forward_backward_limit: px beyond which a point is flagged.
+        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+            unexplained.
+        noise: (B,) standard deviation of white noise in the frame, grey levels; that of the key frame by default.
+
+    The covariance is H^-1 (sum w w') H^-1 (sigma^2 / a^2 + sigma_key^2), H = sum g g', w the weights of the pixels in
+    sum g S, a the gain: that of the noise of both images as the residual shows it, half of it from the template.
+    """
+    dtype = templates.samples.dtype
+    variance = None if noise is None else noise.to(dtype).square()
+    guess = prediction.to(dtype)
+    rounding = 0.0 if current.is_floating_point() else ROUNDING
+    settings = (rounding, forward_backward_limit, mismatch_limit)
+    if (
+        kernels.serve(current, guess, variance, *templates)
+        and current.dtype in kernels.FRAME_KINDS
+        and dtype == torch.float32
+    ):
+        followed = kernels.find_templates(list(templates), current, guess, None, variance, rounds, *settings)
+        return Found(*[one[0] for one in followed[:5]])
+    return in_rounds(lambda some, near: _step(some, current, near, variance, *settings), templates, guess, rounds)
+
+
+def in_rounds(
+    step: Callable[[Templates, Tensor], Found], templates: Templates, prediction: Tensor, rounds: int
+) -> Found:
+    """What steps find of points (B, N, 2) near their predictions, ``rounds`` at most: those that have not converged
+    step on from where the step before has led. More than one depends on data: it does not export.
+    """
+    found = step(templates, prediction)
+    for _ in range(rounds - 1):
+        lost = found.status == TrackStatus.NOT_CONVERGED
+        if not lost.any():
+            break
+        chosen = first_of(lost)
+        again = step(templates.of(chosen), rows_of(found.estimate, chosen))
+        found = replaced(found, again, chosen, lost)
+    return found
+
+
+def first_of(wanted: Tensor) -> Tensor:
+    """Numbers (B, L) of points with those that are wanted (B, N) bool first. L is the power of 2 that holds them, so
+    that what is compiled for it knows few sizes.
+    """
+    size = 1 << (int(wanted.sum(1).max()) - 1).bit_length()
+    return wanted.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, :size]
+
+
+def rows_of(tensor: Tensor, chosen: Tensor) -> Tensor:
+    """Return those (B, L, ...) of (B, N, ...) with the numbers (B, L), int64."""
+    batch, count = tensor.shape[:2]
+    place = chosen + torch.arange(batch, device=chosen.device)[:, None] * count
+    # Whole rows are copied many times as fast as their numbers are gathered.
+    result: Tensor = tensor.flatten(0, 1).index_select(0, place.flatten()).unflatten(0, chosen.shape)
+    return result
+
+
+def replaced(found: Found, again: Found, chosen: Tensor, wanted: Tensor) -> Found:
+    """``found`` of (B, N) points with what was found ``again`` of the chosen (B, L), where that is wanted (B, N)."""
+
+    def one(whole: Tensor, part: Tensor) -> Tensor:
+        extra = [1] * (whole.ndim - 2)
+        index = chosen.reshape(*chosen.shape, *extra).expand_as(part)
+        return torch.where(wanted.reshape(*wanted.shape, *extra), whole.scatter(1, index, part), whole)
+
+    return Found(*[one(whole, part) for whole, part in zip(found, again, strict=True)])
+
+
+def check_window(image: Tensor, points: Tensor, window: int) -> None:
+    """Raises ValueError for an image, points or a window that tracking cannot work with."""
+    if image.ndim != 4 or image.shape[1] != 1:
+        raise ValueError(f"images must be (B, 1, H, W), not {tuple(image.shape)}")
+    if min(image.shape[-2:]) < 4:
+        raise ValueError(f"images must be at least 4 x 4 px, not {tuple(image.shape[-2:])}")
+    if points.ndim != 3 or points.shape[0] != image.shape[0] or points.shape[2] != 2:
+        raise ValueError(f"points must be (B, N, 2) with B = {image.shape[0]}, not {tuple(points.shape)}")
+    if not points.is_floating_point():
+        raise ValueError(f"points must be floating point, not {points.dtype}: use points.float()")
+    if window < 5 or window % 2 == 0:
+        raise ValueError(f"window must be odd and at least 5 px, not {window}")
+
+
+def contains(points: Tensor, image: Tensor, window: int) -> Tensor:
+    """(...) whether the windows of points (..., 2) lie in the image, to `SLACK`."""
+    height, width = image.shape[-2:]
+    half = window // 2
+    least = half - limits.SLACK
+    x, y = points.unbind(-1)
+    return (x >= least) & (y >= least) & (x <= width - 1 - least) & (y <= height - 1 - least)
+
+
+def inverse_2x2(matrix: Tensor) -> Tensor:
+    """Inverses (..., 2, 2); not finite where singular."""
+    a, b, c, d = matrix.flatten(-2).unbind(-1)
+    result: Tensor = torch.stack((d, -b, -c, a), dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
+    return result
+
+
+def _straight(image: Tensor, place: Tensor, wide: int) -> tuple[Tensor, Tensor]:
+    """The spline (P, wide, wide) and its slopes (P, 2, wide, wide) around places (B, N, 2) px."""
+    known = place.transpose(1, 2)
+    center = known.round()
+    patches = cut_patches(image, center, wide, place.dtype)
+    # Less their mean, so that what is flat has no slope in any precision.
+    base = patches.mean((1, 2), keepdim=True)
+    weights, slopes = taps_and_slopes((known - center).transpose(1, 2).flatten(0, 1))  # (P, 2, 5)
+    lines, bent = along_y(weights[:, 1], wide) @ (patches - base), along_y(slopes[:, 1], wide) @ (patches - base)
+    across = along_x(weights[:, 0], wide)
+    along = torch.stack((lines @ along_x(slopes[:, 0], wide), bent @ across), dim=1)
+    return lines @ across + base, along
+
+
+def _without_gain_and_offset(value: Tensor, slope: Tensor) -> Tensor:
+    """Slopes (P, 2, samples) less their parts along a constant and along the values (P, samples), which sum to 0."""
+    centred = slope - slope.mean(2, keepdim=True)
+    share = (centred @ value[..., None]) / (value * value).sum(1).clamp_min(_TINY)[:, None, None]
+    return centred - share * value[:, None]
+
+
+def _numbers(
+    value: Tensor,
+    slope: Tensor,
+    gradient: Tensor,
+    level: Tensor,
+    variance: Tensor,
+    rounding: float,
+    gain_offset: bool,
+) -> Tensor:
+    samples = value.shape[1]
+    xx, xy, yy = ((gradient[:, i] * gradient[:, j]).sum(1) for i, j in ((0, 0), (0, 1), (1, 1)))
+    determinant = xx * yy - xy * xy
+    regular = determinant > _TINY
+    some = torch.where(regular, determinant, 1.0)
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    smaller = mean - (half * half + xy * xy).sqrt()
+    floor = variance.clamp_min(rounding) * (limits.TEXTURE_TO_NOISE * samples * limits.GRADIENT_NOISE)
+    textured = regular & (smaller > torch.maximum(floor, limits.LEAST_TEXTURE * mean))
+    inverse = torch.stack((yy, -xy, -xy, xx), dim=1).unflatten(1, (2, 2)) / some[:, None, None]
+    inverse = torch.where(regular[:, None, None], inverse, 0.0)
+    side = round(samples**0.5)
+    offset = torch.arange(side, dtype=value.dtype, device=value.device) - side // 2
+    right, down = offset.repeat(side), offset.repeat_interleave(side)
+    # By i and m of E_im w_m: what E adds to the window, slope_i w_m. A shift takes up a part, H^-1 sum g_j slope_i w_m,
+    # gain and offset another one; the rest stays in the residual.
+    bent = torch.stack((slope[:, 0] * right, slope[:, 0] * down, slope[:, 1] * right, slope[:, 1] * down), dim=1)
+    if gain_offset:
+        bent = _without_gain_and_offset(value, bent)
+    pushing = gradient @ bent.transpose(1, 2)
+    lean = inverse @ pushing
+    bending = bent @ bent.transpose(1, 2) - pushing.transpose(1, 2) @ lean
+    bending = bending * (2 - torch.eye(4, dtype=bending.dtype, device=bending.device))  # each pair stands for two
+    constant = (gradient @ value[..., None]).squeeze(2)
+    ones = torch.ones_like(level)
+    return torch.cat(
+        (
+            torch.stack((inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], (value * value).sum(1), level), dim=1),
+            constant,
+            torch.stack((variance, textured.to(value.dtype), ones, ones * float(gain_offset)), dim=1),
+            lean.flatten(1),
+            _covariance_of_noise(inverse, gradient),
+            *(bending[:, k, k:] for k in range(4)),
+        ),
+        dim=1,
+    )
+
+
+def _covariance_of_noise(inverse: Tensor, gradient: Tensor) -> Tensor:
+    """xx, xy, yy (P, 3) of the covariance of a position, px^2, that white noise of variance 1 in the pixels leaves:
+    H^-1 (sum w w') H^-1 with the weights w of the pixels in sum g S, for H^-1 (P, 2, 2) and g (P, 2, samples).
+    """
+    side = round(gradient.shape[2] ** 0.5)
+    weights = onto_pixels(gradient.unflatten(2, (side, side)), side).flatten(2)
+    covariance = inverse @ (weights @ weights.transpose(1, 2)) @ inverse
+    return torch.stack((covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]), dim=1)
+
+
+def _step(
+    templates: Templates,
+    current: Tensor,
+    prediction: Tensor,
+    variance: Tensor | None,
+    rounding: float,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> Found:
+    window, dtype = templates.window, templates.samples.dtype
+    # Components before points from here on, (B, K, N): runtimes are slow where the last axis is short.
+    start, guess = components_first(templates.start), components_first(prediction)
+    given = finite(start - guess)[:, :1]
+    guess = torch.where(finite(guess), guess, 0.0)
+    numbers = templates.numbers.transpose(1, 2)
+    of = numbers[:, : Number.LEAN].split(1, dim=1)
+    inverse = numbers[:, Number.INVERSE_XX : Number.INVERSE_YY + 1]
+    # By value: a compiler goes on for ever in search of the index that a member of an enumeration is.
+    free, energy, level = of[Number.GAIN.value], of[Number.ENERGY.value], of[Number.LEVEL.value]
+    center = guess.round()
+    patches = cut_patches(current, center, window, dtype) - level.reshape(-1, 1, 1)
+
+    matched = windows_at((guess - center).transpose(1, 2).flatten(0, 1), patches, window)
+    tm, by_slopes = _times(templates.samples, matched).split((1, 2), dim=1)
+    m1 = matched.sum(1).reshape(given.shape)
+    samples = window * window
+    explaining = tm * tm / energy.clamp_min(_TINY)
+    gain = torch.where(free > 0, tm / energy.clamp_min(_TINY), 1.0)
+    offset = torch.where(free > 0, m1 / samples, 0.0)
+    squares, edges = _residual(matched, templates.samples, gain, offset, window).split((1, 2), dim=1)
+    # The slopes there are those of the template times the gain: what they differ by counts in a short step for little.
+    missing = by_slopes - numbers[:, Number.CONSTANT_X : Number.CONSTANT_Y + 1]
+    steep = torch.where(gain > 0, gain.clamp_min(limits.LEAST_GAIN), 1 / limits.MOST_GAIN)
+    last = _symmetric(inverse, missing / steep)
+    converged = _length(last) < limits.LAST_STEP  # a singular matrix leaves NaN: no root
+    found = guess - last
+
+    # What is left of the match at the end of the last step, and how much of it contrast alone does not explain.
+    left = squares - (gain * sum_rows(last * missing))
+    bb = squares + torch.where(free > 0, explaining, 2 * tm - energy - m1 * m1 / samples)
+    unlike = left + (bb - explaining - squares)
+    pixel = (left / ((samples - 4) * limits.VALUE_NOISE)).clamp_min(2 * rounding)
+    scale = pixel / (gain * gain)
+    error = _length(_symmetric(inverse, edges)) / (gain * gain)
+
+    noise = of[Number.NOISE.value] if variance is None else variance[:, None, None]
+    noise_energy = noise * (samples * limits.VALUE_NOISE)
+    common = (energy - noise_energy).clamp_min(0) * (bb - noise_energy).clamp_min(0)
+    explained = (bb - unlike) * energy * (tm > 0)
+    ends, begins = (contains(one.transpose(1, 2), current, window)[:, None] for one in (found, guess))
+    # A step that leads out of the frame, or into it, is no end.
+    within = (of[Number.INSIDE.value] > 0) & (ends | (begins & ~converged))
+    textured, readable = of[Number.TEXTURED.value] > 0, finite(m1 + level)
+    status = torch.zeros_like(given, dtype=torch.uint8)
+    # From the last reason to the first, so that the first that applies remains.
+    for reason, fine in (
+        (TrackStatus.FORWARD_BACKWARD, error <= forward_backward_limit),
+        (TrackStatus.MISMATCH, common * (1 - mismatch_limit) <= explained),
+        (TrackStatus.NOT_CONVERGED, converged),
+        (TrackStatus.NO_TEXTURE, textured),
+        (TrackStatus.NOT_FINITE, readable),
+        (TrackStatus.LEFT_FRAME, within),
+        (TrackStatus.NOT_FINITE, given),
+    ):
+        status = torch.where(fine, status, int(reason))
+    tracked = status == 0
+    lost = torch.where(tracked, 0.0, torch.nan).to(dtype)  # added, which runtimes do faster than to choose
+    spread = numbers[:, Number.COVARIANCE_XX : Number.COVARIANCE_YY + 1]
+    matrix = torch.cat((spread[:, :2], spread[:, 1:]), dim=1)
+    estimate = torch.where(finite(last), guess - last.clamp(-limits.REACH, limits.REACH), guess)
+    return Found(
+        (found + lost).transpose(1, 2),
+        torch.where(given & within & readable & textured & converged, error, torch.nan).squeeze(1),
+        (scale * matrix + lost).transpose(1, 2).unflatten(2, (2, 2)),
+        status.squeeze(1),
+        estimate.transpose(1, 2),
+    )
+
+
+def _residual(matched: Tensor, samples: Tensor, gain: Tensor, offset: Tensor, size: int) -> Tensor:
+    """(B, 3, N) of the residual D = M - a T - b of windows M (P, samples): the sum of D^2, and those of D grad D in x
+    and y, half the differences of D^2 between opposite edges.
+    """
+    own = samples.narrow(2, 0, 1).flatten(0, 2)
+    left = matched - gain.reshape(-1, 1) * own - offset.reshape(-1, 1)
+    place = torch.arange(size, device=samples.device)
+    edge = ((place == size - 1).to(samples.dtype) - (place == 0).to(samples.dtype)) / 2
+    # What is summed over lies one number behind the other in both factors, which torch takes a third of the time for.
+    weights = torch.stack((torch.ones_like(edge).repeat(size), edge.repeat(size), edge.repeat_interleave(size)))
+    return components_first((left * left @ weights.mT).unflatten(0, samples.shape[:2]))
+
+
+def _times(samples: Tensor, windows: Tensor) -> Tensor:
+    """(B, 3, N): sums of samples (B, N, 3, m) times windows (B N, ...) of m."""
+    batch, count = samples.shape[:2]
+    rows = windows.reshape(-1, 1, samples.shape[3])
+    return components_first((rows @ samples.flatten(0, 1).mT).reshape(batch, count, 3))
+
+
+def _symmetric(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """Products (B, 2, N) of symmetric matrices (B, 3, N), xx, xy, yy, with vectors (B, 2, N)."""
+    return matrix[:, ::2] * vectors + matrix[:, 1:2] * vectors.flip(1)
+
+
+def _length(vectors: Tensor) -> Tensor:
+    """(B, 1, N) of (B, 2, N)."""
+    return sum_rows(vectors * vectors).sqrt()

@@ -1,0 +1,331 @@
+"""Tracking of points between two images by Lucas-Kanade: templates prepared in one, found in the other."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fingerflow.kernels import tensors as kernels
+from fingerflow.kernels import tracking_limits as limits
+from fingerflow.kernels.tensors.torch_op import torch_op
+from fingerflow.kernels.tracking_limits import TrackStatus as TrackStatus
+from fingerflow.ops.filters.noise import estimate_noise
+from fingerflow.ops.filters.spline import spline_coefficients
+from fingerflow.ops.filters.windows import sample_windows
+from fingerflow.ops.tracking.deformation import correct_points
+from fingerflow.ops.tracking.search import search_and_return
+from fingerflow.ops.tracking.templates import (
+    Found,
+    check_window,
+    find_templates,
+    first_of,
+    inverse_2x2,
+    prepare_templates,
+    replaced,
+    rows_of,
+)
+
+# Windows over which a second pass learns the deformation: fewer follow shorter waves, more see less noise.
+_GAUGE = 5.0
+
+
+class Tracks(NamedTuple):
+    """Tracked points.
+
+    Attributes:
+        points: (B, N, 2) px in the current image; NaN where the status is not TRACKED.
+        error: (B, N) px, forward-backward distance; NaN of NOT_FINITE, LEFT_FRAME, NO_TEXTURE and NOT_CONVERGED, where
+            there is none.
+        covariance: (B, N, 2, 2) px^2 of ``points``, from the residual's noise and the template's structure tensor;
+            NaN as ``points``.
+        status: (B, N) uint8, a :class:`TrackStatus`.
+    """
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+
+
+def track_points(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    window: int = 21,
+    *,
+    initial: Tensor | None = None,
+    warp: Tensor | None = None,
+    passes: int = 2,
+    gain_offset: bool = True,
+    search: int = 8,
+    forward_backward_limit: float = 1.0,
+    mismatch_limit: float = limits.MISMATCH_SHARE,
+    noise: Tensor | None = None,
+) -> Tracks:
+    """Finds the points of ``previous`` in ``current``, and from there back again.
+
+    `prepare_templates` and `find_templates`, one after the other. A second pass corrects points for the gradient of the
+    motion that the first has found (`ops.tracking.deformation`); templates whose edge it shifts by more than 0.1 px are
+    deformed and found again, as are points that were lost, where their neighbours expect them.
+
+    Gradients flow to the images and to ``points`` through ``points`` of the
+    result (implicit differentiation, first order); error, covariance and status carry none.
+
+    Args:
+        previous: (B, 1, H, W), 8 to 16 bit or floating.
+        current: the same shape.
+        points: (B, N, 2) (x, y) px in ``previous``; NaN stays NaN.
+        window: odd side of the square window, px.
+        initial: (B, N, 2) predicted positions in ``current``; default ``points``.
+        warp: (B, N, 2, 2) deformation gradient F: an offset w in ``previous`` is F w in ``current``. Given, it stays.
+        passes: 2, or 1 for windows that are not deformed: three quarters of the time where nothing deforms.
+        gain_offset: leave gain and offset of the light free in each window.
+        search: px. Points that are not found near the prediction are searched for exhaustively up to this distance in
+            x and y, and only they; 0 never searches. The prediction alone reaches about a third of the texture's
+            period.
+        forward_backward_limit: px, points beyond it are flagged.
+        mismatch_limit: largest share of the template's variance, noise discounted, that the match may leave
+            unexplained.
+        noise: (B,) standard deviation of white noise, grey levels, of the noisier of each two images. Default
+            :func:`~fingerflow.ops.filters.noise.estimate_noise` of both.
+
+    Raises:
+        ValueError: shapes that do not fit, an even window.
+    """
+    _check(previous, current, points, window, initial, warp, passes, noise)
+    images = _real(previous), _real(current)
+    start, guess = points.detach(), (points if initial is None else initial).detach()
+    plain = images[0].detach(), images[1].detach()
+    if noise is None:
+        noise = torch.maximum(*(estimate_noise(image) for image in plain))
+
+    limits_of = (forward_backward_limit, mismatch_limit)
+    passed = in_passes(*plain, start, guess, warp, noise, window, passes, gain_offset, search, *limits_of)
+    warp, where = passed.warp, passed.points
+    if torch.is_grad_enabled() and any(one.requires_grad for one in (*images, points)):
+        where = _with_derivative(images, points, where, warp, window, gain_offset)
+    return Tracks(where, passed.error, passed.covariance, passed.status)
+
+
+class Passed(NamedTuple):
+    """As `Found`, without what the next frame needs; and the deformation (B, N, 2, 2) of the templates."""
+
+    points: Tensor
+    error: Tensor
+    covariance: Tensor
+    status: Tensor
+    warp: Tensor | None
+
+
+def _like_passed(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    warp: Tensor | None,
+    noise: Tensor,
+    window: int,
+    passes: int,
+    *settings: float,
+) -> Passed:
+    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    place, matrix = points.new_empty(points.shape, dtype=kind), points.new_empty((*points.shape, 2), dtype=kind)
+    status = points.new_empty(points.shape[:2], dtype=torch.uint8)
+    if warp is not None:
+        deformation: Tensor | None = torch.empty_like(warp)
+    else:
+        deformation = torch.empty_like(matrix) if passes == 2 else None
+    return Passed(place, place.new_empty(points.shape[:2]), matrix, status, deformation)
+
+
+@torch_op(shapes=_like_passed)
+def in_passes(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    guess: Tensor,
+    warp: Tensor | None,
+    noise: Tensor,
+    window: int,
+    passes: int,
+    gain_offset: bool,
+    search: int,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+) -> Passed:
+    """The points of `track_points`, whose arguments these are: how often and how far they are looked for depends on
+    them. Without derivatives.
+    """
+    kind = torch.float64 if previous.dtype == torch.float64 else torch.float32
+    start, guess = points.to(kind), guess.to(kind)
+    limits_of = (forward_backward_limit, mismatch_limit)
+    find = partial(_find, previous, current, noise.to(kind), window, gain_offset, *limits_of)
+
+    def one_pass(places: Tensor, deformation: Tensor | None, near: Tensor) -> tuple[Found, Tensor]:
+        found, numbers = find(places, deformation, near)
+        if search:
+            images = previous, current
+            found = _search_lost(find, images, places, deformation, found, near, window, search, forward_backward_limit)
+        return found, numbers
+
+    with torch.no_grad():
+        found, numbers = one_pass(start, warp, guess)
+        if warp is not None:
+            warp = warp.clone()  # a result shares no memory with an argument
+        elif passes == 2:
+            straight = torch.eye(2, dtype=kind, device=start.device).expand(*start.shape, 2)
+            corrected = correct_points(
+                *(start, found.points, found.covariance, numbers, straight), window, _GAUGE * window
+            )
+            found = found._replace(points=corrected.points, covariance=corrected.covariance)
+            warp = corrected.warp.contiguous()  # as `_like_passed` says
+            lost = found.status >= TrackStatus.NOT_CONVERGED
+            renewed = lost | ((found.status == TrackStatus.TRACKED) & (corrected.shift > limits.UPDATE_PX))
+            if renewed.any():
+                chosen = first_of(renewed)
+                near = torch.where(lost[..., None] & corrected.expected.isfinite(), corrected.expected, found.estimate)
+                again, _ = one_pass(*(rows_of(one, chosen) for one in (start, warp, near)))
+                found = replaced(found, again, chosen, renewed)
+    return Passed(found.points, found.error, found.covariance, found.status, warp)
+
+
+def _find(
+    previous: Tensor,
+    current: Tensor,
+    noise: Tensor,
+    window: int,
+    gain_offset: bool,
+    forward_backward_limit: float,
+    mismatch_limit: float,
+    points: Tensor,
+    warp: Tensor | None,
+    near: Tensor,
+) -> tuple[Found, Tensor]:
+    """What `current` shows of points (B, N, 2) of `previous` near places, and `Templates.numbers`."""
+    inverse, variance = None if warp is None else inverse_2x2(warp.to(points.dtype)), noise.square()
+    if (
+        kernels.serve(previous, current, points, inverse, variance, near)
+        and previous.dtype in kernels.FRAME_KINDS
+        and previous.dtype == current.dtype
+    ):
+        rounding = 0.0 if previous.is_floating_point() else limits.ROUNDING
+        settings = (window, gain_offset, limits.ROUNDS, rounding, forward_backward_limit, mismatch_limit)
+        *own, numbers = kernels.find_pairs(previous, current, points, inverse, variance, near, *settings)
+        return Found(*own), numbers
+    templates = prepare_templates(previous, points, window, warp, gain_offset=gain_offset, noise=noise)
+    found = find_templates(
+        *(templates, current, near),
+        forward_backward_limit=forward_backward_limit,
+        mismatch_limit=mismatch_limit,
+        noise=noise,
+    )
+    return found, templates.numbers
+
+
+def _search_lost(
+    find: Callable[[Tensor, Tensor | None, Tensor], tuple[Found, Tensor]],
+    images: tuple[Tensor, Tensor],
+    start: Tensor,
+    warp: Tensor | None,
+    found: Found,
+    guess: Tensor,
+    window: int,
+    radius: int,
+    forward_backward_limit: float,
+) -> Found:
+    """The same points, those that were not found searched for within ``radius`` px of ``guess`` (B, N, 2).
+
+    Searched for backward too, without knowing the way there: one that leads elsewhere by more than the limit, and the
+    pixel that a search is good to, keeps the status FORWARD_BACKWARD.
+
+    Args:
+        find: `_find` of points, their deformation and predictions.
+    """
+    lost = found.status >= TrackStatus.NOT_CONVERGED
+    if not lost.any():
+        return found
+    image, point = lost.nonzero(as_tuple=True)
+    places = image, start[image, point], guess[image, point]
+    ahead, returns = search_and_return(*images, *places, window, radius, forward_backward_limit)
+    everywhere = torch.full_like(start, torch.nan)
+    everywhere[image, point] = ahead
+    chosen = first_of(lost)
+    near, some = rows_of(everywhere, chosen), rows_of(start, chosen)
+    again, _ = find(some, None if warp is None else rows_of(warp, chosen), near)
+    result = replaced(found, again, chosen, lost)
+    elsewhere = torch.zeros_like(lost)
+    elsewhere[image, point] = ~returns
+    wrong = elsewhere & (result.status == TrackStatus.TRACKED)
+    return Found(
+        torch.where(wrong[..., None], torch.nan, result.points),
+        result.error,
+        torch.where(wrong[..., None, None], torch.nan, result.covariance),
+        torch.where(wrong, int(TrackStatus.FORWARD_BACKWARD), result.status),
+        torch.where(wrong[..., None], guess, result.estimate),
+    )
+
+
+def _check(
+    previous: Tensor,
+    current: Tensor,
+    points: Tensor,
+    window: int,
+    initial: Tensor | None,
+    warp: Tensor | None,
+    passes: int,
+    noise: Tensor | None,
+) -> None:
+    check_window(previous, points, window)
+    if previous.shape != current.shape:
+        raise ValueError(
+            f"previous {tuple(previous.shape)} and current {tuple(current.shape)} must have the same shape"
+        )
+    if initial is not None and initial.shape != points.shape:
+        raise ValueError(f"initial {tuple(initial.shape)} must have the shape of points {tuple(points.shape)}")
+    if warp is not None and warp.shape != (*points.shape, 2):
+        raise ValueError(f"warp {tuple(warp.shape)} must be {(*points.shape, 2)}: one 2 x 2 matrix a point")
+    if passes not in (1, 2):
+        raise ValueError(f"passes must be 1 or 2, not {passes}")
+    if noise is not None and noise.shape != (len(previous),):
+        raise ValueError(f"noise {tuple(noise.shape)} must be ({len(previous)},): one standard deviation an image pair")
+
+
+def _real(image: Tensor) -> Tensor:
+    """The image itself, or as float32 where its number type is a rare one."""
+    return image if image.dtype in kernels.FRAME_KINDS or image.dtype == torch.float64 else image.float()
+
+
+def _with_derivative(
+    images: tuple[Tensor, Tensor], points: Tensor, found: Tensor, warp: Tensor | None, window: int, gain_offset: bool
+) -> Tensor:
+    """The same points, with their derivative: a Newton step from the root, which moves nothing.
+
+    At the root b(y; images, p) = sum g (S(y + w) - T(w)) = 0, hence dy = -(db/dy)^-1 db; the Jacobian itself needs no
+    derivative.
+    """
+    batch, count = points.shape[:2]
+    image_index = torch.arange(batch, device=points.device).repeat_interleave(count)
+    start, place = points.to(found.dtype).reshape(-1, 2), found.reshape(-1, 2)
+    known = (start.isfinite() & place.isfinite()).all(-1, keepdim=True)
+    inverse = None if warp is None else inverse_2x2(warp.to(found.dtype)).reshape(-1, 2, 2)
+    template, gradient = sample_windows(
+        spline_coefficients(images[0]), image_index, torch.where(known, start, 0.0), window, 3, inverse
+    )
+    value, slope = sample_windows(
+        spline_coefficients(images[1]), image_index, torch.where(known, place, 0.0), window, 3
+    )
+    if gain_offset:
+        centred = template - template.mean((-1, -2), keepdim=True)
+        gradient = gradient - gradient.mean((-1, -2), keepdim=True)
+        energy = centred.square().sum((-1, -2)).clamp_min(torch.finfo(template.dtype).tiny)
+        share = (gradient * centred[:, None]).sum((-1, -2)) / energy[:, None]
+        gradient = gradient - share[:, :, None, None] * centred[:, None]
+        difference = value - value.mean((-1, -2), keepdim=True)
+    else:
+        difference = value - template
+    residual = (gradient * difference[:, None]).sum((-1, -2))
+    jacobian = (gradient.flatten(2) @ slope.flatten(2).transpose(1, 2)).detach()
+    step = (inverse_2x2(jacobian) * (residual - residual.detach())[:, None, :]).sum(-1)
+    return (place - torch.where(known, step, 0.0)).view(found.shape)

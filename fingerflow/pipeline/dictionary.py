@@ -1,0 +1,66 @@
+"""The dictionary of outputs: every variable with its unit, definition, equation and the stage that gives it."""
+
+from typing import NamedTuple
+
+from fingerflow.pipeline.stages import all_stages
+from fingerflow.schema.equations import EQUATIONS
+from fingerflow.schema.variables import STREAM, Variable
+
+
+class Entry(NamedTuple):
+    """One variable.
+
+    Attributes:
+        stage: that gives it; "stream" for what only a stream has.
+        unasked: whether it is computed when nobody asks for it by name.
+        needs: keys of the scene without which there is none.
+        flags: meanings of the values 0, 1, 2 ...
+    """
+
+    name: str
+    units: str
+    dimensions: tuple[str, ...]
+    stage: str
+    definition: str
+    equation: str
+    unasked: bool
+    needs: tuple[str, ...]
+    flags: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Three or four lines of plain text."""
+        asked = "" if self.unasked else ", only where it is named"
+        lines = [
+            f"{self.name}  [{self.units}]  ({', '.join(self.dimensions)})  stage {self.stage}{asked}",
+            f"    {self.definition}",
+            f"    {self.equation}",
+        ]
+        if self.flags:
+            lines.append("    " + ", ".join(f"{value} {meaning}" for value, meaning in enumerate(self.flags)))
+        return "\n".join(lines)
+
+
+def dictionary() -> tuple[Entry, ...]:
+    """All variables, stage by stage in the order in which these run."""
+    return tuple(
+        _entry(variable, stage, needs)
+        for stage, given, needs in (
+            *((stage.name, stage.gives, stage.needs) for stage in all_stages()),
+            ("stream", STREAM, ()),
+        )
+        for variable in given
+    )
+
+
+def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> Entry:
+    return Entry(
+        variable.name,
+        variable.units,
+        variable.dims,
+        stage,
+        variable.long_name,
+        EQUATIONS[variable.name],
+        variable.unasked,
+        tuple(dict.fromkeys((*needs, *variable.needs))),
+        variable.flags,
+    )

@@ -1,0 +1,104 @@
+"""From the outputs that were asked for to the stages that are needed, and no other."""
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import NamedTuple
+
+from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages import all_stages
+from fingerflow.pipeline.stages.stage import Stage
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.scene_kinds import KINDS
+from fingerflow.schema.variables import Variable, by_name
+
+#: Every variable that there is, by its name.
+VARIABLES: dict[str, Variable] = by_name(*(stage.gives for stage in all_stages()))
+#: Names of all outputs.
+OUTPUTS = tuple(sorted(VARIABLES))
+_REMEDIES = {
+    "forces": "needs forces, and the scene has no [forces] table",
+    "forces.tangential": "needs a tangential force, and the scene names no channel in [forces] tangential",
+    "soft_sensor": 'is of markers on a gel, and the scene is not of kind = "soft_sensor"',
+    "dense_flow_slip": 'comes by dense flow, and the scene does not set [slip] displacement = "dense_flow"',
+    "background.frames": "needs a picture without a finger, and the scene has none in [background]",
+    "views.topography": "follows the skin in the topographic view, and the scene has no [views.topography] table",
+}
+
+
+class Plan(NamedTuple):
+    """The stages, each behind those that it needs, and the variables that some of them give only when asked."""
+
+    stages: tuple[type[Stage], ...]
+    asked: frozenset[str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the stages."""
+        return tuple(stage.name for stage in self.stages)
+
+    def passes(self) -> list[list[type[Stage]]]:
+        """The stages by passes over the frames: those of one pass need each other's steps alone."""
+        number: dict[type[Stage], int] = {}
+        for stage in self.stages:
+            later = [number[earlier] + 1 for earlier in stage.after if earlier in number]
+            number[stage.place()] = max([0, *later, *(number[other] for other in stage.beside)])
+        return [
+            [stage for stage in self.stages if number[stage.place()] == k]
+            for k in range(max(number.values(), default=-1) + 1)
+        ]
+
+
+def plan(outputs: Iterable[str] | None, scene: Scene) -> Plan:
+    """The stages that give these outputs; None asks for everything that the scene's kind computes by default and the
+    scene allows.
+
+    Raises FingerflowError for an output that does not exist or that the scene cannot give.
+    """
+    by_setting = ("dense_flow_slip",) if scene.has("dense_flow_slip") else ()
+    stages = all_stages((*KINDS[scene.kind].instead, *by_setting))
+    at = {stage.place(): stage for stage in stages}
+    if outputs is None:
+        kind = KINDS[scene.kind]
+        wanted = [
+            stage
+            for stage in stages
+            if kind.computes(stage.place().name)
+            and any(one.unasked for one in stage.gives)
+            and not _lacking(stage, scene, at)
+        ]
+        return _with_needs(wanted, frozenset(), at)
+    names, stage_of = list(outputs), {variable.name: stage for stage in stages for variable in stage.gives}
+    for name in names:
+        if name not in VARIABLES:
+            close = get_close_matches(name, OUTPUTS, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise FingerflowError(f"there is no output {name!r}; {hint}the outputs are {', '.join(OUTPUTS)}")
+        stage = stage_of[name]
+        lacking = [need for need in VARIABLES[name].needs if not scene.has(need)] or _lacking(stage, scene, at)
+        if lacking:
+            possible = [one for one in OUTPUTS if not _lacking(stage_of[one], scene, at)]
+            possible = [one for one in possible if all(map(scene.has, VARIABLES[one].needs))]
+            why = _REMEDIES.get(lacking[0], f"needs {lacking[0]}, which the scene does not have")
+            raise FingerflowError(f"the output {name!r} {why}; without it the outputs are {', '.join(possible)}")
+    return _with_needs([stage_of[name] for name in names], frozenset(names), at)
+
+
+def _with_needs(wanted: Iterable[type[Stage]], asked: frozenset[str], at: Mapping[type[Stage], type[Stage]]) -> Plan:
+    needed = set[type[Stage]]()
+
+    def need(stage: type[Stage]) -> None:
+        needed.add(stage)
+        for earlier in (*stage.after, *stage.beside):
+            need(at[earlier])
+
+    for stage in wanted:
+        need(stage)
+    run = tuple(stage for stage in at.values() if stage in needed)
+    return Plan(run, asked.union(*(stage.reads for stage in run)))
+
+
+def _lacking(stage: type[Stage], scene: Scene, at: Mapping[type[Stage], type[Stage]]) -> list[str]:
+    """Keys of the scene that a stage, or one that it needs, wants in vain; `at` has the stages by their place."""
+    lacking = [need for need in stage.needs if not scene.has(need)]
+    earlier = (at[one] for one in (*stage.after, *stage.beside))
+    return lacking + [key for one in earlier for key in _lacking(one, scene, at)]

@@ -1,0 +1,221 @@
+"""What of an earlier result still holds for a scene as it is now, stage by stage.
+
+A stage's key is a digest of its settings, of the keys of the stages before it, of the frames where any of them reads
+pictures, of the code and of what computes: results of two engines agree to rounding alone. Where it is the same, so are
+the results, bit for bit.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import xarray as xr
+
+from fingerflow import __version__
+from fingerflow.errors import FingerflowError
+from fingerflow.kernels import tensors as kernels
+from fingerflow.pipeline.plan import Plan
+from fingerflow.pipeline.stages.stage import Stage
+from fingerflow.pipeline.stages.trial.inputs import Inputs
+from fingerflow.recordings import open_recording
+from fingerflow.recordings.digest import digest_of, digest_of_bytes
+from fingerflow.recordings.identity import identity_of
+from fingerflow.results.store import Store
+
+#: Attributes of a result: what `record` says, and what was taken over from which file.
+STAGES, TAKEN_OVER = "stages", "taken_over"
+_TIMES, _FORCES, _MASK = "recording.times", "forces.file", ".region.mask"
+_PICTURES = ("background.frames", "background.dark")
+_CODE = (
+    "engines",
+    "graphs",
+    "kernels",
+    "models",
+    "ops",
+    "pipeline/stages",
+    "recordings",
+    "results",
+    "schema",
+    "tracker",
+)
+_SHOWN = 60  # characters of a setting in a sentence
+
+
+class Key(NamedTuple):
+    """What the results of a stage depend on.
+
+    Attributes:
+        digest: of all of it.
+        settings: by dotted keys of the scene, as they count; of a file a digest of what is read of it.
+    """
+
+    digest: str
+    settings: Mapping[str, Any]
+
+
+class Reused(NamedTuple):
+    """What of an earlier result holds.
+
+    Attributes:
+        earlier: that result, open.
+        path: its file.
+        stages: whose results are taken from it.
+        computed: why the others run, a sentence each.
+    """
+
+    earlier: xr.Dataset
+    path: Path
+    stages: frozenset[type[Stage]]
+    computed: Mapping[type[Stage], str]
+
+    def restore(self, stage: Stage) -> None:
+        """Gives a stage, in place of running it, what it gave then, its warnings too."""
+        stage.restore(self.earlier)
+        stage.warnings[:] = json.loads(self.earlier.attrs[STAGES])[stage.name]["warnings"]
+
+    def said(self) -> str:
+        """Which stages are taken over and why others are not, as JSON, for a result."""
+        names = sorted(stage.name for stage in self.stages)
+        computed = {stage.name: why for stage, why in self.computed.items()}
+        return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
+
+
+def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], Key]:
+    """The key of each stage of a plan, by `Stage.place`.
+
+    ``engine`` is the name that the result states, ``recording`` what `identity_of` says of it.
+    """
+    values = json.loads(inputs.scene.as_json())
+    common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
+    keys: dict[type[Stage], Key] = {}
+    known: dict[str, list[tuple[str, Any]]] = {}  # several stages have the same pictures of the empty glass to read
+    pictures: set[type[Stage]] = set()  # stages whose results depend on some
+    for stage in plan.stages:
+        before = sorted({*stage.after, *stage.beside}, key=lambda one: one.name)
+        for one in stage.settings:
+            if one not in known:
+                known[one] = list(_settings(one, values, inputs))
+        settings = {key: value for one in stage.settings for key, value in known[one]}
+        if stage.reads_frames or pictures.intersection(before):
+            pictures.add(stage.place())
+        seen = recording if stage.place() in pictures else ""
+        of_stages = [keys[one].digest for one in before]
+        on = stage.depends_on(plan.stages)
+        keys[stage.place()] = Key(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
+    return keys
+
+
+def record(plan: Plan, keys: Mapping[type[Stage], Key], stages: Mapping[type[Stage], Stage], results: Store) -> str:
+    """What a result says of its stages, for `reused`: JSON."""
+    return json.dumps(
+        {
+            kind.name: {
+                **keys[kind.place()]._asdict(),
+                "gave": [one.name for one in kind.gives if one.name in results],
+                "warnings": stages[kind.place()].warnings,
+            }
+            for kind in plan.stages
+        }
+    )
+
+
+def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], Key], inputs: Inputs) -> Reused:
+    """Which stages of a plan an earlier result makes unnecessary.
+
+    Raises FingerflowError where it is of another recording, or of other frames of it.
+    """
+    if "recording" in earlier.attrs and (now := identity_of(inputs.recording)) != earlier.attrs["recording"]:
+        raise FingerflowError(
+            f"{path} is of another recording than {inputs.recording.path}, or of other frames of it: it has "
+            f"{earlier.attrs['recording']}, the scene {inputs.scene.path} {now}. Name the result of this scene, or "
+            f"compute it anew without --from"
+        )
+    known: dict[str, dict[str, Any]] = json.loads(earlier.attrs.get(STAGES, "{}"))
+    older = f"{path} was written by an older version, which does not say what its stages depend on"
+    whole = "" if known else older
+    computed: dict[type[Stage], str] = {}
+    for stage in plan.stages:
+        place = stage.place()
+        why = whole or _why_not(stage, plan, keys[place], known.get(stage.name), computed)
+        if why:
+            computed[place] = why
+    # A stage that runs wants the steps of those beside it, and of those before it what only they know.
+    for stage in reversed(plan.stages):
+        if stage.place() in computed:
+            for other in plan.stages:
+                wanted = other.place() in stage.beside or (other.place() in stage.after and not other.restored)
+                if wanted:
+                    computed.setdefault(other.place(), f"{stage.name} needs what only it knows")
+    taken = frozenset(stage.place() for stage in plan.stages if stage.place() not in computed)
+    return Reused(earlier, path, taken, computed)
+
+
+def _why_not(
+    stage: type[Stage], plan: Plan, key: Key, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
+) -> str:
+    """Why a stage's earlier results do not hold, empty where they do."""
+    if known is None:
+        return "it was not computed there"
+    lacking = [one.name for one in stage.gives if one.name in plan.asked and not one.unasked]
+    lacking = [name for name in lacking if name not in known["gave"]]
+    if lacking:
+        return f"{', '.join(lacking)} is not there"
+    if known["digest"] == key.digest:
+        return ""
+    then: Mapping[str, Any] = known["settings"]
+    changed = [
+        f"{name} was {_shown(then.get(name))} and is {_shown(value)}"
+        for name, value in key.settings.items()
+        if then.get(name) != value
+    ]
+    if changed:
+        return ", ".join(changed)
+    before = [one.name for one in (*stage.after, *stage.beside) if one in computed]
+    if before:
+        return f"it depends on {', '.join(before)}"
+    return "it was computed by another version of the code, by another engine, with other outputs, or elsewhere"
+
+
+def _settings(key: str, values: Mapping[str, Any], inputs: Inputs) -> Iterable[tuple[str, Any]]:
+    """A key of the scene with its value, or all keys of a table."""
+    if key == _TIMES:
+        yield key, digest_of_bytes([inputs.times.tobytes()])
+        return
+    value: Any = values
+    for name in key.split("."):
+        value = None if value is None else value.get(name)
+    if isinstance(value, dict):
+        for name in value:
+            yield from _settings(f"{key}.{name}", values, inputs)
+    elif key in _PICTURES and value is not None:
+        with open_recording(Path(value)) as still:
+            yield key, identity_of(still) if len(still) else ""
+    elif (key == _FORCES or key.endswith(_MASK)) and value is not None:
+        yield key, _content(Path(str(value).partition("::")[0]))
+    else:
+        yield key, value
+
+
+def _content(file: Path) -> str:
+    try:
+        return digest_of_bytes([file.read_bytes()])
+    except OSError:  # the stage that reads it says so
+        return ""
+
+
+@cache
+def code_version() -> str:
+    """Digest of all source that results depend on, and of the compiled kernels."""
+    package = Path(__file__).parents[1]
+    files = [file for room in _CODE for file in (package / room).rglob("*.py")]
+    files += package.glob("_kernels*")
+    parts = (f"{file.relative_to(package).as_posix()} ".encode() + file.read_bytes() for file in sorted(files))
+    return f"{__version__} {digest_of_bytes(parts)}"
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ..."

@@ -1,0 +1,35 @@
+"""The stages: every file of these folders that defines a `Stage` is one, found here by its class."""
+
+from functools import cache
+from importlib import import_module
+from pkgutil import walk_packages
+
+from fingerflow.pipeline.stages.stage import Stage
+
+
+@cache
+def all_stages(instead: tuple[str, ...] = ()) -> tuple[type[Stage], ...]:
+    """The stages in an order in which each comes behind those that it needs.
+
+    `instead` names those that stand in for others.
+    """
+    for module in walk_packages(__path__, f"{__name__}."):
+        import_module(module.name)
+    stands_in = {
+        kind.place(): kind
+        for stage in Stage.__subclasses__()
+        for kind in stage.__subclasses__()
+        if kind.name in instead
+    }
+    found: list[type[Stage]] = []
+
+    def add(stage: type[Stage]) -> None:
+        taken = stands_in.get(stage, stage)
+        for earlier in (*taken.after, *taken.beside):
+            add(earlier)
+        if taken not in found:
+            found.append(taken)
+
+    for stage in sorted(Stage.__subclasses__(), key=lambda stage: stage.name):
+        add(stage)
+    return tuple(found)

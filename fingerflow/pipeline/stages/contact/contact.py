@@ -1,0 +1,206 @@
+"""Contact of every frame: real and gross area, ellipse, and the region by which points come into contact."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.engines.engine import Contact
+from fingerflow.engines.together import Call, Steps, run_alone
+from fingerflow.errors import FingerflowError
+from fingerflow.ops.contact.cells import mask_of
+from fingerflow.ops.filters.illumination import glass_light
+from fingerflow.ops.filters.morphology import dilate
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.trial.inputs import read_frames
+from fingerflow.pipeline.stages.trial.loading import LoadingStage
+from fingerflow.pipeline.stages.trial.regions import region_mask
+from fingerflow.schema.variables import CONTACT
+
+_LEAST_LIGHT = 0.1
+_LOOKS = 32  # frames that are looked at to find the one with most contact, where no forces tell
+_STEP = 4  # px between the pixels that are looked at
+_STEADY = 0.01  # change of the lamp that moves no area
+
+
+class ContactStage(Stage):
+    """Runs the contact graph over batches of frames; keeps numbers, never pictures.
+
+    Attributes:
+        series: results by name, (frames,) or (frames, 2); NaN ellipses where there is no contact, and NaN altogether
+            in frames that are not usable.
+        reference_frame: the one with most contact.
+        cell_px: side of the cells of the gross region, px of the contact view.
+    """
+
+    name = "contact"
+    gives = CONTACT
+    needs = ("views.contact",)
+    after: ClassVar[tuple[type[Stage], ...]] = (LoadingStage, FrameCheckStage)
+    reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (
+        "contact",
+        "views.contact",
+        "background",
+        "calibration.mm_per_px",
+        "recording.first_frame",
+    )
+    restored = True
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._view = self.inputs.scene.views.contact
+        self._engine = self.inputs.engine
+        self.cell_px = self._engine.cell_px
+        frames = len(trial)
+        self.series = {
+            variable.name: np.full((frames, 2) if len(variable.dims) == 2 else frames, np.nan)
+            for variable in CONTACT
+            if variable.name != "gross_contact_region" and variable.formula is None
+        }
+        self._gain = np.full(frames, np.nan)  # of the lamp
+        self._blind = np.zeros(frames, dtype=bool)  # frames with contact and without glass
+
+    def begin(self) -> None:
+        self._usable = self.trial.stage(FrameCheckStage).usable
+        glass, dark = self.inputs.reference(self._view)[0, 0].cpu().numpy(), self.inputs.dark(self._view)
+        black = None if dark is None else dark[0, 0].cpu().numpy()
+        # Where no light is, nothing touches.
+        self._light = self._engine.light(glass, black, region_mask(self.inputs.scene, "contact"))
+        self.reference_frame = self._most_contact(self.trial.stage(LoadingStage).normal)
+        self._threshold = self._fixed_threshold()
+        if "gross_contact_region" in self.trial.asked:
+            rows, columns = (-(-side // self.cell_px) for side in self._view.shape)
+            self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
+
+    def step(self, batch: Batch) -> Any:
+        """`Contact` of these frames."""
+        assert batch.frames is not None
+        contact, threshold = yield from self._contact(batch.frames)
+        size, indices = self.inputs.mm_per_px, batch.indices
+        for name, values in {
+            "contact_threshold": threshold,
+            "real_contact_area": contact.real_area_px.astype(np.float64) * size**2,
+            "gross_contact_area": contact.gross_area_px.astype(np.float64) * size**2,
+            "ellipse_center": contact.center.astype(np.float64) * size,
+            "ellipse_semi_axes": contact.semi_axes.astype(np.float64) * size,
+            "ellipse_angle": contact.angle,
+        }.items():
+            self.series[name][indices] = values
+        if "gross_contact_region" in self.results:
+            region = contact.density_margin[:, 0] > 0
+            self.results["gross_contact_region"][indices] = region & self._usable[indices, None, None]
+        self._gain[indices] = contact.light_gain
+        self._blind[indices] = np.isnan(contact.light_gain) & (contact.real_area_px > 0)
+        return contact
+
+    def finish(self) -> None:
+        """Warns where the lamp may have changed and nothing tells by how much."""
+        first_frame = self.inputs.scene.recording.first_frame
+        for values in (*self.series.values(), self._gain):
+            values[~self._usable] = np.nan
+        self._blind &= self._usable
+        known = self._gain[np.isfinite(self._gain)]
+        if self._blind.any() and (not len(known) or np.abs(known - 1).max() > _STEADY):
+            first = int(np.argmax(self._blind)) + first_frame
+            self.warnings.append(
+                f"the light changes, but {int(self._blind.sum())} frames, the first is {first}, show no empty glass to "
+                f"tell by how much: their areas are those of steady light. Leave some glass free around the finger, or "
+                f"record the empty glass again"
+            )
+        area = self._view.shape[0] * self._view.shape[1] * self.inputs.mm_per_px**2
+        real, gross = self.series["real_contact_area"], self.series["gross_contact_area"]
+        radius = self.inputs.scene.contact.gross_radius_px
+        self.warnings.extend(plausibility.of_areas(real, gross, area, radius, first_frame))
+        for name, values in self.series.items():
+            self.results.put(name, values)
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        self.series = {name: earlier[name].values for name in self.series if name in earlier}
+
+    def cells(self) -> dict[str, float]:
+        """What tells where the cells of a region lie."""
+        size = self.inputs.mm_per_px
+        return {"cell_mm": self.cell_px * size, "first_cell_mm": (self.cell_px - 1) / 2 * size}
+
+    def largest(self) -> Tensor:
+        """The gross region (1, 1, h, w) bool of the reference frame, the one with most contact."""
+        return self._region_of(self.reference_frame)
+
+    def largest_and_first(self, window_px: int) -> Tensor:
+        """(1, 1, h, w) bool, the gross region of the reference frame, and that of the first frame where this one covers
+        more than a window besides: a contact that has left it, whose skin has no onset to wait for.
+        """
+        largest, first = self.largest(), self._region_of(int(np.argmax(self._usable)))
+        return largest | first if (first & ~largest).sum() > window_px**2 else largest
+
+    def first_and_largest(self, margin_px: int) -> Tensor:
+        """(1, 1, h, w) bool, also the region of the first frame, which a contact that slides has left by then; with a
+        margin, so that there are points on both sides of the border of the contact.
+        """
+        first = int(np.argmax(self._usable))
+        return dilate(self._region_of(first) | self.largest(), margin_px)
+
+    def _region_of(self, frame: int) -> Tensor:
+        contact, _ = run_alone(self._contact(read_frames(self.inputs.recording[[frame]])))
+        if not (contact.density_margin > 0).any():
+            return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
+        return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
+
+    def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[Contact, NDArray[np.floating]]]:
+        images = self._engine.images(self._view.crop(frames))
+        if self._threshold is None:
+            threshold = yield Call(self._engine.threshold, (images, self._light))
+        else:
+            threshold = np.full(len(images), self._threshold, np.float32)
+        return (yield Call(self._engine.contact, (images, self._light, threshold))), threshold
+
+    def _most_contact(self, normal_force: NDArray[np.float64] | None) -> int:
+        if normal_force is not None:
+            known = np.where(self._usable, normal_force, np.nan)
+            if np.isfinite(known).any():
+                return int(np.nanargmax(known))
+        usable = np.flatnonzero(self._usable)
+        looks = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), _LOOKS)).round().astype(int))]
+        light, black = glass_light(self.inputs.reference(self._view), self.inputs.dark(self._view))
+        if (drawn := region_mask(self.inputs.scene, "contact")) is not None:
+            light = torch.where(torch.from_numpy(drawn).to(light.device), light, 0.0)
+        shares = [self._brightness(read_frames(self.inputs.recording[[int(i)]]), light, black) for i in looks]
+        return int(looks[int(np.nanargmin(shares))]) if np.isfinite(shares).any() else int(usable[0])
+
+    def _brightness(self, frame: NDArray[np.generic], light: Tensor, black: Tensor) -> float:
+        """Mean light of a frame as a share of the empty glass's, the lamp's brightness taken out; NaN where hardly any
+        is left, as in a dark frame: a contact leaves half.
+        """
+        view = self.inputs.view(frame, self._view)
+        some, given, dark = (image[..., ::_STEP, ::_STEP] for image in (view, light, black))
+        seen = float(((some - dark) / given.clamp_min(1)).clamp(0, 1)[given > 0].mean())
+        unknown = np.full(1, np.nan, np.float32)  # by which nothing touches
+        images = self._engine.images(self._view.crop(frame))
+        gain = float(self._engine.contact(images, self._light, unknown).light_gain[0])
+        return seen / (gain if np.isfinite(gain) else 1) if seen > _LEAST_LIGHT else float("nan")
+
+    def _fixed_threshold(self) -> float | None:
+        """Relative intensity loss that counts as contact; None where every frame has its own."""
+        setting = self.inputs.scene.contact.threshold
+        if setting == "per_frame":
+            return None
+        if not isinstance(setting, str):
+            return float(setting)
+        frame = self._view.crop(read_frames(self.inputs.recording[[self.reference_frame]]))
+        threshold = float(self._engine.threshold(self._engine.images(frame), self._light)[0])
+        if not np.isfinite(threshold):
+            raise FingerflowError(
+                f"{self.inputs.recording.path}: no finger is in view. In frame {self.reference_frame}, where "
+                f"most contact was "
+                f"expected, no part of the contact view is darker than the background by more than its noise. Check "
+                f"[views.contact] and [background] in {self.inputs.scene.path}, or set [contact] threshold to "
+                f"a number."
+            )
+        return threshold

@@ -1,0 +1,98 @@
+"""The real contact area by the steps that Willemet et al. (2021) print, to compare with what was published."""
+
+import numpy as np
+import torch
+
+from fingerflow.ops.contact.otsu import otsu_threshold
+from fingerflow.ops.filters.illumination import (
+    NormalizedFrames,
+    contact_signal,
+    dequantize,
+    normalize_illumination,
+    quantize,
+)
+from fingerflow.ops.filters.median import median_filter
+from fingerflow.ops.filters.morphology import erode
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.schema.variables import FRAME, Variable
+
+_MEDIAN_PX = 9
+
+PRINTED_CONTACT = (
+    Variable(
+        "printed_contact_threshold",
+        FRAME,
+        "1",
+        "Otsu's threshold of the intensity lost since the first instant of contact",
+        unasked=False,
+    ),
+    Variable(
+        "printed_real_contact_area",
+        FRAME,
+        "mm2",
+        "real contact area by the steps that Willemet et al. 2021 print",
+        unasked=False,
+    ),
+    Variable(
+        "printed_eroded_contact_area",
+        FRAME,
+        "mm2",
+        "the same, eroded by a unit diamond, as the lab's code has it",
+        unasked=False,
+    ),
+)
+
+
+class PrintedContactStage(Stage):
+    """Their figure S3 A: light over that of the empty glass, taken off that of the first instant of contact, median of
+    9 x 9 px, Otsu's threshold in every frame, pixels counted; and eroded by a unit diamond, as the lab's code has it.
+
+    `ContactStage` measures the same area better: Otsu's threshold of a whole frame is pulled by how much glass is seen,
+    9 x 9 px round the ends of ridges, and what touches at the first instant is taken for glass. A frame in which that
+    stage finds no contact is NaN here, as Otsu's threshold splits the noise of an empty picture too.
+    """
+
+    name = "printed_contact"
+    gives = PRINTED_CONTACT
+    needs = ("views.contact", "background.frames")
+    after = (ContactStage,)
+    reads_frames = True
+    settings = ("views.contact", "background", "calibration.mm_per_px")
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._view = self.inputs.scene.views.contact
+        self._series = {variable.name: np.full(len(trial), np.nan) for variable in PRINTED_CONTACT}
+
+    def begin(self) -> None:
+        self._reference = self.inputs.reference(self._view)
+        self._dark = self.inputs.dark(self._view)
+        self._touches = self.trial.stage(ContactStage).series["real_contact_area"] > 0
+        first = int(np.argmax(self._touches))
+        self._first = self._normalized(self.inputs.recording[[first]].read())
+
+    def step(self, batch: Batch) -> None:
+        touches = self._touches[batch.indices]
+        if not touches.any():
+            return
+        assert batch.frames is not None
+        signal = contact_signal(self._normalized(batch.frames[touches]), self._first)
+        levels = median_filter(quantize(signal), _MEDIAN_PX)
+        threshold = otsu_threshold(levels)
+        mask = levels > threshold.reshape(-1, 1, 1, 1)
+        size = self.inputs.mm_per_px**2
+        for name, values in {
+            "printed_contact_threshold": dequantize(threshold.double()),
+            "printed_real_contact_area": mask.sum((1, 2, 3)).double() * size,
+            "printed_eroded_contact_area": erode(mask, 1, "diamond").sum((1, 2, 3)).double() * size,
+        }.items():
+            self._series[name][batch.indices[touches]] = values.cpu()
+
+    def finish(self) -> None:
+        for name, values in self._series.items():
+            self.results.put(name, values)
+
+    def _normalized(self, frames: np.ndarray) -> NormalizedFrames:
+        view: torch.Tensor = self.inputs.view(frames, self._view)
+        return normalize_illumination(view, self._reference, self._dark)

@@ -1,0 +1,1 @@
+"""Displacement of every point."""

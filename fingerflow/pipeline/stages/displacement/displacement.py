@@ -1,0 +1,325 @@
+"""Displacement of each point from where it was when the contact came to cover it, or in a frame for all."""
+
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.ops.fields.local_fit import local_gradients
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.displacement.common_frame import common_frame
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.tracking.tracking import TrackingStage
+from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.trial.reference import Reference, reference_of
+from fingerflow.pipeline.stages.trial.series import nanmedian
+from fingerflow.results.store import Values
+from fingerflow.schema.variables import DISPLACEMENT, ENTRY
+from fingerflow.tracker.border import BORDER_MM, Border
+from fingerflow.tracker.entry import advected
+from fingerflow.tracker.onset import Touches, Touching
+
+_ELLIPSE_MM = 0.035  # of the ellipse of the border; measured on presses at 40 to 300 frames/s
+_LONGEST_ONSET = 8  # frames to either side over which the speed at onset is taken
+_FRAMES = 64  # read at a time
+Points = NDArray[np.float64]
+
+
+class Moved(NamedTuple):
+    """Displacement of n frames since the reference; NaN before contact and for points that never touch.
+
+    Attributes:
+        displacement: (n, N, 2) mm; by onsets, in a touch that does not stay, since that touch.
+        variance: (n, N) mm^2, of a component, by the noise of the pictures.
+    """
+
+    displacement: Points
+    variance: NDArray[np.float32]
+
+
+class DisplacementStage(Stage):
+    """Where each point was at the reference, what is uncertain about it, and how far it has moved since.
+
+    [fields] reference says what that is: each point's own onset of contact, which is uncertain, or one frame for all.
+
+    The first frame with contact comes half a frame after the contact, on average, and what the skin has moved by then
+    would be missing: at 40 frames/s places of onset are off by 8.7 um at the border of a press, and by 4.8 where the
+    reference is the place at which the border passed the point (`tracker.onset`). Followed forward and backward in time
+    it is the same: at 40 frames/s both give the median divergence to 1 % and the energy to 6 %, as they choose their
+    points in another picture, and as many points more or fewer change as much.
+
+    Attributes:
+        since: that.
+        entered: (E,) numbers of the points that came into contact by moving into it (`entered_skin`), by onsets.
+        by_onsets: whether points count from their own onsets; `places` and `last` are there where they do.
+        places: (N, 2) mm, where points were chosen; of those that were chosen later, `CommonFrame.places`.
+        last: the last usable frame.
+        begins: (N,) frame from which the displacement of a point counts: `onset`, or the frame for all.
+        onset: (N,) first frame in which the contact covers the point and stays, -1 for never, or if the point was lost
+            then: a later one would be taken for it.
+        reference: (N, 2) position then, mm; by onsets, of points that are touched in passing alone, where they were in
+            passing. NaN for points that no contact touches.
+        reference_px: (N, 2) the same, px of the topographic view.
+        noise: (N,) mean of `Moved.variance` over the frames in which it is known, mm^2.
+        of_onset: (N, 2, 2) mm^2, covariance by the error of the time of onset, the same in all frames; 0 by a frame.
+    """
+
+    name = "displacement"
+    gives = DISPLACEMENT
+    needs = ("views.topography",)
+    after: ClassVar[tuple[type[Stage], ...]] = (ContactStage, TrackingStage, FrameCheckStage)
+    settings = (
+        *("fields.gauge_length_mm", "fields.reference", "tracking.template", "tracking.direction"),
+        *("recording.times", "recording.first_frame"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact"),
+    )
+
+    since: Reference
+    entered: NDArray[np.intp]
+    by_onsets: bool
+    places: Points
+    last: int
+    begins: NDArray[np.int32]
+    onset: NDArray[np.int32]
+    reference: Points
+    reference_px: Points
+    noise: Points
+    of_onset: Points
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._scale = self.inputs.topography_mm_per_px
+        self._template = self.inputs.scene.tracking.template
+        self._vector = np.full((len(trial), 2), np.nan)
+        self._fixed: _Fixed | None = None  # where points are in the frame from which all count
+        self._attributes: dict[str, str | int] = {}
+
+    def begin(self) -> None:
+        self._usable = self.trial.stage(FrameCheckStage).usable
+        inputs, first_frame = self.inputs, self.inputs.scene.recording.first_frame
+        self.since = reference_of(inputs.scene, inputs.times, self.results["frame_status"][:], self.warnings)
+        self._attributes = self.since.attributes(first_frame)
+        points = self.results["position"].shape[1]
+        # Where points were chosen all of them are known.
+        usable, backward = np.flatnonzero(self._usable), self.trial.stage(TrackingStage).backward
+        chosen, self.last = int(usable[-1 if backward else 0]), int(usable[-1])
+        self._common = common_frame(self.results["position"], self.results["status"], chosen, backward)
+        if self.since.frame is not None:
+            self._fixed = _Fixed(*(self._in_reference(name) for name in ("position", "position_px", "position_std_px")))
+        self._border = Border.of(self.trial.stage(ContactStage).series)
+        self._find_onsets()
+        moves_in, self.by_onsets = np.zeros(points, dtype=bool), self._fixed is None
+        if self.by_onsets:
+            self._find_errors_of_onset()
+            gauge = inputs.scene.fields.gauge_length_mm
+            self.places = self._common.places
+            moves_in = advected(self.results["position"], self.places, self.onset, self.reference, gauge, self._border)
+        else:
+            self.of_onset = np.zeros((points, 2, 2))
+            self._warn_of_unknown()
+        self.entered = np.flatnonzero(moves_in)
+        self.results.put("onset_frame", np.where(self.onset < 0, -1, self.onset + first_frame), point=points)
+        covered = np.isfinite(self.reference).all(1)
+        entry = np.where(moves_in, ENTRY.index("moved_in"), covered)
+        self.results.put("entry", np.where(self._inside, ENTRY.index("chosen_inside"), entry).astype(np.uint8))
+        self.results.put("reference_position", self.reference, self._attributes)
+        for name in ("displacement", "displacement_std"):
+            self.results.create(name, self._attributes)
+        self._touch = Touches(points)
+        # (N,) mean square of a component
+        self._of_onset = np.trace(self.of_onset, axis1=1, axis2=2).astype(np.float32) / 2
+
+    def step(self, batch: Batch) -> Moved:
+        moved = self._since_touch(self._touch, batch.indices)
+        moved.displacement[:, self._inside] = moved.variance[:, self._inside] = np.nan
+        self.results["displacement"][batch.indices] = moved.displacement
+        # Root mean square error of a component.
+        self.results["displacement_std"][batch.indices] = np.sqrt(moved.variance + self._of_onset)
+        # Component by component (the lab's script takes the x median twice).
+        self._vector[batch.indices] = nanmedian(moved.displacement)
+        return moved
+
+    def finish(self) -> None:
+        self.results.put("global_displacement_vector", self._vector, self._attributes)
+        self.results.put("global_displacement", np.linalg.norm(self._vector, axis=1), self._attributes)
+
+    @property
+    def chosen_later(self) -> NDArray[np.bool_]:
+        """(N,) which points were chosen where skin came into contact, not in the first choice."""
+        return self._common.later
+
+    @property
+    def mm_per_px(self) -> float:
+        """Of the topographic view."""
+        return self._scale
+
+    def tracked_variance(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
+        """(n, N) mm^2, of a component of the position in these frames against the frame of the templates."""
+        variance: NDArray[np.float32] = (self.results["position_std_px"][indices] * np.float32(self._scale)) ** 2
+        return variance
+
+    def covariance(self, moved: Moved) -> NDArray[np.float32]:
+        """(n, N, 2, 2) mm^2, of the displacement; variances are NaN where it is."""
+        result = np.repeat(self.of_onset.astype(np.float32)[None], len(moved.variance), axis=0)
+        for component in range(2):
+            result[..., component, component] += moved.variance
+        return result
+
+    def _find_onsets(self) -> None:
+        touch = Touches(self.results["position"].shape[1])
+        count, total = np.zeros((2, touch.points))
+        for indices in _runs(len(self.trial)):
+            variance = self._since_touch(touch, indices).variance
+            known = np.isfinite(variance)
+            count += known.sum(0)
+            total += np.where(known, variance, 0).sum(0, dtype=np.float64)
+        self.noise = total / np.maximum(count, 1)
+        # A touch that lasts to the end may be one that stays.
+        stays = touch.length > 0
+        came = np.where(stays, touch.start, touch.first)
+        # Of a point that is in contact when it is chosen, later than the first, nobody knows since when.
+        self._inside = self._common.later & (touch.first == self._common.chosen)
+        stays, came = stays & ~self._inside, np.where(self._inside, -1, came)
+        touched = came >= 0
+        self.reference = np.where(stays[:, None], touch.place, touch.first_place)
+        self.reference[self._inside] = np.nan
+        self.reference[~touched] = np.nan
+        self.reference_px = self.inputs.on_topography(self.reference)
+        known_then = stays & np.isfinite(self.reference).all(-1)
+        self.onset = self.begins = np.where(known_then, touch.start, -1).astype(np.int32)
+        if self._fixed is not None:
+            self.onset = np.where(stays, touch.start, -1).astype(np.int32)
+            self.begins = np.full_like(self.onset, self.since.frame)
+            self.reference = np.where(touched[:, None], self._fixed.place, np.nan)
+            self.reference_px = np.where(touched[:, None], self._fixed.place_px, np.nan)
+
+    def _in_reference(self, name: str) -> NDArray[Any]:
+        """(N, ...) a variable in the frame from which all count."""
+        assert self.since.frame is not None
+        values: NDArray[Any] = self.results[name][slice(self.since.frame, self.since.frame + 1)][0]
+        return values
+
+    def _warn_of_unknown(self) -> None:
+        touching = self.onset >= 0
+        unknown = touching & ~np.isfinite(self.reference).all(1)
+        if unknown.any():
+            self.warnings.append(
+                f"{int(unknown.sum())} of the {int(touching.sum())} points that come into contact are not known in "
+                f"fields.reference, frame {self._attributes['reference_frame']}: their displacement and what follows "
+                f"from it is NaN (field_coverage says in how much of the contact something is known)"
+            )
+
+    def _since_touch(self, touch: Touches, indices: NDArray[np.intp]) -> Moved:
+        """What the frames (n,), which follow those that `touch` has seen, have moved by since the touch of each."""
+        position, covered = self.results["position"][indices], self.results["in_contact"][indices]
+        variance = self.results["position_std_px"][indices] ** 2
+        some = np.flatnonzero(self._usable[indices])  # another one ends no touch
+        if len(some) == len(indices):
+            touching = touch.go_on(indices, covered, position, variance, self._border.at(indices))
+        else:
+            unknown, none = np.full((3, *variance.shape), np.nan, np.float32), np.zeros((2, *variance.shape), bool)
+            touching = Touching(np.full_like(position, np.nan), *unknown, *none)
+            if len(some):
+                frames = indices[some]
+                gone_on = touch.go_on(frames, covered[some], position[some], variance[some], self._border.at(frames))
+                for whole, part in zip(touching, gone_on, strict=True):
+                    whole[some] = part
+        if self._fixed is not None:
+            place = np.where(touching.touching[..., None], self._fixed.place, np.nan)
+            exact = np.broadcast_to(self._fixed.deviation_px**2, variance.shape)
+            begins = np.broadcast_to((indices == self.since.frame)[:, None], variance.shape)
+            touching = Touching(place, np.ones_like(variance), exact, exact, touching.touching, begins)
+        moved = np.subtract(position, touching.place, out=touching.place)
+        noise = self._noise(variance, touching)
+        noise *= np.float32(self._scale**2)
+        noise[np.isnan(moved[..., 0] + moved[..., 1])] = np.nan
+        return Moved(moved, noise)
+
+    def _noise(self, now: NDArray[np.float32], touch: Touching) -> NDArray[np.float32]:
+        """Return the variance (n, N) px^2 of a component of the displacement.
+
+        The reference is a weighted mean of the positions in two frames. In the frame in which a touch begins, the later
+        of them is the position `now` itself.
+
+        Against a key frame half of a position's variance is the template's noise, the same in every frame: it falls out
+        of the difference of two positions, unless one of them is the key frame's, which is exact. From frame to frame
+        variances add up.
+        """
+        rest = np.square(1 - touch.share)  # weight of the frame before the touch, squared
+        if self._template == "previous":
+            added: NDArray[np.float32] = abs(now - touch.variance) + rest * abs(touch.variance - touch.earlier)
+            return added
+        then, earlier = (np.where(one > 0, one, now) for one in (touch.variance, touch.earlier))
+        since = now + np.square(touch.share) * then
+        result: NDArray[np.float32] = (np.where(touch.begins, rest * now, since) + rest * earlier) / 2
+        return result
+
+    def _find_errors_of_onset(self) -> None:
+        """Compute the covariance (N, 2, 2) mm^2 of the place of onset: the speed then times the error of the time.
+
+        The coverage of a point selects the two frames of its onset, with an error of `BORDER_MM`, which the border
+        takes d frames to cross. The ellipse gives the moment between these frames. The error is 0 where the ellipse is
+        crossed between the selected frames, and otherwise their distance from that crossing; its mean square is
+        d^3 / (d + 1.4) frame^2 to a tenth. The error of the ellipse itself (`_ELLIPSE_MM`) adds to it, less with
+        larger d. Errors of neighbours are taken as independent, as the border crosses one ridge after the other. A
+        point that touches in the first frame has no onset: its displacement counts from there.
+        """
+        onset, frames = self.onset, len(self.trial)
+        usable = np.flatnonzero(self._usable)
+        after_first = onset > usable[0]
+        known = torch.from_numpy(np.where(after_first[:, None], self.reference, np.nan))[None]
+        slope = local_gradients(
+            known,
+            torch.from_numpy(onset.astype(np.float64))[None, :, None],
+            gauge_length=self.inputs.scene.fields.gauge_length_mm,
+        ).gradient[0, :, 0]
+        frames_per_mm = slope.norm(dim=-1).nan_to_num(0.0).numpy()
+        rough = BORDER_MM * frames_per_mm
+        variance = (_ELLIPSE_MM * frames_per_mm) ** 2 / (1 + rough) + rough**3 / (rough + 1.4)
+        reach = np.clip(np.sqrt(variance).round(), 2, _LONGEST_ONSET).astype(int)
+        # Both sides at once: each look at places reads all frames.
+        every = np.stack((np.maximum(onset - reach, 0), np.minimum(onset + reach, frames - 1)))
+        place = self._place(every)
+        unknown = ~np.isfinite(place).all(-1)
+        every = np.where(unknown, onset, every)
+        if unknown.any():
+            place[unknown] = np.broadcast_to(self._place(onset), place.shape)[unknown]
+        before, after = every
+        step = place[1] - place[0]
+        speed = np.where((after_first & (after > before))[:, None], step / np.maximum(after - before, 1)[:, None], 0.0)
+        # A square of a speed that is measured is too large by the speed's variance: half of two positions'.
+        errors = self._scale * at_frames(self.results["position_std_px"], every % frames)
+        noise = (errors**2).sum(0) / 2 / np.maximum(after - before, 1) ** 2
+        square = (speed**2).sum(1)
+        share = np.where(square > 0, np.clip(1 - 2 * noise / np.maximum(square, 1e-30), 0, 1), 0.0)
+        speed = speed * np.sqrt(share)[:, None]
+        self.of_onset = variance[:, None, None] * speed[:, :, None] * speed[:, None, :]
+
+    def _place(self, frames: NDArray[np.integer]) -> Points:
+        """(..., N, 2) mm, of each point in its frames (..., N), -1 for the last."""
+        return at_frames(self.results["position"], frames % len(self.trial))
+
+
+class _Fixed(NamedTuple):
+    """Points in the frame from which all of them count; NaN where they are not known there."""
+
+    place: Points  # (N, 2) mm
+    place_px: Points
+    deviation_px: NDArray[np.float32]  # (N,)
+
+
+def _runs(frames: int) -> list[NDArray[np.intp]]:
+    """All frames, some at a time."""
+    return [np.arange(first, min(first + _FRAMES, frames)) for first in range(0, frames, _FRAMES)]
+
+
+def at_frames(values: Values, frames: NDArray[np.integer], points: NDArray[np.integer] | None = None) -> NDArray[Any]:
+    """(..., P, ...) values (frames, N, ...) of each of these points, all by default, in its frames (..., P)."""
+    points = np.broadcast_to(np.arange(frames.shape[-1]) if points is None else points, frames.shape)
+    found = np.empty((*frames.shape, *values.shape[2:]), dtype=np.float64)
+    for indices in _runs(values.shape[0]):
+        here = np.nonzero((frames >= indices[0]) & (frames <= indices[-1]))
+        if len(here[0]):
+            found[here] = values[indices][frames[here] - indices[0], points[here]]
+    return found

@@ -1,0 +1,1 @@
+"""Divergence, curl, shear and strain from local fits, and their medians."""

@@ -1,0 +1,123 @@
+"""Divergence, curl, shear and strain by local fits, their medians over the gross contact, and what is not rigid."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow import graphs
+from fingerflow.engines.engine import Ellipse, Entered, Fields
+from fingerflow.ops.fields.rigid_motion import rigid_residual
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
+from fingerflow.pipeline.stages.fields.median_bias import MedianBias
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.trial.series import nanmedian, rate
+from fingerflow.schema.variables import FIELDS
+from fingerflow.tracker.border import Border
+from fingerflow.tracker.entry import EntryGradients
+
+_MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has a rate
+    ("divergence", 0, True),
+    ("curl", 1, False),
+    ("strain", slice(2, 5), True),
+)
+
+
+def _tensors_of(found: Fields) -> graphs.Fields:
+    """The same fields as tensors of torch."""
+    known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
+    return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
+
+
+class FieldsStage(Stage):
+    """Fits in reference coordinates, frame by frame."""
+
+    name = "fields"
+    gives = FIELDS
+    needs = ("views.topography",)
+    beside = (DisplacementStage,)
+    after = (ContactStage,)
+    settings = ("fields.gauge_length_mm", "fields.strain", "fields.rate_window_s", "recording.times")
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self._settings = self.inputs.scene.fields
+        self._engine = self.inputs.engine
+        self._median, self._median_std = np.full((2, len(trial), 5), np.nan)
+        self._residual, self._known = np.full((2, len(trial)), np.nan)
+        self._gauge: dict[str, float | str | int] = {"gauge_length_mm": self.inputs.gauge_length_mm}
+
+    def begin(self) -> None:
+        self._reference = self.trial.stage(DisplacementStage).reference.astype(np.float32)
+        self._gauge |= self.trial.stage(DisplacementStage).since.attributes(self.inputs.scene.recording.first_frame)
+        self._given = ["divergence", "curl", "divergence_std", "curl_std", *({"shear"} & self.trial.asked)]
+        for name in self._given:
+            self.results.create(name, self._gauge)
+        if "rigid_residual" in self.trial.asked:
+            self.results.create("rigid_residual")
+        minor = self.trial.stage(ContactStage).series["ellipse_semi_axes"][:, 1]
+        widest = 2 * float(np.nanmax(minor)) if np.isfinite(minor).any() else np.nan
+        points = self.trial.stage(DisplacementStage).reference
+        self.warnings.extend(plausibility.of_gauge(self.inputs.gauge_length_mm, points, widest))
+
+        moved = self.trial.stage(DisplacementStage)
+        self._bias = MedianBias(len(self.trial), self.inputs.gauge_length_mm, self._settings.strain, moved)
+        self._entry = None
+        if len(moved.entered):
+            self._entry = EntryGradients(
+                *(self._engine, moved.entered, moved.places, moved.onset, self.inputs.gauge_length_mm)
+            )
+
+    def step(self, batch: Batch) -> None:
+        contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
+        moved: Moved = batch.of(DisplacementStage)
+        ellipse = Ellipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
+        covariance = displacement.covariance(moved)
+        entered = None if self._entry is None else self._entered(self._entry, batch.indices)
+        shift = moved.displacement.astype(np.float32)
+        found: Fields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
+        for name in self._given:
+            self.results[name][batch.indices] = getattr(found, name)
+        residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
+        if "rigid_residual" in self.results:
+            self.results["rigid_residual"][batch.indices] = residual
+        across, down = residual[..., 0], residual[..., 1]  # norms over an axis of two take ten times as long
+        self._residual[batch.indices] = nanmedian(np.sqrt(across * across + down * down))
+        self._known[batch.indices] = found.known_share
+        self._median[batch.indices] = found.median
+        self._median_std[batch.indices] = found.median_std
+        self._bias.look(
+            batch,
+            _tensors_of(found),
+            torch.from_numpy(shift),
+            graphs.GrossEllipse(*map(torch.from_numpy, ellipse)),
+            None if entered is None else torch.from_numpy(entered.among),
+        )
+
+    def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> Entered:
+        """Of these frames."""
+        displacement = self.trial.stage(DisplacementStage)
+        since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
+        among = np.zeros((len(frames), len(displacement.onset)), dtype=bool)
+        among[:, displacement.entered] = True
+        assert since.covariance is not None
+        gradient, covariance = (
+            np.full((*among.shape, *one.shape[2:]), np.nan, np.float32) for one in (since.gradient, since.covariance)
+        )
+        gradient[:, displacement.entered] = since.gradient
+        covariance[:, displacement.entered] = since.covariance
+        return Entered(among, gradient, covariance)
+
+    def finish(self) -> None:
+        self.results.put("rigid_residual_median", self._residual)
+        self.results.put("field_coverage", self._known)
+        self._median_std = np.sqrt(self._median_std**2 + self._bias.square())
+        times, window = self.inputs.times, self._settings.rate_window_s
+        for name, columns, has_rate in _MEDIANS:
+            measure = {"measure": self._settings.strain} if name == "strain" else {}
+            median = self._median[:, columns]
+            self.results.put(f"median_{name}", median, self._gauge | measure)
+            self.results.put(f"median_{name}_std", self._median_std[:, columns])
+            if has_rate:
+                self.results.put(f"median_{name}_rate", rate(median, times, window))

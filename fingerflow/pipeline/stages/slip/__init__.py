@@ -1,0 +1,1 @@
+"""The stick and slip regions of the contact."""

@@ -1,0 +1,79 @@
+"""How dense flow blurs the border of a stuck part, measured on the picture that it starts from."""
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.models.partial_slip.border import POWER
+from fingerflow.ops.flow.dense_flow import FlowTemplate, find_flow
+
+_INSIDE = 0.4  # of the mask, within the border that is tried
+_LARGEST_PX = 3.0  # motion that is tried, where the mask ends
+_REACH_PX = 32  # on either side of the border, beyond which nothing of it is seen
+_STEP_PX = 0.5
+_ROUNDS = 20  # of the inversion; it converges as the gradient's power
+_SHORTEST_PX = 4  # from the border to the end of the mask, below which nothing is measured
+
+Field = NDArray[np.float32]
+
+
+class FlowResponse:
+    """What the flow shows of a displacement x^p beyond a border: a `models.partial_slip.border.Seen`.
+
+    The smoothing of the flow follows texture and noise, so it is not known beforehand. Here the picture itself is moved
+    by x^p from a border in it on, along x and along y, and the flow found. It moves with its own noise, so that what
+    is left is the blur alone. On the synthetic trials it shows at the border what windows of 8 px would, and rings a
+    little beside it.
+
+    Args:
+        template: of ``image``.
+        image: (1, 1, H, W).
+        mask: (H, W) bool of the skin.
+        mm_per_px: of the picture.
+    """
+
+    def __init__(self, template: FlowTemplate, image: Tensor, mask: NDArray[np.bool_], mm_per_px: float) -> None:
+        depth = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+        border = max(float(np.quantile(depth[mask], 1 - _INSIDE)), _SHORTEST_PX)
+        beyond = (border - depth).astype(np.float32)  # px beyond the border
+        growth = _LARGEST_PX / border**POWER
+        length = (growth * np.maximum(beyond, 0) ** POWER).astype(np.float32)
+        distances = np.arange(-_REACH_PX, min(_REACH_PX, border - _SHORTEST_PX) + _STEP_PX, _STEP_PX)
+        found = np.mean([_blur(template, image, length, mask, beyond, distances, axis) for axis in (0, 1)], axis=0)
+        known = np.isfinite(found)
+        blur = found[known] / growth
+        self._distances, self._blur = distances[known] * mm_per_px, blur * mm_per_px**POWER
+
+    def __call__(self, distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """mm^p at distances (K,) mm from the border; further away than was measured it is x^p itself."""
+        blur = np.interp(distance, self._distances, self._blur, left=0.0) if len(self._blur) else 0.0
+        return np.asarray(np.maximum(distance, 0) ** POWER + blur)
+
+
+def _blur(
+    template: FlowTemplate,
+    image: Tensor,
+    length: Field,
+    mask: NDArray[np.bool_],
+    beyond: Field,
+    distances: NDArray[np.float64],
+    axis: int,
+) -> NDArray[np.float64]:
+    """px (K,), by how much the flow along an axis is above the truth at distances (K,) px beyond the border, a mean."""
+    picture = image[0, 0].cpu().numpy().astype(np.float32)
+    height, width = picture.shape
+    pixel = [part.astype(np.float32) for part in np.meshgrid(np.arange(width), np.arange(height))]
+    x, y = pixel  # origin of what is seen at a pixel: origin + length(origin) = pixel
+    for _ in range(_ROUNDS):
+        gone = np.asarray(cv2.remap(length, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        x, y = (pixel[0] - gone, y) if axis == 0 else (x, pixel[1] - gone)
+    moved = np.asarray(cv2.remap(picture, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE))
+    start = np.zeros((1, 2, height, width), np.float32)
+    start[0, axis] = length
+    given, initial = (torch.from_numpy(one).to(image.device) for one in (moved[None, None], start))
+    found = find_flow(template, given, initial, warps=2).displacement[0, axis].cpu().numpy()
+    counted = mask & np.isfinite(found)
+    near = [counted & (np.abs(beyond - at) < 1) for at in distances]
+    return np.array([(found - length)[here].mean() if here.any() else np.nan for here in near])

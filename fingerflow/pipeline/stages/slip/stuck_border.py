@@ -1,0 +1,194 @@
+"""The border of the stuck part, found by how the displacement beside it begins."""
+
+import math
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fingerflow.models.partial_slip.border import BorderFit, Seen, border_level, fit_border
+from fingerflow.ops.contact.components import fill_holes
+from fingerflow.ops.fields.rigid_motion import rigid_residual
+from fingerflow.pipeline.stages.slip.slip_grid import Field, Mask, SlipGrid
+
+FOLLOWED_MM = 0.02  # displacement whose contour the displacement beside it is averaged along: far above its noise
+_FEWEST_SLIPPED = 5  # points of a frame that tell the direction of slip
+_HELD_SHARE = 0.25  # of the limit, below which points are held by the glass
+_FEWEST_HELD = 3  # points that a rigid motion is taken from
+_LEAST_INSIDE = 0.1  # of the contact within the contour: there is room for windows that do not reach it
+_BINS_A_WINDOW = 14
+_FROM, _TO = -0.36, 3.5  # half windows from the contour, negative outside, that the fit takes
+_DEEP = 1.75  # half windows inside the contour, where no window reaches skin that slips
+_LEAST_POINTS = 20  # in a bin
+_MOST_POINTS = 400  # that lower the error of a bin: they are not independent
+_LEAST_SPREAD_MM = 1e-4
+_STEPS = np.linspace(0.15, 1, 18)  # of the level, as the annulus becomes as wide as a window
+_WIDEST = 3.0  # half windows, above which the width of the annulus does not matter
+
+
+class StuckBorder:
+    """What all frames say together about how displacement begins beside the stuck part, and the stuck part by it.
+
+    In every frame the contour of 0.02 mm is far above the noise. The displacement of the points along the direction
+    of slip, averaged over all frames by their distance from it, has a noise of a tenth of a micrometre, and where it
+    begins is fitted as it is seen (`models.partial_slip.border`). That gives the level which is seen at the border; the
+    stuck part of a frame is where displacement is below it.
+
+    Args:
+        grid: of the contact.
+        half_window_mm: how far around itself a displacement looks.
+        seen: what it shows of a displacement that begins at a border.
+        clear: times the noise; where the level is below that, the contour there is looked for, and the border as far
+            inside of it as the fit says.
+
+    Attributes:
+        fit: None where it was not to be had, `reason` says why; then the level is 0.02 mm.
+        level: mm, of a slipping annulus wider than a window.
+        noise: mm, standard deviation of the displacement of points that stick.
+    """
+
+    def __init__(self, grid: SlipGrid, half_window_mm: float, seen: Seen, clear: float = 0.0) -> None:
+        self._grid, self._half, self._seen, self._above = grid, half_window_mm, seen, clear
+        bins = round((_TO - _FROM) / 2 * _BINS_A_WINDOW)
+        self._edges = np.linspace(_FROM, _TO, bins + 1) * half_window_mm
+        self._count, self._sum, self._squares = np.zeros((3, bins))
+        self._deep_count, self._deep_squares, self._deep_sum = 0, 0.0, np.zeros(2)
+        self._direction = np.zeros(2)
+        self.fit: BorderFit | None = None
+        self.level, self.noise, self.reason = FOLLOWED_MM, np.nan, ""
+        self._base = np.zeros(2)
+        self._widths = np.linspace(0, _WIDEST, 200) * half_window_mm  # of the annulus, and the level for each
+        self._of_width = np.zeros(200)
+
+    def gather(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> None:
+        """A frame: displacement (N, 2) mm of the points, NaN where lost, and of the cells, and the contact's cells."""
+        length = np.linalg.norm(moved, axis=-1)
+        slipped = length > FOLLOWED_MM
+        if slipped.sum() < _FEWEST_SLIPPED:
+            return
+        contact = self._grid.fine_mask(region & self._grid.known)
+        still = self._grid.fine(np.linalg.norm(displacement, axis=-1)) < FOLLOWED_MM
+        inside, outside = contact & still, contact & ~still
+        if inside.sum() < _LEAST_INSIDE * contact.sum() or not outside.any():
+            return
+        along = moved[slipped].sum(0)
+        direction = along / np.linalg.norm(along)
+        self._direction += along
+        depth = self._grid.at_points(np.where(inside, _distance(outside), -_distance(inside))) * self._grid.fine_mm
+        used = np.isfinite(length) & (self._grid.at_points(contact) > 0)
+        component = moved @ direction
+        bins = np.digitize(depth[used], self._edges) - 1
+        counted = (bins >= 0) & (bins < len(self._count))
+        values = component[used][counted]
+        for total, weights in ((self._count, None), (self._sum, values), (self._squares, values**2)):
+            total += np.bincount(bins[counted], weights, len(total))
+        deep = used & (depth > _DEEP * self._half)
+        self._deep_count += int(deep.sum())
+        self._deep_sum += moved[deep].sum(0)
+        self._deep_squares += float((component[deep] ** 2).sum())
+
+    @property
+    def followed(self) -> float:
+        """mm, displacement whose contour is looked for beside a wide annulus."""
+        return float(np.fmax(self.level, self._above * self.noise))
+
+    def settle(self) -> None:
+        """Fits what was gathered."""
+        if self._deep_count:
+            self._base = self._deep_sum / self._deep_count
+            self.noise = float(np.sqrt(self._deep_squares / self._deep_count))
+        filled = self._count >= _LEAST_POINTS
+        count = self._count[filled]
+        mean = self._sum[filled] / count
+        spread = np.sqrt(np.maximum(self._squares[filled] / count - mean**2, _LEAST_SPREAD_MM**2))
+        middle = ((self._edges[1:] + self._edges[:-1]) / 2)[filled]
+        self.fit = fit_border(middle, mean, np.minimum(count, _MOST_POINTS) / spread**2, self._seen, self._half / 50)
+        if self.fit is None:
+            self.reason = "no frames show a stuck part with slipping skin around it"
+            return
+        self._of_width = border_level(self._widths, self.fit.growth, self._seen)
+        level = float(self._of_width[-1])
+        if level >= FOLLOWED_MM:
+            self.reason = (
+                f"beside the stuck part displacement grows by {self.fit.growth:.2g} mm over the first mm, so steeply "
+                f"that what is seen over {2 * self._half:.2f} mm shows {1000 * level:.0f} µm at its border"
+            )
+            return
+        self.level = level
+
+    def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
+        """Fine places of the contact's cells that stick, by the displacement of the cells; arguments as of `gather`."""
+        contact = self._grid.fine_mask(region)
+        inside = contact & self._grid.fine_mask(self._grid.known)
+        length = self._grid.fine(np.linalg.norm(displacement, axis=-1))
+        if self.level == FOLLOWED_MM or self.fit is None:
+            return np.asarray(inside & (length < FOLLOWED_MM))
+        slipped = displacement[region & self._grid.known & (np.linalg.norm(displacement, axis=-1) > FOLLOWED_MM)]
+        along = slipped.sum(0) if len(slipped) else self._direction
+        direction = (along / np.linalg.norm(along)).astype(np.float32)
+        component = self._grid.fine((displacement - self._base.astype(np.float32)) @ direction)
+        levels = _STEPS * self.level
+        share = np.searchsorted(np.sort(component[inside]), levels) / max(int(contact.sum()), 1)
+        radius = np.sqrt(contact.sum() / np.pi) * self._grid.fine_mm
+        at_border = np.interp(radius * (1 - np.sqrt(np.minimum(share, 1))), self._widths, self._of_width)
+        first = int(np.argmax(levels >= at_border)) if (levels >= at_border).any() else len(levels) - 1
+        width = radius * (1 - math.sqrt(min(float(share[first]), 1)))
+        clear, beyond = self._clear(float(levels[first]), width)
+        held = inside & (length < FOLLOWED_MM)
+        slow = held & (component < clear)
+        # The low levels are those of a narrow annulus at the rim. What does not reach the rim is none: below the level
+        # of a wide one it is noise.
+        filled = fill_holes(torch.from_numpy(slow)[None, None])[0, 0].numpy()
+        slow |= filled & held & (component < self.followed)
+        return np.asarray(slow & (_distance(contact & ~slow) * self._grid.fine_mm > beyond) if beyond > 0 else slow)
+
+    def _clear(self, level: float, width: float) -> tuple[float, float]:
+        """mm, the displacement whose contour is looked for, and how far beyond the border it lies: the level at the
+        border itself, or more where noise asks for it, as far as the slipping annulus of this width goes.
+        """
+        assert self.fit is not None
+        at = np.linspace(0, width / 2, 100)
+        shown = np.maximum.accumulate(self.fit.growth * (self._seen(at) - self._seen(at - width)))
+        clear = min(self._above * self.noise, float(shown[-1]))
+        if not clear > level:
+            return level, 0.0
+        return clear, float(np.interp(clear, shown, at) - np.interp(level, shown, at))
+
+
+class Length:
+    """Skin sticks that has moved by less than a length, against the glass at rest or against the skin that sticks.
+
+    Args:
+        limit_mm: the length.
+        relative: against the best rigid motion of the points that stuck in the frame before, the first time of all in
+            contact. Then skin does not stick again that has come loose, and where fewer than three points stick
+            nothing does.
+    """
+
+    def __init__(self, grid: SlipGrid, limit_mm: float, relative: bool) -> None:
+        self._grid, self._limit, self._relative = grid, limit_mm, relative
+        self._held: Mask | None = None  # (N,) points that stuck so far
+
+    def stuck(self, moved: NDArray[np.float64], displacement: Field, region: Mask) -> Mask:
+        """As `StuckBorder.stuck`."""
+        contact = self._grid.fine_mask(region & self._grid.known)
+        if not self._relative:
+            return np.asarray(contact & (self._grid.fine(np.linalg.norm(displacement, axis=-1)) < self._limit))
+        held = self._grid.at_points(contact) > 0 if self._held is None else self._held
+        if np.sum(held & np.isfinite(moved).all(-1)) < _FEWEST_HELD:
+            self._held = np.zeros_like(held)
+            return np.zeros_like(contact)
+        weights = torch.from_numpy(held.astype(np.float64))[None]
+        left = rigid_residual(torch.from_numpy(self._grid.points)[None], torch.from_numpy(moved)[None], weights)
+        slipped = self._grid.displacement(left[0].numpy())
+        length = self._grid.fine(np.linalg.norm(slipped, axis=-1))
+        # Skin near the limit has slipped itself: it would take the motion of the glass along.
+        self._held = held & (self._grid.at_points(length) < _HELD_SHARE * self._limit)
+        return np.asarray(contact & (length < self._limit))
+
+
+def _distance(mask: Mask) -> Field:
+    """Of every fine place from the edge of those in a mask, in fine places."""
+    found = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.asarray(found - 0.5, dtype=np.float32)

@@ -1,0 +1,1 @@
+"""Soft sensors with printed markers."""

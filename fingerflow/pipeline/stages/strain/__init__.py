@@ -1,0 +1,1 @@
+"""Strain and strain energy of the triangles between points."""

@@ -1,0 +1,104 @@
+"""Triangles of the skin, and from where and when the displacement of their corners counts."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved, at_frames
+from fingerflow.pipeline.stages.strain.entered_skin import EntryTriangles, entry_triangles, triangulate
+from fingerflow.results.store import Store
+from fingerflow.tracker.entry import LEAST_AREA
+
+Points = NDArray[np.float64]
+
+
+class CountedSkin:
+    """Points by their own reference, and the corners of triangles apart.
+
+    Those are triangles with skin that moved into the contact, or whose shape by places of onset is not the skin's. Each
+    of their corners is a point of its own, which counts from the frame in which the last of the three has touched: so a
+    triangle has one reference, and no strain comes from the difference of two.
+
+    Attributes:
+        triangles: (M, 3) numbers of points; those of skin that moved in are the last.
+        corners: (M, 3) the same as numbers of the points here.
+        begins: (M,) frame from which a triangle counts.
+        since: (P,) frame from which a point counts.
+        reference: (P, 2) mm, position then; NaN for points of no triangle by their own reference.
+        places_px: (P, 2) px of the topographic view, the same.
+        noise: (P,) mm^2, as `DisplacementStage.noise`.
+        of_onset: (P, 2, 2) mm^2, as there; 0 where a frame is the reference.
+        by_onsets: as there.
+    """
+
+    def __init__(self, stage: DisplacementStage, results: Store, frames: int) -> None:
+        self._stage, self._position, self.by_onsets = stage, results["position"], stage.by_onsets
+        onset = np.where(stage.onset < 0, frames, stage.onset)
+        reference, places = stage.reference.copy(), stage.reference_px.copy()
+        reference[stage.entered] = places[stage.entered] = np.nan
+        plain, found = triangulate(reference), self._of_entered()
+        begins = onset[plain].max(1, initial=0)
+        if stage.by_onsets:
+            apart = self._collapsed(plain, begins, reference)
+            found = EntryTriangles(
+                np.concatenate([plain[apart], found.corners]), np.concatenate([begins[apart], found.begins])
+            )
+            plain, begins = plain[~apart], begins[~apart]
+        self._points, since = found.corners.flatten(), np.repeat(found.begins, 3)  # of the corners apart
+        own = len(onset) + np.arange(len(since), dtype=np.int32).reshape(-1, 3)
+        self.triangles = np.concatenate([plain, found.corners])
+        self.corners = np.concatenate([plain, own])
+        self.begins = np.concatenate([begins, found.begins])
+        self.since = np.concatenate([stage.begins, since])
+        self._since = since
+
+        def then(name: str) -> NDArray[np.float64]:
+            return at_frames(results[name], since, self._points)
+
+        self._then = then("position")
+        self._variance = (then("position_std_px") * stage.mm_per_px) ** 2
+        self.reference = np.concatenate([reference, self._then])
+        self.places_px = np.concatenate([places, then("position_px")])
+        self.noise = np.concatenate([stage.noise, stage.noise[self._points]])
+        self.of_onset = np.concatenate([stage.of_onset, np.zeros((len(since), 2, 2))])
+
+    def _of_entered(self) -> EntryTriangles:
+        stage = self._stage
+        if not len(stage.entered):
+            return EntryTriangles(np.zeros((0, 3), np.int32), np.zeros(0, np.int64))
+        # Skin that came later may have left again: the last frame does not show all of it.
+        some_later = stage.chosen_later.any()
+        places = stage.places if some_later else self._position[slice(stage.last, stage.last + 1)][0]
+        return entry_triangles(stage.entered, places, stage.onset)
+
+    def _collapsed(
+        self, triangles: NDArray[np.int32], begins: NDArray[np.integer], reference: Points
+    ) -> NDArray[np.bool_]:
+        """Which triangles (M, 3) are, by the places of onset of their corners, shrunk or stretched in some direction by
+        more than a factor of `LEAST_AREA` against the skin in the frame in which the last of them touches: such a
+        border case, too, is a difference of two references.
+        """
+        touched = np.flatnonzero(begins < self._position.shape[0])
+        corners = triangles[touched]
+        then = at_frames(self._position, np.repeat(begins[touched], 3), corners.flatten()).reshape(-1, 3, 2)
+        by_onset, of_skin = (one[:, 1:] - one[:, :1] for one in (reference[corners], then))
+        known = np.isfinite(of_skin).all((1, 2)) & (abs(np.linalg.det(np.nan_to_num(of_skin))) > 1e-12)
+        ratio = np.linalg.solve(of_skin[known], by_onset[known])
+        stretches = np.linalg.svd(ratio, compute_uv=False)
+        result = np.zeros(len(triangles), dtype=bool)
+        result[touched[known]] = (stretches[:, 1] < LEAST_AREA) | (stretches[:, 0] > 1 / LEAST_AREA)
+        return result
+
+    def moved(self, moved: Moved, frames: NDArray[np.intp]) -> tuple[Points, NDArray[np.float32]]:
+        """Displacement (n, P, 2) mm and its covariance (n, P, 2, 2) mm^2 in these frames (n,)."""
+        stage, points = self._stage, self._points
+        covariance = stage.covariance(moved)
+        if not len(points):
+            return moved.displacement, covariance
+        counts = (frames[:, None] >= self._since) & np.isfinite(moved.displacement[:, points]).all(-1)
+        own = np.where(counts[..., None], self._position[frames][:, points] - self._then, np.nan)
+        # As for all points: half of a position's variance is its template's, the same in every frame.
+        noise = np.where(
+            frames[:, None] == self._since, 0, (stage.tracked_variance(frames)[:, points] + self._variance) / 2
+        )
+        added = (noise[..., None, None] * np.eye(2)).astype(np.float32)
+        return np.concatenate([moved.displacement, own], axis=1), np.concatenate([covariance, added], axis=1)

@@ -1,0 +1,282 @@
+"""Points of the skin through all frames of the topography view."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fingerflow.engines.engine import Found, Images, nothing_found
+from fingerflow.engines.together import Steps
+from fingerflow.errors import FingerflowError, NoRoomError
+from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
+from fingerflow.pipeline.stages.contact.contact import ContactStage
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.pipeline.stages.tracking.new_skin import Known, NewSkin
+from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.trial.frame_check import FrameCheckStage
+from fingerflow.pipeline.stages.trial.regions import region_mask
+from fingerflow.pipeline.stages.trial.series import nanmedian
+from fingerflow.results.free_space import size_of_results
+from fingerflow.schema.variables import TRACKING
+from fingerflow.tracker.motion import Motion
+from fingerflow.tracker.points import Points, beside
+
+_SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
+MOST_CHOSEN = 3  # times `tracking.points`, of points that are chosen in a recording altogether
+
+
+class TrackingStage(Stage):
+    """Follows points from frame to frame, in the order of time or against it.
+
+    With keyframes every frame is compared with the first one, the template deformed by the gradient of the motion found
+    so far: errors do not add up. From frame to frame they do.
+
+    Where skin comes into contact that lay outside the region of that choice (`NewSkin`), points are chosen there too,
+    in the last frame of a batch, which is their key frame; in the frames before they have the status NOT_CHOSEN_YET.
+    Of a press there are none.
+    """
+
+    name = "tracking"
+    gives = TRACKING
+    needs = ("views.topography",)
+    beside = (ContactStage,)
+    after: ClassVar[tuple[type[Stage], ...]] = (FrameCheckStage,)
+    reads_frames = True
+    settings: ClassVar[tuple[str, ...]] = (
+        *("tracking", "views.topography", "stream.region", "background", "contact.gross_radius_px"),
+        *("calibration.mm_per_px", "calibration.topography_to_contact", "recording.first_frame"),
+    )
+    restored = True
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        inputs, view = self.inputs, self.inputs.scene.views.topography
+        assert view is not None
+        self._view = view
+        self._settings = inputs.scene.tracking
+        self._engine = inputs.engine
+        self._matrix = inputs.topography_to_contact.astype(np.float32)
+        self._chosen: list[Points] = []
+        self._around: list[NDArray[np.intp]] = []  # numbers (A,) of the points before that each of these goes by
+        self._density = 0.0  # points a px of the region of the first choice
+        self._new_skin: NewSkin | None = None
+        self._full = False  # whether no more points may be chosen
+        self._skipped: list[int] = []  # frames before the points were chosen
+        self._region = np.zeros((0, 0), bool)  # (h, w) px of the contact view: where to look for points
+        self._share, self._error, self._differs = np.full((3, len(trial)), np.nan)
+
+    @classmethod
+    def depends_on(cls, planned: Sequence[type[Stage]]) -> Any:
+        return any(stage.follows_border for stage in planned)
+
+    @property
+    def backward(self) -> bool:
+        return self._settings.direction == "backward"
+
+    def begin(self) -> None:
+        """Finds out where skin touches; where none does there is none to follow, which a warning says."""
+        contact = self.trial.stage(ContactStage)
+        self._usable = self.trial.stage(FrameCheckStage).usable
+        border = self.depends_on(self.trial.planned)
+        window = self._settings.window_px
+        region = contact.first_and_largest(window) if border else contact.largest_and_first(window)
+        self._region = region[0, 0].cpu().numpy()
+        if not self._region.any():
+            self.warnings.append(
+                f"no contact was found in frame {contact.reference_frame + self.inputs.scene.recording.first_frame}, "
+                f"where most of it was expected: there are no points and no deformation"
+            )
+            self._create(0)
+
+    def step(self, batch: Batch) -> Any:
+        """Tracks through these frames, in the order given; those that are not usable are passed over."""
+        if "position" in self.results and not self.results["position"].shape[1]:
+            return
+        assert batch.frames is not None
+        margin = batch.of(ContactStage).density_margin
+        images = self._engine.images(self._view.crop(batch.frames))
+        numbers = np.arange(len(images))
+        for some in np.split(numbers, np.flatnonzero(np.diff(self._usable[batch.indices])) + 1):
+            indices = batch.indices[some]
+            if self._usable[indices[0]]:
+                yield from self._step_through(images[some[0] : some[-1] + 1], indices, margin[some[0] : some[-1] + 1])
+            else:
+                self._pass_over(indices)
+
+    def _pass_over(self, indices: NDArray[np.intp]) -> None:
+        """Frames that tell nothing: points are expected on where their speed leads."""
+        if not self._chosen:
+            self._skipped.extend(indices)
+            return
+        self.results["status"][indices] = TrackStatus.FRAME_NOT_USABLE
+        for points in self._chosen:
+            points.pass_over(len(indices))
+
+    def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
+        every: list[Found] = []
+        if not self._chosen:
+            first = self._choose(images[:1], margin[:1])
+            for skipped in self._skipped:
+                self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
+            rest = [(yield from self._chosen[0].follow(images[1:]))] if len(images) > 1 else []
+            every.append(Found(*map(np.concatenate, zip(first, *rest, strict=True))))
+        else:
+            for points, numbers in zip(self._chosen, self._around, strict=True):
+                around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
+                every.append((yield from points.follow(images, around)))
+        found = beside(every)
+        before, last = found.status.shape[1], len(images) - 1
+        new = self._choose_new(images[last:], margin[last], found.of(slice(last, None)))
+        if new is not None:
+            found = beside([found, _in_last_of(len(images), new)])
+        pixels, error, status = found.points, found.error, found.status
+        covered = self._engine.covered(margin, found.estimate, self._matrix)
+        for name, values in {
+            "position": self.inputs.on_glass(pixels.astype(np.float64)),
+            "position_px": pixels,
+            "position_std_px": np.sqrt(found.variance),
+            "forward_backward_error": error,
+            "status": status,
+            "in_contact": covered & (status != TrackStatus.NOT_CHOSEN_YET),
+        }.items():
+            self.results[name][indices] = values
+        tracked, differs = (status[:, :before] == one for one in (TrackStatus.TRACKED, TrackStatus.WINDOW_DIFFERS))
+        self._share[indices] = tracked.mean(1)
+        self._differs[indices] = differs.mean(1)
+        self._error[indices] = nanmedian(np.where(tracked, error[:, :before], np.nan))
+
+    def finish(self) -> None:
+        first_frame = self.inputs.scene.recording.first_frame
+        self.warnings.extend(plausibility.of_tracking(self._share, first_frame))
+        self.warnings.extend(plausibility.of_windows(self._differs, first_frame))
+        self.results.put("tracked_share", self._share)
+        self.results.put("window_differs_share", self._differs)
+        self.results.put("forward_backward_median", self._error)
+
+    def _create(self, points: int) -> None:
+        for variable in TRACKING:
+            if "point" in variable.dims:
+                self.results.create(variable.name, point=points)
+
+    def _choose(self, image: Images, margin: NDArray[np.floating]) -> Found:
+        """Seeds the points in the first frame."""
+        where = self._where()
+        points = self._engine.detect(self._view_for_choice(image), where, self._settings.points)
+        if len(points) < 3:
+            raise FingerflowError(
+                f"{self.inputs.recording.path}: {len(points)} points with texture were found in the "
+                f"contact region of the topographic view, at least 3 are needed. Check [views.topography] and its "
+                f"region, [stream] region, the calibration and the focus."
+            )
+        asked, apart = self._settings.points, self._settings.min_distance_px
+        self.warnings.extend(plausibility.of_points(len(points), asked, apart, int(where.sum())))
+        self._create(len(points))
+        self._density = len(points) / float(where.sum())
+        self._new_skin = NewSkin(self.inputs.topography_to_contact, self._engine.cell_px, self._settings.window_px)
+        self._new_skin.searched.append(where)
+        self._new_skin.begin(margin[0, 0], points)
+        return self._add(Points(*(self._engine, image, points), **self._how()), np.zeros(0, np.intp))
+
+    def _how(self) -> dict[str, Any]:
+        return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
+
+    def _add(self, points: Points, numbers: NDArray[np.intp]) -> Found:
+        """Follows points from now on, which go by those of these numbers; what is found (1, N) of them."""
+        self._chosen.append(points)
+        self._around.append(numbers)
+        return points.as_seeded
+
+    def _view_for_choice(self, image: Images) -> Images:
+        return image if self._settings.points_from == "recorded" else self._enhanced(image)
+
+    def _choose_new(self, image: Images, margin: NDArray[np.floating], found: Found) -> Found | None:
+        """Points that are seeded in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
+        if self._full:
+            return None
+        assert self._new_skin is not None
+        place = np.concatenate([one.expect(0) for one in self._chosen])
+        start = np.concatenate([one.start for one in self._chosen])
+        total, tracked = len(place), found.status[0] == TrackStatus.TRACKED
+        choice = np.repeat(np.arange(len(self._chosen)), [len(one) for one in self._chosen])
+        region = self._new_skin.region(margin[0], Known(place, start, tracked, choice))
+        if region is None:
+            return None
+        if (drawn := region_mask(self.inputs.scene, "topography")) is not None:
+            region &= drawn
+        wanted = min(round(self._density * float(region.sum())), MOST_CHOSEN * self._settings.points - total)
+        if wanted < 1:
+            return None
+        points = self._engine.detect(self._view_for_choice(image), region, wanted)
+        if not len(points) or not self._make_room(total, len(points)):
+            return None
+        apart, _ = cKDTree(points).query(place)
+        near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
+        self._new_skin.searched.append(region)
+        every = Motion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
+        new = Points(self._engine, image, points, found.points[0, near], motion=every.seeded(points), **self._how())
+        return self._add(new, near)
+
+    def _make_room(self, points: int, more: int) -> bool:
+        """Lets the results grow; a warning says where they may not."""
+        given = [one for stage in self.trial.planned for one in stage.gives]
+        given = [one for one in given if one.unasked or one.name in self.trial.asked]
+        why = ""
+        if points + more == MOST_CHOSEN * self._settings.points:
+            why = f"{points + more} points, {MOST_CHOSEN} times tracking.points, have been chosen"
+        try:
+            self.results.check_room(size_of_results(given, len(self.trial), more))
+        except NoRoomError as error:
+            why, more = str(error), 0
+        if why:
+            self._full = True
+            self.warnings.append(f"no more points are chosen where skin comes into contact: {why}")
+        if more:
+            self.results.grow("point", points + more, {"status": TrackStatus.NOT_CHOSEN_YET})
+        return more > 0
+
+    def _enhanced(self, image: Images) -> Images:
+        """The picture in which Willemet et al. (2021, figure S3 B) choose points. It changes little: on the shipped
+        press points so chosen are 0.0274 px off in the last frame, others 0.0282, and as many lie on dust.
+        """
+        # Loading kornia for it takes a third of a second.
+        from fingerflow.ops.tracking.contrast import stretch_contrast, subtract_background, unsharp_mask
+
+        recorded = torch.as_tensor(np.asarray(image, dtype=np.float32)).to(self.inputs.device)
+        skin = subtract_background(recorded, self.inputs.reference(self._view))
+        enhanced = unsharp_mask(stretch_contrast(skin), _SHARPEN_PX)
+        return self._engine.images(enhanced[:, 0].cpu().numpy())
+
+    def _where(self) -> NDArray[np.bool_]:
+        """(h, w) bool: the region that the scene draws in the topography view; or where in the first frame of a stream
+        skin is expected to touch: so both have the same points. Else, and of a stream's region where the last frame
+        comes first, all that touches at some time.
+        """
+        drawn = region_mask(self.inputs.scene, "topography")
+        if drawn is not None:
+            return drawn
+        stated = self.inputs.scene.stream.region
+        if stated is not None and self._settings.direction == "forward":
+            mask = np.zeros(self._view.shape, dtype=bool)
+            stated.crop(mask)[...] = True
+            return mask
+        height, width = self._view.shape
+        region = cv2.warpAffine(
+            self._region.astype(np.uint8),
+            self.inputs.topography_to_contact,
+            (width, height),
+            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        )
+        return region > 0
+
+
+def _in_last_of(frames: int, chosen: Found) -> Found:
+    """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
+    before = Found(*(np.repeat(one, frames, axis=0) for one in chosen))
+    for one in before[:3]:
+        one[:-1] = np.nan
+    before.status[:-1] = TrackStatus.NOT_CHOSEN_YET
+    return before

@@ -1,0 +1,146 @@
+"""Which frames are pictures of the trial, before anything is measured in them."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.stage import Batch, Stage, Trial
+from fingerflow.schema.variables import DARK_SHARE, FRAME_CHECK, FRAME_STATUS, SATURATED_SHARE
+from fingerflow.tracker.block_means import block_means
+from fingerflow.tracker.frame_distances import LONGEST, block_distances
+from fingerflow.tracker.frame_returns import REPEATED_SHARE, jumps_and_returns, repeats
+
+_AT_ONCE = 64  # frames whose distances are taken together: there are a few hundred numbers in each
+_USABLE, _UNREADABLE, _NOT_FINITE, _DARK_FRAME, _SATURATED_FRAME, _REPEATED, _RETURNS = range(len(FRAME_STATUS))
+_SAID = {
+    _UNREADABLE: "frames that the recording cannot give whole",
+    _NOT_FINITE: "frames with pixels that are NaN or infinite",
+    _DARK_FRAME: "dark frames",
+    _SATURATED_FRAME: "saturated frames",
+    _REPEATED: "frames that repeat the one before",
+    _RETURNS: "frames far from those before and after, which agree (torn, shifted, of another light or another time)",
+}
+
+
+class FrameCheckStage(Stage):
+    """Finds frames that cannot be by their own statistics, of some 20,000 pixels of each view.
+
+    Such a frame is no part of any result: what depends on it is NaN, and what stands before and after it is as if it
+    had not been recorded.
+
+    Attributes:
+        usable: (frames,) bool; once it has finished.
+    """
+
+    name = "frame_check"
+    gives = FRAME_CHECK
+    needs = ("views.contact", "background.frames")
+    reads_frames = True
+    settings = ("background", "views.contact", "views.topography", "recording.first_frame")
+    restored = True
+
+    usable: NDArray[np.bool_]
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        views = self.inputs.scene.views
+        self._views = [view for view in (views.contact, views.topography) if view is not None]
+        self._status = np.zeros(len(trial), np.uint8)
+        self._blocks: list[list[NDArray[np.float32]]] = [
+            [] for _ in self._views
+        ]  # of frames that are yet to be compared,
+        self._compared = [0] * len(self._views)  # and of so many before them that were
+        self._distances: list[list[NDArray[np.float32]]] = [[] for _ in self._views]
+        self._light, self._saturated = np.full((2, len(trial)), np.nan)
+
+    def begin(self) -> None:
+        contact = self._views[0]
+        glass = _blocks(self.inputs.reference(contact)[0].cpu().numpy())
+        dark = self.inputs.dark(contact)
+        self._black = 0.0 if dark is None else float(_blocks(dark[0].cpu().numpy()).mean())
+        self._glass = float(glass.mean()) - self._black
+        depth = self.inputs.recording.bit_depth
+        self._top = np.inf if depth is None else 2**depth - 1.5
+        self._glass_saturated = float((glass > self._top).mean())
+
+    def step(self, batch: Batch) -> None:
+        assert batch.frames is not None
+        indices = batch.indices
+        for k, view in enumerate(self._views):
+            blocks = _blocks(view.crop(batch.frames))
+            if batch.frames.dtype.kind == "f":
+                whole = np.isfinite(view.crop(batch.frames)).all(axis=(1, 2))
+                self._status[indices[~whole]] = _NOT_FINITE
+                blocks = np.nan_to_num(blocks, nan=0.0, posinf=0.0, neginf=0.0)
+            if k == 0:
+                self._light[indices] = blocks.mean((1, 2)) - self._black
+                self._saturated[indices] = (blocks > self._top).mean((1, 2))
+            self._blocks[k].append(blocks)
+            if sum(map(len, self._blocks[k])) >= _AT_ONCE:
+                self._compare(k)
+
+    def _compare(self, view: int) -> None:
+        """The frames of a view that are yet to be, with those before them."""
+        blocks, compared = np.concatenate(self._blocks[view]), self._compared[view]
+        self._distances[view].append(block_distances(blocks[compared:], blocks[:compared]))
+        self._blocks[view] = [blocks[-LONGEST - 1 :]]
+        self._compared[view] = len(self._blocks[view][0])
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        self.usable = earlier["frame_status"].values == _USABLE
+
+    def finish(self) -> None:
+        """Names what was found in warnings. Raises FingerflowError where no frame is usable."""
+        status = self._status
+        reasons = self.inputs.recording.unreadable
+        status[list(reasons)] = _UNREADABLE
+        sound = status == _USABLE
+        status[sound & (self._light < DARK_SHARE * self._glass)] = _DARK_FRAME
+        if self._glass_saturated < SATURATED_SHARE:
+            status[sound & (self._saturated > SATURATED_SHARE)] = _SATURATED_FRAME
+        for view in range(len(self._views)):
+            self._compare(view)
+        distances = np.concatenate([np.concatenate(one) for one in self._distances], axis=2)
+        self._distances, self._blocks = [], []  # more than all results hold of a frame without points
+        twice = repeats(distances) & (status == _USABLE)
+        share = float(twice.mean())
+        if share <= REPEATED_SHARE:
+            status[twice] = _REPEATED
+        else:
+            self.warnings.append(
+                f"{self.inputs.recording.path}: {share:.0%} of the frames repeat the one before: the "
+                f"camera gave fewer frames than were stored, and rates and times of onset are coarser by as much"
+            )
+        status[jumps_and_returns(distances, status == _USABLE)] = _RETURNS
+        self.usable = status == _USABLE
+        self.results.put("frame_status", status)
+        for value, said in _SAID.items():
+            found = np.flatnonzero(status == value)
+            if len(found):
+                numbers = found + self.inputs.scene.recording.first_frame
+                why = f" ({reasons[int(found[0])]})" if value == _UNREADABLE else ""
+                self.warnings.append(
+                    f"{said}: {_listed(numbers)}{why}. No result counts them, theirs are NaN (frame_status)"
+                )
+        if not self.usable.any():
+            counts = ", ".join(
+                f"{int((status == value).sum())} {said}" for value, said in _SAID.items() if value in status
+            )
+            raise FingerflowError(
+                f"{self.inputs.recording.path}: no frame can be measured: {counts}. Check the recording, and "
+                f"[background] and [views.contact] in {self.inputs.scene.path}"
+            )
+
+
+def _blocks(frames: NDArray[Any]) -> NDArray[np.float32]:
+    """Block means (n, rows, columns) of frames (n, H, W)."""
+    return block_means(frames)[0]
+
+
+def _listed(numbers: NDArray[np.integer]) -> str:
+    first = ", ".join(str(number) for number in numbers[:10])
+    return first if len(numbers) <= 10 else f"{first} ... ({len(numbers)} frames)"

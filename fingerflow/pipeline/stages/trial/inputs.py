@@ -1,0 +1,216 @@
+"""What a trial is computed from, opened and checked: frames, background, forces, calibration."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fingerflow.engines.choice import engine_for
+from fingerflow.engines.engine import Engine, EngineSettings
+from fingerflow.engines.torch import Modules, images_on
+from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.trial import plausibility
+from fingerflow.pipeline.stages.trial.reference import frame_asked
+from fingerflow.recordings import Recording, open_recording
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.views import View
+from fingerflow.tracker.points import RECORDING, Knowledge
+
+_REFERENCE_FRAMES = 64  # of a background recording are averaged: its noise is then an eighth of a frame's
+
+
+@dataclass
+class Inputs:
+    """An opened scene on a device. Gradients are fitted over the gauge length.
+
+    Attributes:
+        engine: computes contact, points and fields.
+        knowledge: of frames to come, that tracking has.
+    """
+
+    scene: Scene
+    recording: Recording
+    times: NDArray[np.float64]
+    device: torch.device
+    warnings: list[str]
+    engine: Engine
+    knowledge: Knowledge = RECORDING
+    _stills: dict[tuple[Any, View], Tensor] = field(default_factory=dict)  # read once, by file and view
+    gauge_length_mm: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.gauge_length_mm = self.scene.fields.gauge_length_mm
+
+    def with_scene(self, scene: Scene) -> "Inputs":
+        """The same files with the settings of another scene."""
+        return replace(self, scene=scene, engine=engine_for("auto", _engine_settings(scene), self.device))
+
+    @property
+    def mm_per_px(self) -> float:
+        return self.scene.calibration.mm_per_px
+
+    @property
+    def topography_to_contact(self) -> NDArray[np.float64]:
+        """(2, 3), px of the topography view to px of the contact view."""
+        return np.asarray(self.scene.calibration.topography_to_contact, dtype=np.float64)
+
+    def on_glass(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 2) px of the topographic view to mm on the glass."""
+        matrix = self.topography_to_contact
+        result: NDArray[np.float64] = (pixels @ matrix[:, :2].T + matrix[:, 2]) * self.mm_per_px
+        return result
+
+    def on_topography(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return positions (..., 2) px in the topographic view of places (..., 2) mm on the glass."""
+        matrix = self.topography_to_contact
+        result: NDArray[np.float64] = (places / self.mm_per_px - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        return result
+
+    @property
+    def topography_mm_per_px(self) -> float:
+        """Mean scale of the topographic view."""
+        return float(self.mm_per_px * np.sqrt(abs(np.linalg.det(self.topography_to_contact[:, :2]))))
+
+    def tensor(self, values: NDArray[np.floating]) -> Tensor:
+        """In float32 on the device."""
+        return torch.from_numpy(np.asarray(values, dtype=np.float32)).to(self.device)
+
+    def view(self, frames: NDArray[Any], view: View) -> Tensor:
+        """A view of frames (n, H, W) as (n, 1, h, w) on the device, not to be written to: 8 bits on a processor are the
+        memory of the frames. uint16 becomes int32, which torch can compute with.
+        """
+        return images_on(self.device, view.crop(frames))
+
+    def reference(self, view: View) -> Tensor:
+        """The view without a finger, (1, 1, h, w) float32."""
+        assert self.scene.background.frames is not None
+        return self._still(self.scene.background.frames, view)
+
+    def dark(self, view: View) -> Tensor | None:
+        """The view without light, where it was recorded."""
+        return None if self.scene.background.dark is None else self._still(self.scene.background.dark, view)
+
+    def _still(self, path: Any, view: View) -> Tensor:
+        if (path, view) not in self._stills:
+            self._stills[path, view] = self._read_still(path, view)
+        return self._stills[path, view]
+
+    def _read_still(self, path: Any, view: View) -> Tensor:
+        remedy = "record it with the same camera settings"
+        with open_recording(path) as still:
+            if still.frame_shape != self.recording.frame_shape:
+                raise FingerflowError(
+                    f"{path}: the background has frames of {_size(still.frame_shape)}, the recording "
+                    f"{self.recording.path} of {_size(self.recording.frame_shape)}; {remedy}"
+                )
+            if {_fits_a_byte(still), _fits_a_byte(self.recording)} == {True, False}:
+                raise FingerflowError(
+                    f"{path}: the background has {still.bit_depth} bit, the recording {self.recording.path} "
+                    f"{self.recording.bit_depth}: their grey levels cannot be compared; {remedy}"
+                )
+            if not len(still):
+                raise FingerflowError(f"{path}: the background has no frame; {remedy}")
+            part = still[:_REFERENCE_FRAMES]
+            pictures = view.crop(read_frames(part))
+            whole = [place for place in range(len(part)) if place not in part.unreadable]
+            if not whole:
+                raise FingerflowError(f"{path}: frame 0 of the background {part.unreadable[0]}; {remedy}")
+            mean = (pictures if len(whole) == len(part) else pictures[whole]).mean(axis=0, dtype=np.float64)
+        return torch.from_numpy(mean.astype(np.float32))[None, None].to(self.device)
+
+
+def read_frames(part: Recording) -> NDArray[Any]:
+    """Frames (n, H, W) of a part of a recording; raises FingerflowError where the system cannot read them."""
+    try:
+        return part.mapped()
+    except OSError as error:  # which a file of results that is being written would take for its own
+        raise FingerflowError(
+            f"{part.path}: frames cannot be read ({error.strerror or error}); copy the recording again, or to a local "
+            f"disk"
+        ) from error
+
+
+def open_inputs(scene: Scene, device: str, engine: str = "auto", modules: Modules | None = None) -> Inputs:
+    """Opens the recording of a scene and checks that its views fit; engine and modules as for `engines.choice`.
+
+    Raises FingerflowError for what does not fit, with the value and the remedy.
+    """
+    chosen = _device(device)
+    settings = scene.recording
+    recording = open_recording(settings.frames, frame_rate=settings.frame_rate)
+    if not len(recording):
+        raise FingerflowError(f"{settings.frames} has no frame; copy it again, or name another recording")
+    if settings.first_frame >= len(recording):
+        raise FingerflowError(
+            f"{scene.path}: recording.first_frame is {settings.first_frame}, but {settings.frames} has "
+            f"{len(recording)} frames, 0 to {len(recording) - 1}"
+        )
+    warnings = list(recording.warnings)
+    if settings.last_frame is not None and settings.last_frame >= len(recording):
+        warnings.append(
+            f"recording.last_frame is {settings.last_frame}, but {settings.frames} ends with frame {len(recording) - 1}"
+        )
+    end = len(recording) if settings.last_frame is None else min(settings.last_frame + 1, len(recording))
+    if recording.times is None:
+        raise FingerflowError(
+            f"{settings.frames} states no frame rate; give it in the scene, [recording] frame_rate = 300.0 (Hz)"
+        )
+    times = np.asarray(recording.times, dtype=np.float64)
+    if settings.trigger_frame is not None:
+        if settings.trigger_frame >= len(recording):
+            raise FingerflowError(
+                f"{scene.path}: recording.trigger_frame is {settings.trigger_frame}, but {settings.frames} has "
+                f"{len(recording)} frames, 0 to {len(recording) - 1}"
+            )
+        times = times - times[settings.trigger_frame]
+    frame_asked(scene, times[settings.first_frame : end])  # what is wrong with it is said before anything is computed
+    recording = recording[settings.first_frame : end]
+    for name, view in (("contact", scene.views.contact), ("topography", scene.views.topography)):
+        if view is not None:
+            try:
+                view.crop(np.empty(recording.frame_shape, dtype=np.uint8))
+            except FingerflowError as error:
+                raise FingerflowError(f"{scene.path}: views.{name} and {settings.frames}: {error}") from None
+    warnings += plausibility.of_scale(scene.calibration.mm_per_px, scene.views.contact.shape)
+    warnings += plausibility.of_frames(len(recording))
+    computing = engine_for(engine, _engine_settings(scene), chosen, modules)
+    return Inputs(scene, recording, times[settings.first_frame : end], chosen, warnings, computing)
+
+
+def _engine_settings(scene: Scene) -> EngineSettings:
+    contact, tracking, fields = scene.contact, scene.tracking, scene.fields
+    return EngineSettings(
+        median_px=contact.median_px,
+        gross_radius_px=contact.gross_radius_px,
+        window_px=tracking.window_px,
+        gain_offset=tracking.gain_offset,
+        forward_backward_limit_px=tracking.forward_backward_limit_px,
+        search_px=tracking.search_px,
+        min_distance_px=tracking.min_distance_px,
+        gauge_length_mm=fields.gauge_length_mm,
+        strain=fields.strain,
+    )
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).partition("\n")[0]
+        raise FingerflowError(f"the device {name!r} cannot be used ({reason}); choose auto, cpu or cuda") from error
+    return device
+
+
+def _fits_a_byte(recording: Recording) -> bool | None:
+    """None where the grey levels are floating point, which may be of any depth: a mean of several frames."""
+    return None if recording.bit_depth is None else recording.bit_depth <= 8
+
+
+def _size(shape: tuple[int, int]) -> str:
+    return f"{shape[0]} rows x {shape[1]} columns"

@@ -1,0 +1,161 @@
+"""Forces at the times of the frames."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.pipeline.stages.stage import Stage, Trial
+from fingerflow.recordings import Forces, open_forces
+from fingerflow.recordings.forces.newtons import Sensor, to_newtons
+from fingerflow.schema.scene import ForceSettings
+from fingerflow.schema.variables import LOADING
+
+_LEAST_OFFSET = 0.2  # N, of a sensor at rest that is worth a word
+_OFFSET_SHARE = 0.05  # of the largest force
+_LEAST_TANGENTIAL = 0.05  # N, likewise, for a direction
+_TANGENTIAL = ("tangential_force", "tangential_force_across")  # channels of one or two components
+_UNITS = {"N": "N", "mN": "mN", "g": "gf", "kgf": "kgf", "V": "V"}  # as `open_forces` knows them
+_LEAST_NORMAL = 0.05  # N, ten times the noise of a sensor: a quotient by less says nothing
+Series = NDArray[np.float64]
+
+
+class LoadingStage(Stage):
+    """The forces of the scene, aligned to the trigger and low-passed to the frame rate.
+
+    Attributes:
+        normal: (frames,) N, NaN where the force recording does not reach; None where the scene has no forces.
+        tangential: as `normal`; the length of two components.
+        direction: (frames,) rad, `tangential_direction`.
+    """
+
+    name = "loading"
+    gives = LOADING
+    settings = ("kind", "forces", "recording.times", "recording.trigger_frame")
+    restored = True
+
+    def __init__(self, trial: Trial) -> None:
+        super().__init__(trial)
+        self.normal: Series | None = None
+        self.tangential: Series | None = None
+        self.direction: Series | None = None
+
+    def begin(self) -> None:
+        settings, inputs = self.inputs.scene.forces, self.inputs
+        if settings is None:
+            return
+        names = _channels(settings)
+        if settings.trigger is not None and settings.trigger in names.values():
+            raise FingerflowError(
+                f"{inputs.scene.path}: forces.trigger is {settings.trigger!r}, the channel of a force; name the "
+                "channel of the camera's trigger, or leave trigger out where both clocks begin together"
+            )
+        forces = open_forces(
+            settings.file,
+            channels=names,
+            units=None if settings.units is None else dict.fromkeys(names.values(), _UNITS[settings.units]),
+            time=settings.time,
+            sample_rate=settings.sample_rate,
+            trigger=settings.trigger,
+        )
+        if settings.trigger is not None and settings.trigger_level is not None:
+            forces = forces.align(settings.trigger_level)
+            if inputs.scene.recording.trigger_frame is None and not inputs.recording.has_trigger:
+                self.warnings.append(
+                    f"forces are aligned to the trigger {settings.trigger!r}, and nothing says in which frame it came: "
+                    "frame 0 is taken; give [recording] trigger_frame"
+                )
+        forces = to_newtons(forces, _sensors(settings, tuple(names)), names)
+        _check(settings.file, forces, names, rests=inputs.scene.kind != "slip")
+        # Forces are resampled in the order of time, whatever part of the recording was chosen.
+        values = forces.resample(inputs.times)
+        self.warnings.extend(forces.warnings)
+        for name, column in names.items():
+            unknown = int(np.isnan(forces.channels[name]).sum())
+            if unknown:
+                self.warnings.append(
+                    f"{settings.file}: {unknown} of {forces.times.size} samples of {column!r} are NaN; {name} is NaN "
+                    f"in {int(np.isnan(values[name]).sum())} of {inputs.times.size} frames"
+                )
+        self.normal, (*components,) = values["normal_force"], [values[name] for name in _TANGENTIAL if name in values]
+        if components:
+            x, y = components if len(components) == 2 else (components[0], np.zeros_like(components[0]))
+            # The length of filtered components: that of noisy ones would be the noise's where there is no force.
+            self.tangential = np.hypot(x, y) if len(components) == 2 else x
+            self.direction = np.where(np.hypot(x, y) > _LEAST_TANGENTIAL, np.arctan2(y, x), np.nan)
+
+    def finish(self) -> None:
+        ratio = self.ratio
+        given = {
+            "normal_force": self.normal,
+            "tangential_force": self.tangential,
+            "tangential_direction": self.direction,
+            "load_ratio": ratio,
+            "force_angle": None if ratio is None else np.arctan(ratio),
+        }
+        for name, values in given.items():
+            if values is not None:
+                self.results.put(name, values)
+
+    def restore(self, earlier: xr.Dataset) -> None:
+        super().restore(earlier)
+        names = ("normal_force", "tangential_force", "tangential_direction")
+        found = {name: earlier[name].values for name in names if name in earlier}
+        self.normal, self.tangential, self.direction = map(found.get, names)
+
+    @property
+    def ratio(self) -> Series | None:
+        """(frames,) T/N; NaN where N is below 0.05 N, None without a tangential force."""
+        if self.normal is None or self.tangential is None:
+            return None
+        pressed = self.normal > _LEAST_NORMAL
+        return np.where(pressed, self.tangential / np.where(pressed, self.normal, 1), np.nan)
+
+
+def _channels(settings: ForceSettings) -> dict[str, str | int]:
+    """The columns of the file by the forces that they are."""
+    tangential = settings.tangential if isinstance(settings.tangential, tuple) else (settings.tangential,)
+    named = [column for column in tangential if column is not None]
+    return {"normal_force": settings.normal, **dict(zip(_TANGENTIAL, named, strict=False))}
+
+
+def _sensors(settings: ForceSettings, forces: tuple[str, ...]) -> dict[str, Sensor]:
+    """How each of these forces is read."""
+
+    def of(given: float | tuple[float, ...] | None, number: int) -> float | None:
+        return given[number] if isinstance(given, tuple) else given
+
+    return {
+        name: Sensor(of(settings.gain, k), of(settings.sign, k) or 1.0, of(settings.offset, k), settings.tare)
+        for k, name in enumerate(forces)
+    }
+
+
+def _check(file: Path, forces: Forces, names: Mapping[str, str | int], rests: bool) -> None:
+    """Whether channels are forces of a finger that presses: in N, positive, and 0 where it `rests` beside the glass.
+
+    Raises FingerflowError for a normal force with the wrong sign; warns of an offset.
+    """
+    if forces.trigger is not None and forces.units[forces.trigger] == "N":
+        forces.warnings.append(
+            f"{file}: the trigger {forces.trigger!r} is in N, as a force is; is it the right channel?"
+        )
+    normal = forces.channels["normal_force"]
+    normal = normal[np.isfinite(normal)]
+    if not normal.size:
+        return
+    # A hundredth at either end may be noise or a blow.
+    lowest, highest = np.quantile(normal, (0.01, 0.99))
+    if -lowest > max(_LEAST_OFFSET, 3 * highest):
+        raise FingerflowError(
+            f"{file}: the normal force {names['normal_force']!r} lies between {lowest:.3g} and {highest:.3g} N: "
+            "pressing must be positive; give [forces] sign = -1 in the scene"
+        )
+    if rests and lowest > max(_LEAST_OFFSET, _OFFSET_SHARE * highest):
+        forces.warnings.append(
+            f"{file}: the normal force {names['normal_force']!r} is never below {lowest:.3g} N; if the finger was off "
+            "the glass at some time, that is the sensor's offset: give [forces] offset or tare = [t0, t1] in the scene"
+        )

@@ -1,0 +1,91 @@
+"""From when displacement counts: [fields] reference of a scene, as a frame."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.schema.scene import Scene
+from fingerflow.schema.scene_values import seconds_of
+from fingerflow.schema.variables import FRAME_STATUS
+
+_ONSET = (
+    "each point's own onset, the frame in which the contact comes to cover it. Gradients are of that displacement, by "
+    "the places of onset (Willemet et al. 2021): where skin moves while the contact grows over it, neighbours count "
+    "from other moments, and they differ from the strain of the skin"
+)
+
+
+class Reference(NamedTuple):
+    """What displacement counts from.
+
+    Attributes:
+        frame: counted from 0 among the frames that count; None for each point's own onset.
+        definition: in words, for attributes and reports.
+    """
+
+    frame: int | None
+    definition: str
+
+    def attributes(self, first_frame: int) -> dict[str, str | int]:
+        """Of a variable that depends on it; `reference_frame` is a number as in the file, left out for onsets."""
+        frame = {} if self.frame is None else {"reference_frame": self.frame + first_frame}
+        return {"reference": self.definition, **frame}
+
+
+def frame_asked(scene: Scene, times: NDArray[np.float64]) -> int | None:
+    """The frame that a number or a time means, from 0 among those that count, at `times` (frames,) s; None for words.
+
+    Raises FingerflowError for what is not among them.
+    """
+    asked, first = scene.fields.reference, scene.recording.first_frame
+    seconds = seconds_of(asked)
+    if seconds is not None:
+        step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        if not times[0] - step / 2 <= seconds <= times[-1] + step / 2:
+            raise FingerflowError(
+                f"{scene.path}: fields.reference is {asked!r}, and the frames that count last from {times[0]:g} to "
+                f"{times[-1]:g} s from the trigger; give a time between"
+            )
+        return int(np.argmin(np.abs(times - seconds)))
+    if isinstance(asked, int):
+        if not 0 <= asked - first < len(times):
+            raise FingerflowError(
+                f"{scene.path}: fields.reference is {asked}, and the frames that count are {first} to "
+                f"{first + len(times) - 1}; give one of them"
+            )
+        return asked - first
+    return None
+
+
+def reference_of(
+    scene: Scene, times: NDArray[np.float64], status: NDArray[np.integer], warnings: list[str]
+) -> Reference:
+    """Of a scene whose frames are at `times` (frames,) s and have a `status` of FRAME_STATUS.
+
+    Raises FingerflowError for a frame that is not there or cannot be measured.
+    """
+    asked, first = scene.fields.reference, scene.recording.first_frame
+    if asked == "onset":
+        return Reference(None, _ONSET)
+    usable = np.flatnonzero(status == FRAME_STATUS.index("usable"))
+    frame = frame_asked(scene, times)
+    if frame is None:
+        frame = int(usable[0])
+        if frame:
+            warnings.append(
+                f"fields.reference is {asked!r}: frame {first} is {FRAME_STATUS[status[0]]}, so displacement counts "
+                f"from frame {frame + first}, the first that can be measured"
+            )
+    if frame not in usable:
+        near = int(usable[np.argmin(np.abs(usable - frame))]) + first
+        raise FingerflowError(
+            f"{scene.path}: fields.reference is {asked!r}, which is frame {frame + first}: it is "
+            f"{FRAME_STATUS[status[frame]]}, so no point is known there; take frame {near}"
+        )
+    return Reference(
+        frame,
+        f"frame {frame + first}, {times[frame]:.4g} s from the trigger, for all points that are known there; values "
+        f"are of skin in contact",
+    )

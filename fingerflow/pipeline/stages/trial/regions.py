@@ -1,0 +1,46 @@
+"""The regions that a scene draws in its views, as masks."""
+
+from dataclasses import asdict
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.schema.region import region_runs
+from fingerflow.schema.scene import Scene
+
+_VALUES = 1  # grey level of a mask's picture from which on a pixel belongs to the region
+
+
+def region_mask(scene: Scene, name: str) -> NDArray[np.bool_] | None:
+    """(h, w) of a view, True in its region; None where the scene draws none there.
+
+    Raises FingerflowError for a region without a pixel of the view, and for a picture that cannot be read or is of
+    another size.
+    """
+    view = scene.views[name]
+    if view.region is None:
+        return None
+    place = f"{scene.path}: views.{name}.region"
+    mask = np.zeros(view.shape, dtype=bool)
+    if view.region.mask is None:
+        for row, first, end in region_runs(asdict(view.region), *view.shape):
+            mask[row, first:end] = True
+    else:
+        path = view.region.mask
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.stat().st_size else None
+        if picture is None:
+            raise FingerflowError(f"{place}: {path} is no picture that can be read; save it as PNG")
+        if picture.shape != view.shape:
+            raise FingerflowError(
+                f"{place}: {path} has {picture.shape[0]} x {picture.shape[1]} px, the view {view.shape[0]} x "
+                f"{view.shape[1]}; draw it on the view, pixel by pixel"
+            )
+        mask = picture >= _VALUES
+    if not mask.any():
+        raise FingerflowError(
+            f"{place} holds no pixel of the view of {view.shape[0]} x {view.shape[1]} px; its px are counted from the "
+            f"view's own corner"
+        )
+    return mask

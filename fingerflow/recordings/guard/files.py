@@ -1,0 +1,67 @@
+"""Whether a path can be read at all, what it may hold by its size, and the words for what a library raises."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fingerflow.errors import FingerflowError, first_line
+
+MOST_COMPRESSED = 1032
+"""Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes); codecs of pictures
+stay below it.
+"""
+_ALWAYS = 1 << 20  # bytes that may be made of any file, however small
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def check_file(path: Path) -> int:
+    """The bytes of a file that can be opened.
+
+    Raises FingerflowError for what is no file (opening a pipe waits for ever), is not there, or may not be read.
+    """
+    try:
+        found = path.stat()
+        for is_kind, kind in _KINDS:
+            if is_kind(found.st_mode):
+                remedy = "name a file in it" if kind == _KINDS[0][1] else "copy what it gives to a file and name that"
+                raise FingerflowError(f"{path}: is {kind}, not a file; {remedy}")
+        with path.open("rb"):
+            return found.st_size
+    except FileNotFoundError:
+        raise FingerflowError(f"{path}: there is no such file (looked in {Path.cwd()})") from None
+    except OSError as error:
+        raise FingerflowError(
+            f"{path}: cannot be opened ({first_line(error)}); make it readable, or copy it to a place where it is"
+        ) from error
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """Turns what a library raises at a damaged file into FingerflowError, with the file and the way out.
+
+    No library of file formats says what it raises then: struct.error, KeyError, AssertionError, ZeroDivisionError and
+    codecs' own exceptions were all seen. So whatever it is counts, around the library's calls and nothing else.
+    """
+    try:
+        yield
+    except FingerflowError:
+        raise
+    except Exception as error:
+        raise FingerflowError(
+            f"{path}: cannot be read as {kind}, it is of another kind or damaged ({first_line(error)}); copy it again, "
+            "or export it anew"
+        ) from error
+
+
+def plausible_size(claimed: int, stored: int) -> bool:
+    """Whether so many bytes can come out of so many stored ones, compressed or not: asked before memory is taken."""
+    return claimed <= MOST_COMPRESSED * stored + _ALWAYS

@@ -1,0 +1,83 @@
+"""HDF5 files, opened only when another process has gone through them and lived."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from fingerflow.errors import FingerflowError
+from fingerflow.recordings.guard.files import check_file, plausible_size, reading
+from fingerflow.recordings.guard.walker import check_by_walking
+
+KIND = "HDF5"
+
+
+def open_hdf5(path: Path, **options: Any) -> h5py.File:
+    """`h5py.File(path, "r")` of a file that a process of its own could go through.
+
+    Raises FingerflowError where it cannot be opened, or where going through it ended that process (see
+    :func:`check_by_walking`).
+    """
+    check_file(path)
+    check_by_walking(path, "hdf5")
+    with reading(path, KIND):
+        return h5py.File(path, "r", **options)
+
+
+def stored_whole(values: h5py.Dataset, path: Path) -> None:
+    """Checks that what a data set claims to hold can be in the file, before memory is taken for it.
+
+    Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are not
+    there: HDF5 itself gives zeros for these without a word.
+    """
+    again = "copy the file again, or export it anew"
+    with reading(path, KIND):
+        claimed, stored, size = values.size * values.dtype.itemsize, values.id.get_storage_size(), path.stat().st_size
+        if values.is_virtual:
+            return _sources_there(values, path)
+        if values.external:
+            for name, offset, length in values.external:
+                _external_there(path.parent / os.fsdecode(name), offset + length, values.name, path)
+            return
+        if claimed and not stored:
+            raise FingerflowError(f"{path}: {values.name} {values.shape} was created but never written; {again}")
+        offset = values.id.get_offset()
+        ends_late = offset is not None and offset + stored > size
+        fits = stored >= claimed if values.chunks is None else plausible_size(claimed, min(stored, size))
+        if ends_late or stored > 2 * size or not fits:
+            raise FingerflowError(
+                f"{path}: {values.name} {values.shape} should have {claimed} bytes, and the file of {size} cannot hold "
+                f"them; {again}"
+            )
+
+
+def _sources_there(values: h5py.Dataset, path: Path) -> None:
+    for source in values.virtual_sources():
+        name = source.file_name
+        if name == ".":
+            continue
+        # HDF5 looks for the path as it is written, then beside the file; "%b" counts through several.
+        pattern = name.replace("%b", "*")
+        found = [place for place in (Path(pattern), path.parent / pattern, path.parent / Path(pattern).name)
+                 if (place.exists() if "*" not in pattern else any(place.parent.glob(place.name)))]  # fmt: skip
+        if not found:
+            raise FingerflowError(
+                f"{path}: the values of {values.name} lie in {name}, which is not there; copy it beside this file"
+            )
+        if "*" not in pattern and "%" not in source.dset_name:
+            with open_hdf5(found[0]) as other:
+                if source.dset_name not in other:
+                    raise FingerflowError(
+                        f"{path}: the values of {values.name} lie in {source.dset_name} of {found[0]}, which is not in "
+                        "it; copy that file again"
+                    )
+
+
+def _external_there(file: Path, needed: int, name: str, path: Path) -> None:
+    there = file.stat().st_size if file.is_file() else -1
+    if there < needed:
+        state = "is not there" if there < 0 else f"has {there} of {needed} bytes"
+        raise FingerflowError(f"{path}: the values of {name} lie in {file}, which {state}; copy it beside this file")

@@ -1,0 +1,85 @@
+"""Files that appear only when they are complete, and never in the place of what is not theirs to replace."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+from fingerflow.schema.unfinished import remove, unfinished
+
+MARK = "written by fingerflow"  # in what has no structure of its own by which it is known: pages, pictures, videos
+
+_PARTNERS = {".mraw": (".cih", ".cihx"), ".cih": (".mraw",), ".cihx": (".mraw",)}  # one recording in two files
+_END_BYTES = 1 << 20
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+def spare(output: Path, *inputs: Path | None) -> None:
+    """Raises FingerflowError where an output would replace an input, which may name a data set within its file; the
+    other file of a recording in two; or a picture of a folder of frames, among which a new one would be a frame too.
+    """
+    for given in inputs:
+        file = None if given is None else Path(str(given).split("::")[0])
+        if file is None or not file.exists():
+            continue
+        if file.is_dir():
+            taken = output.suffix.lower() in _PICTURES and output.resolve().parent == file.resolve()
+        else:
+            partners = _PARTNERS.get(file.suffix.lower(), ())
+            beside = [one for one in file.parent.iterdir() if one.stem == file.stem and one.suffix.lower() in partners]
+            taken = output.exists() and any(output.samefile(one) for one in (file, *beside))
+        if taken:
+            raise FingerflowError(
+                f"{output} is an input of this command, or among its frames, and would be replaced; give another output"
+            )
+
+
+def keep_others(path: Path, is_ours: Callable[[Path], bool], overwrite: bool) -> None:
+    """Raises FingerflowError where a file is there that the same command has not written, and may not be replaced."""
+    if not overwrite and path.exists() and not path.is_dir() and not is_ours(path):
+        raise FingerflowError(
+            f"{path} exists and was not written by this command; give another name, remove it, or allow it by "
+            "overwrite (--overwrite)"
+        )
+
+
+def is_marked(path: Path) -> bool:
+    """Whether a file carries `MARK` in its first or last MiB, where pages, PNG and MP4 have what is said about them."""
+    try:
+        with path.open("rb") as file:
+            ends = file.read(_END_BYTES)
+            file.seek(max(len(ends), path.stat().st_size - _END_BYTES))
+            return MARK.encode() in ends + file.read()
+    except OSError:
+        return False
+
+
+def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
+    """Calls ``write`` with a temporary path in the same folder and renames it: a crash leaves no half-written file.
+
+    Raises FingerflowError where the system does not let it be written.
+    """
+    with written_atomically(path) as part:
+        write(part)
+
+
+@contextmanager
+def written_atomically(path: Path) -> Iterator[Path]:
+    """The temporary path of `write_atomically`, which becomes the file at the end."""
+    part: Path | None = None
+    try:
+        if not path.name or path.is_dir():
+            raise FingerflowError(f"{path} is a folder and cannot be written; name a file in it")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = unfinished(path)
+        yield part
+        part.replace(path)
+    except BaseException as error:
+        if part is not None:
+            remove(part)
+        if isinstance(error, OSError):
+            raise FingerflowError(
+                f"{path} cannot be written ({error.strerror or error}); name another place, or make room there"
+            ) from error
+        raise

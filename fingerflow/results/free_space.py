@@ -1,0 +1,66 @@
+"""Whether results fit where they are to go: HDF5 ends the process where a disk is full, so it is asked before."""
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from fingerflow.errors import NoRoomError
+from fingerflow.schema.variables import LABELS, Variable
+
+# A file takes at least so much of what it may hold: numbers with a fraction are not compressed, but of the shipped
+# press there are three quarters of the triangles that there could be.
+_COMPRESSED = 0.7
+_LEFT_BYTES = 64 << 20  # of a disk, for what HDF5 still holds when it is closed
+_GB = 1e9
+
+
+def size_of_results(variables: Iterable[Variable], frames: int, points: int) -> float:
+    """Bytes of these variables in memory, of recordings with as many points as are asked for.
+
+    There are two triangles a point; regions of cells are small beside the others.
+    """
+    sizes = {dim: len(names) for dim, names in LABELS.items()}
+    sizes |= {"frame": frames, "point": points, "triangle": 2 * points}
+    return float(
+        sum(
+            np.dtype(variable.kind).itemsize * np.prod([sizes.get(dim, 1) for dim in variable.dims], dtype=float)
+            for variable in variables
+        )
+    )
+
+
+def check_memory(needed: float) -> None:
+    """Raises NoRoomError where results of so many bytes do not fit in memory."""
+    free = psutil.virtual_memory().available
+    if needed > free:
+        raise NoRoomError(
+            f"the results take {needed / _GB:.2f} GB of memory, and {free / _GB:.2f} GB are free; write them to a file "
+            f"(process(..., to=), which takes little memory), ask for fewer outputs, points or frames"
+        )
+
+
+def check_disk(path: Path, holds: float) -> None:
+    """Raises NoRoomError where a file of results that holds so many bytes cannot fit on its disk."""
+    _check_free(path, _COMPRESSED * holds)
+
+
+def check_write(path: Path, bytes_more: int) -> None:
+    """Raises NoRoomError where a disk has no room for the next bytes of a file, and for what is held back."""
+    _check_free(path, bytes_more + _LEFT_BYTES)
+
+
+def _check_free(path: Path, needed: float) -> None:
+    folder = path.parent
+    try:
+        free = shutil.disk_usage(folder).free
+    except FileNotFoundError:
+        folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
+        free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise NoRoomError(
+            f"{folder.absolute()}: {needed / _GB:.2f} GB are needed and {free / _GB:.2f} GB of the disk are free; "
+            f"nothing was left there. Make room, write to another disk, or ask for fewer outputs, points or frames"
+        )

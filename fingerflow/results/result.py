@@ -1,0 +1,122 @@
+"""Files of results: HDF5/NetCDF4."""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError, first_line
+from fingerflow.recordings.guard.files import check_file, reading
+from fingerflow.recordings.guard.hdf5 import open_hdf5
+from fingerflow.recordings.guard.walker import check_by_walking
+from fingerflow.results.atomic_write import keep_others, write_atomically
+from fingerflow.results.free_space import check_write
+
+_OF_NETCDF = {
+    *("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "coordinates"),
+    *("_FillValue", "_NCProperties", "_Netcdf4Coordinates", "_Netcdf4Dimid"),
+}
+MARK = "fingerflow_version"  # the attribute by which a result is known
+
+
+def save_result(result: xr.Dataset, path: Path, overwrite: bool = False) -> None:
+    """Writes HDF5/NetCDF4; the file appears only when it is complete.
+
+    Raises FingerflowError where it cannot be written, as on a disk without as much room as the result takes in memory,
+    and without `overwrite` where a file is there that is no result.
+    """
+    keep_others(path, is_result, overwrite)
+    check_write(path, result.nbytes)
+    compressed = {name: {"zlib": True, "complevel": 2} for name, values in result.data_vars.items() if values.ndim > 1}
+    write_atomically(path, lambda part: result.to_netcdf(part, engine="h5netcdf", encoding=compressed))
+
+
+def load_result(path: Path) -> xr.Dataset:
+    """Reads what :func:`save_result` or `process` wrote.
+
+    Raises FingerflowError where the file is missing or is something else.
+    """
+    with open_result(path) as stored, reading(path, "a result"):
+        return stored.load()
+
+
+def is_result(path: Path) -> bool:
+    """Whether a file is what :func:`save_result` or `process` writes."""
+    try:
+        with open_hdf5(path) as file:
+            return MARK in file.attrs
+    except FingerflowError:
+        return False
+
+
+def open_result(path: Path) -> xr.Dataset:
+    """As :func:`load_result`, but values are read from the file when they are looked at; close it when done."""
+    check_file(path)
+    check_by_walking(path, "hdf5")
+    return open_own(path)
+
+
+class Values(NamedTuple):
+    """A variable: values, and attributes where they were asked for."""
+
+    values: NDArray[Any]
+    attrs: Mapping[str, Any]
+
+
+class Own(dict[str, Values]):
+    """Some variables of a result by their names, and the attributes of the whole."""
+
+    def __init__(self, variables: Mapping[str, Values], attrs: Mapping[str, Any]) -> None:
+        super().__init__(variables)
+        self.attrs = attrs
+
+
+def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
+    """Those variables of a file that this process has just written, as far as it has them, and its attributes.
+
+    Of the variables, attributes are read of those that are `described`. Values and texts are those of
+    :func:`load_result`, which looks at every variable of the file first: of a small recording that takes longer than a
+    stage.
+    """
+    described = set(described)
+    with h5py.File(path) as file:
+        found = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
+        variables = {name: Values(one[()], _attributes(one) if name in described else {}) for name, one in found}
+        return Own(variables, _attributes(file))
+
+
+def open_own(path: Path) -> xr.Dataset:
+    """As :func:`open_result`, of a file that this process has just written: no damage is expected in it."""
+    try:
+        result = xr.open_dataset(path, engine="h5netcdf")
+    except Exception as error:  # whatever the library raises at a damaged file
+        raise FingerflowError(
+            f"{path} cannot be read as a result ({first_line(error)}); run `fingerflow process` again"
+        ) from error
+    if MARK not in result.attrs:
+        result.close()
+        raise FingerflowError(
+            f"{path} is not a result of fingerflow: it does not state a {MARK}; name the file that `fingerflow "
+            "process` wrote"
+        )
+    return result
+
+
+def _attributes(stored: h5py.Dataset | h5py.File) -> dict[str, Any]:
+    return {name: stored.attrs[name] for name in stored.attrs if name not in _OF_NETCDF}
+
+
+def scene_of(path: Path) -> Path:
+    """The scene file of which a file is the result.
+
+    Raises FingerflowError where the file is no result, or that scene is not there any more.
+    """
+    with open_result(path) as stored:
+        scene = Path(json.loads(stored.attrs.get("settings", "{}")).get("path", ""))
+    if not scene.is_file():
+        raise FingerflowError(f"{path}: its scene {scene} is not there any more; name the scene file")
+    return scene

@@ -1,0 +1,318 @@
+"""Results on their way: arrays by variable, in memory or in a file that grows frame by frame."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import h5py
+import numpy as np
+import xarray as xr
+from h5py import h5a, h5ds, h5s, h5t
+from numpy.typing import NDArray
+
+from fingerflow.results.free_space import check_disk, check_memory, check_write
+from fingerflow.schema.variables import LABELS, TIME, Variable
+
+_GROWING = ("point",)  # dimensions that may grow while others are written
+_CHUNK_BYTES = 1 << 20  # as much of a variable as HDF5 holds
+# Times what a frame holds in a variable that may grow: three times the points (`pipeline.stages.tracking.tracking`), in
+# chunks that are not full. What HDF5 cannot hold of a row of chunks it would write and read again with every batch.
+_MOST_GROWTH = 4
+_CHUNK_FRAMES = 64  # of a chunk: as many as stages read at a time; HDF5 gathers smaller batches until it is full
+# A frame, below which chunks are not worth their bookkeeping. Of what is in them only whole numbers are compressed:
+# measured positions and strains are noise in most of their bits, and gzip takes longer than all kernels to halve them.
+_FEWEST_BYTES = 256
+_TEXT, _ONE_VALUE = h5t.py_create(h5py.string_dtype(), logical=True), h5s.create(h5s.SCALAR)
+_CHUNK_GROWING = 256  # along a dimension that may grow: a few points more do not double the file
+
+
+class Values(Protocol):
+    """Values of a variable by its first dimension, frames mostly; an index is a slice, or consecutive numbers."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, index: Any) -> NDArray[Any]: ...
+
+    def __setitem__(self, index: Any, values: Any) -> None: ...
+
+
+class Store(ABC):
+    """Variables of a trial while stages write and read them.
+
+    A variable is created once, when the sizes of its dimensions are known, and then filled by frames: NaN, or 0 for
+    whole numbers, until they are written.
+    """
+
+    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
+        """Variables that may be created are `known`, by their names."""
+        self._known = known
+        self._sizes = {"frame": frames} | {name: len(labels) for name, labels in LABELS.items()}
+        self._values: dict[str, Values] = {}
+
+    def create(self, name: str, attributes: Mapping[str, Any] | None = None, **sizes: int) -> Values:
+        """The variable of this name, empty; `sizes` of dimensions that no variable had before."""
+        self._sizes.update(sizes)
+        variable = self._known[name]
+        of_it = {**variable.attributes(), **(attributes or {})}
+        values = self._values[name] = self._new(variable, tuple(self._sizes[dim] for dim in variable.dims), of_it)
+        return values
+
+    def put(self, name: str, values: Any, attributes: Mapping[str, Any] | None = None, **sizes: int) -> None:
+        """A variable as a whole."""
+        self.create(name, attributes, **sizes)[:] = values
+
+    def grow(self, dim: str, size: int, fills: Mapping[str, float]) -> None:
+        """Makes a dimension of variables longer: what is added is empty, or of these `fills` by variable."""
+        before, self._sizes[dim] = self._sizes[dim], size
+        for name in list(self._values):
+            if dim in self._known[name].dims:
+                self._lengthen(name, self._known[name].dims.index(dim), before, size, fills.get(name))
+
+    def __getitem__(self, name: str) -> Values:
+        return self._values[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    @abstractmethod
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values: ...
+
+    @abstractmethod
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None: ...
+
+    @abstractmethod
+    def check_room(self, needed: float) -> None:
+        """Raises NoRoomError where results that need so many bytes more do not fit."""
+
+    @abstractmethod
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        """Adds the coordinates and the attributes of the whole: nothing is written any more."""
+
+
+class MemoryStore(Store):
+    """In memory; `dataset` when it is finished."""
+
+    dataset: xr.Dataset
+
+    def __init__(self, known: Mapping[str, Variable], frames: int) -> None:
+        super().__init__(known, frames)
+        self._arrays: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = {}
+
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
+        values = np.full(shape, *_fill(variable))
+        self._arrays[variable.name] = (variable.dims, values, attributes)
+        return values
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        dims, values, attributes = self._arrays[name]
+        empty, kind = _fill(self._known[name])
+        shape = (*values.shape[:axis], size - before, *values.shape[axis + 1 :])
+        more = np.full(shape, empty if fill is None else fill, kind)
+        self._values[name] = longer = np.concatenate((values, more), axis=axis)
+        self._arrays[name] = (dims, longer, attributes)
+
+    def check_room(self, needed: float) -> None:
+        check_memory(needed)
+
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        used = {dim for dims, _, _ in self._arrays.values() for dim in dims}
+        coordinates = {"time": (TIME.dims, time, TIME.attributes()), "frame": frame}
+        labels = {name: list(labels) for name, labels in LABELS.items() if name in used}
+        self.dataset = xr.Dataset(self._arrays, {**coordinates, **labels}, dict(attributes))
+
+
+class FileStore(Store):
+    """In a file of HDF5/NetCDF4, of which a part is in memory at a time, whatever the number of frames.
+
+    Dimensions become scales when it is finished, as the conventions of NetCDF-4 on HDF5 have them: one by one, with
+    each variable, they take longer than the numbers of a small recording.
+    """
+
+    def __init__(self, known: Mapping[str, Variable], frames: int, path: Path) -> None:
+        super().__init__(known, frames)
+        check_write(path, 0)
+        self._path = path
+        self._file = h5py.File(path, "w", track_order=True)
+        self._dims: dict[str, tuple[str, ...]] = {}
+        self._datasets: dict[str, h5py.Dataset] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def _new(self, variable: Variable, shape: tuple[int, ...], attributes: dict[str, Any]) -> Values:
+        fill, kind = _fill(variable)
+        layout: dict[str, Any] = {"fillvalue": fill} if np.dtype(kind).kind == "f" else {}
+        if any(dim in _GROWING for dim in variable.dims):
+            layout["maxshape"] = _longest(variable.dims, shape)
+        frame_bytes = int(np.prod(shape[1:])) * np.dtype(kind).itemsize
+        if variable.dims[0] == "frame" and frame_bytes >= _FEWEST_BYTES:
+            held = frame_bytes * (_MOST_GROWTH if "maxshape" in layout else 1)
+            frames = min(max(shape[0], 1), max(1, _CHUNK_BYTES // held), _CHUNK_FRAMES)
+            sides = zip(variable.dims[1:], shape[1:], strict=True)
+            layout["chunks"] = (frames, *(min(n, _CHUNK_GROWING) if dim in _GROWING else n for dim, n in sides))
+            if np.dtype(kind).kind != "f":
+                layout |= {"compression": "gzip", "compression_opts": 2, "shuffle": True}
+        stored = self._add(variable.name, variable.dims, shape=shape, dtype=kind, **layout)
+        if layout.get("fillvalue") is not None:
+            attributes = {"_FillValue": np.full(1, fill, kind), **attributes}
+        if "frame" in variable.dims:
+            attributes = {**attributes, "coordinates": "time"}
+        _describe(stored, attributes)
+        return _Stored(stored, self._path)
+
+    def _lengthen(self, name: str, axis: int, before: int, size: int, fill: float | None) -> None:
+        values = self._values[name]
+        assert isinstance(values, _Stored)
+        values.resize(size, axis)
+        if fill is not None:
+            for first in range(0, values.shape[0], _CHUNK_FRAMES):
+                some = slice(first, first + _CHUNK_FRAMES)
+                rows = values[some]
+                rows[(slice(None),) * axis + (slice(before, None),)] = fill
+                values[some] = rows
+
+    def check_room(self, needed: float) -> None:
+        check_disk(self._path, needed)
+
+    def finish(self, time: NDArray[np.float64], frame: NDArray[np.integer], attributes: Mapping[str, Any]) -> None:
+        self._add("frame", ("frame",), data=frame)
+        _describe(self._add("time", ("frame",), data=time), TIME.attributes())
+        for name, labels in LABELS.items():
+            if any(name in dims for dims in self._dims.values()):
+                self._add(name, (name,), data=np.array(labels, dtype=h5py.string_dtype()))
+        self._add_scales()
+        _describe(self._file, attributes)
+
+    def _add(self, name: str, dims: tuple[str, ...], **what: Any) -> h5py.Dataset:
+        if name in self._dims:
+            raise ValueError(f"the variable {name} was created before")
+        self._dims[name] = dims
+        self._datasets[name] = self._file.create_dataset(name, track_order=True, **what)
+        return self._datasets[name]
+
+    def _add_scales(self) -> None:
+        """Makes the dimensions of all variables known to HDF5 (H5DS) and to NetCDF-4."""
+        used = dict.fromkeys(dim for dims in self._dims.values() for dim in dims)
+        numbers = {dim: np.int32(number) for number, dim in enumerate(used)}
+        scales: dict[str, h5py.Dataset] = {}
+        for dim, number in numbers.items():
+            size = self._sizes[dim]
+            if dim in self._datasets:
+                scales[dim], said = self._datasets[dim], dim
+            else:
+                # Of a fixed size, as nothing grows any more: for the size of a dimension without an end h5netcdf asks
+                # all its variables, again and again, which takes longer than all else that opening does.
+                scales[dim] = self._file.create_dataset(dim, (size,), ">f4", track_order=True)
+                said = f"This is a netCDF dimension but not a netCDF variable. {size:>10d}"
+            scales[dim].make_scale(said)
+            _describe(scales[dim], {"_Netcdf4Dimid": number})
+        for name, dims in self._dims.items():
+            stored = self._datasets[name]
+            _describe(stored, {"_Netcdf4Coordinates": np.array([numbers[dim] for dim in dims])})
+            if name not in scales:
+                _describe(stored, {"_Netcdf4Dimid": numbers[dims[0]]})
+                for place, dim in enumerate(dims):
+                    h5ds.attach_scale(stored.id, scales[dim].id, place)
+        versions = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
+        self._file.attrs["_NCProperties"] = np.bytes_(versions.encode())
+
+
+def _longest(dims: tuple[str, ...], shape: tuple[int, ...]) -> tuple[int | None, ...]:
+    """The shape that a variable may grow to; None is without an end."""
+    return tuple(None if dim in _GROWING else size for dim, size in zip(dims, shape, strict=True))
+
+
+def _describe(stored: h5py.Dataset | h5py.File, attributes: Mapping[str, Any]) -> None:
+    """Writes attributes, which are not there yet, as NetCDF has them: texts, and arrays of numbers.
+
+    By HDF5's own calls, as all that is written here: those of h5py above them take three times as long, and a result
+    has some 350 attributes.
+    """
+    for name, value in attributes.items():
+        if isinstance(value, str):
+            given, space, kind, own = np.array(value, dtype=object), _ONE_VALUE, _TEXT, h5t.PYTHON_OBJECT
+        else:
+            given = np.asarray(value) if isinstance(value, np.generic) else np.atleast_1d(value)
+            space, kind = h5s.create_simple(given.shape), _type(given.dtype)
+            own = kind
+        h5a.create(stored.id, name.encode(), kind, space).write(given, own)
+
+
+@lru_cache(64)
+def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
+    """That of HDF5 for an array of this shape, all of it."""
+    return h5s.create_simple(shape)
+
+
+@cache
+def _type(dtype: np.dtype[Any]) -> h5t.TypeID:
+    """That of HDF5 for numbers."""
+    return h5t.py_create(dtype, logical=True)
+
+
+class _Stored:
+    """A variable of a file, read and written by consecutive frames in either order."""
+
+    def __init__(self, variable: h5py.Dataset, path: Path) -> None:
+        self._id, self._path, self.shape = variable.id, path, tuple(variable.shape)
+        self._part = variable.id.get_space()  # of the file, with the frames that are read or written selected
+        self._dtype, self._kind = variable.dtype, _type(variable.dtype)
+
+    def resize(self, size: int, axis: int) -> None:
+        """Makes an axis longer."""
+        self.shape = (*self.shape[:axis], size, *self.shape[axis + 1 :])
+        self._id.set_extent(self.shape)
+        self._part = self._id.get_space()
+
+    def __getitem__(self, index: Any) -> NDArray[Any]:
+        first, count, step = self._consecutive(index)
+        found = np.empty((count, *self.shape[1:]), self._dtype)
+        if found.size:
+            memory, part = self._spaces(first, found.shape)
+            self._id.read(memory, part, found, self._kind)
+        return found[::step]
+
+    def __setitem__(self, index: Any, values: Any) -> None:
+        first, count, step = self._consecutive(index)
+        given, shape = np.asarray(values, self._dtype), (count, *self.shape[1:])
+        if given.shape != shape:
+            given = np.broadcast_to(given, shape)
+        given = np.ascontiguousarray(given[::step])
+        check_write(self._path, given.nbytes)
+        if given.size:
+            memory, part = self._spaces(first, shape)
+            self._id.write(memory, part, given, self._kind)
+
+    def _spaces(self, first: int, shape: tuple[int, ...]) -> tuple[h5s.SpaceID, h5s.SpaceID]:
+        """Of so much in memory, and of as much from this frame on in the file."""
+        self._part.select_hyperslab((first, *(0,) * (len(shape) - 1)), shape)
+        return _space(shape), self._part
+
+    def _consecutive(self, index: Any) -> tuple[int, int, int]:
+        """Numbers that go up or down by one: the least of them, how many, and the step that makes it what was asked."""
+        if isinstance(index, slice):
+            first, end, step = index.indices(self.shape[0])
+            if step == 1:
+                return first, max(end - first, 0), 1
+            numbers = list(range(first, end, step))
+        else:
+            numbers = np.asarray(index).tolist()  # of a few numbers Python tells sooner than NumPy
+        if not numbers:
+            return 0, 0, 1
+        first, last = numbers[0], numbers[-1]
+        if numbers == list(range(first, last + 1)):
+            return first, len(numbers), 1
+        if numbers == list(range(first, last - 1, -1)):
+            return last, len(numbers), -1
+        raise IndexError(f"frames {numbers} are not consecutive: a file is read and written by runs of frames")
+
+
+def _fill(variable: Variable) -> tuple[float, str]:
+    """What stands where nothing was written, and the kind of number."""
+    return (np.nan if variable.kind.startswith("f") else 0), variable.kind

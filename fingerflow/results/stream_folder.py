@@ -1,0 +1,221 @@
+"""The folder of results of a stream: how it is written and read."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fingerflow.errors import PlayerError, first_line
+from fingerflow.results.patient_file import PatientFile
+from fingerflow.schema.unfinished import remove, unfinished
+from fingerflow.schema.variables import FRAME, LABELS
+
+Array = NDArray[Any]
+RESULTS_FORMAT = 2
+_AT_ONCE = 1 << 13  # bytes of records that are written together: what a killed process loses
+
+
+class StreamResults(NamedTuple):
+    """What `read_results` gives: one record a processed frame, the header, and what happened beside the frames."""
+
+    records: Array
+    header: dict[str, Any]
+    events: list[dict[str, Any]]
+
+
+def read_results(folder: str | Path) -> StreamResults:
+    """Reads a results folder, also one that is being written or whose writer was killed: the whole records of it.
+
+    ``records`` is a structured array mapped from the file: ``records["real_contact_area"]`` (F,),
+    ``records["position_px"]`` (F, N, 2). Raises PlayerError where it is no results folder.
+    """
+    folder = Path(folder)
+    try:
+        header = json.loads((folder / "header.json").read_text(encoding="utf-8"))
+        if header["format"] != RESULTS_FORMAT:
+            raise PlayerError(
+                f"{folder}: results of format {header['format']}, this player reads {RESULTS_FORMAT}; use the player "
+                "of the bundle that wrote them"
+            )
+        dtype = np.dtype([(f["name"], f["dtype"], tuple(f["shape"])) for f in header["fields"]])
+        lacking = {"frame", "time"} - set(dtype.names or ())
+        if lacking:
+            raise ValueError(f"its records have no {' and no '.join(sorted(lacking))}")
+        for field in header["fields"]:
+            tuple(map(str, field["dims"])), str(field["unit"])
+        count = (folder / "records.bin").stat().st_size // dtype.itemsize
+        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+        events = [json.loads(line) for line in lines if line.endswith("\n")]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise PlayerError(f"{folder}: is no results folder of a stream ({first_line(error)}); copy it again") from None
+    records = np.memmap(folder / "records.bin", dtype, "r", shape=(count,)) if count else np.empty(0, dtype)
+    return StreamResults(records, header, events)
+
+
+def write_table(folder: str | Path, table: str | Path, overwrite: bool = False) -> None:
+    """Writes the numbers of each frame as CSV, one row a frame, columns as `fingerflow export-table` names them.
+
+    Raises PlayerError where the file cannot be written, or exists and is not to be replaced.
+    """
+    records, header, _ = read_results(folder)
+    columns: dict[str, Array] = {}
+    for one in header["fields"]:
+        name, dims = one["name"], tuple(one["dims"])
+        unit = f" ({one['unit']})" if one["unit"] else ""
+        if dims == FRAME:
+            columns[name + unit] = records[name]
+        elif len(dims) == 2 and dims[1] in LABELS:
+            columns |= {f"{name}_{part}{unit}": records[name][:, i] for i, part in enumerate(LABELS[dims[1]])}
+    table = Path(table)
+    part = unfinished(table)
+    try:
+        if table.exists() and not overwrite:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        with open(part, "x", encoding="utf-8") as file:
+            file.write(",".join(columns) + "\n")
+            for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+                file.write(",".join(f"{value:.9g}" for value in row) + "\n")
+        part.replace(table)
+    except OSError as error:
+        raise PlayerError(
+            f"{table}: cannot be written ({error.strerror}); name a new file where there is room"
+        ) from None
+    finally:
+        remove(part)
+
+
+class Sink:
+    """Appends records to a new folder; a kill loses at most what came since the last second.
+
+    header.json says what a record holds, records.bin has them one after another, events.jsonl what happened when. Where
+    the disk is full, records wait in memory for half a minute (`PatientFile`); the event `disk_full` says how long.
+
+    Args:
+        folder: a new one.
+        header: what header.json says.
+        numbered: take the first of folder, folder-2, folder-3 ... that is new.
+    """
+
+    def __init__(self, folder: Path, header: Mapping[str, Any], numbered: bool = False) -> None:
+        self.folder, self._header, self._numbered = folder, header, numbered
+        self._records: PatientFile | None = None
+        self._events: PatientFile | None = None
+        self._made, self._synced, self._frame = False, 0.0, 0
+
+    def open(self) -> None:
+        """Makes the folder; raises PlayerError where it is there already or cannot be made, and leaves nothing then."""
+        with self._said():
+            self._make()
+        self._made = True
+        try:
+            with self._said():
+                self._open_files()
+        except PlayerError:
+            self.discard()
+            raise
+
+    def discard(self) -> None:
+        """Removes the folder that `open` has made: of a stream to which no frame came."""
+        for name in ("header.json", "events.jsonl", "records.bin") if self._made else ():
+            with contextlib.suppress(OSError):
+                (self.folder / name).unlink()
+        if self._made:
+            with contextlib.suppress(OSError):
+                self.folder.rmdir()
+
+    def _make(self) -> None:
+        """The folder appears with its header. Another stream may have begun in the same second: then the name gets a
+        number, unless it was given.
+        """
+        named = self.folder
+        for number in itertools.count(2):
+            if not self.folder.exists():
+                part = unfinished(self.folder)
+                try:
+                    part.mkdir(parents=True)
+                    self._fill(part)
+                    part.rename(self.folder)
+                    return
+                except OSError:
+                    if not self.folder.exists():  # else another stream was faster
+                        raise
+                finally:
+                    remove(part)
+            if not self._numbered:
+                raise FileExistsError
+            self.folder = named.with_name(f"{named.name}-{number}")
+
+    def _fill(self, folder: Path) -> None:
+        with open(folder / "header.json", "x", encoding="utf-8") as file:
+            file.write(json.dumps(self._header, indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        for name in ("events.jsonl", "records.bin"):
+            (folder / name).touch()
+
+    def _open_files(self) -> None:
+        self._events = PatientFile(self.folder / "events.jsonl")
+        self._records = PatientFile(self.folder / "records.bin")
+
+    def write(self, record: Array, frame: int) -> None:
+        """The record of a frame as bytes; once a second all of them go to the disk."""
+        assert self._records is not None
+        self._frame = frame
+        self._records.write(record.data)
+        due = time.perf_counter() - self._synced >= 1
+        if due or len(self._records) >= _AT_ONCE:
+            with self._said():
+                self._flush(self._records)
+                if due:
+                    self._synced = time.perf_counter()
+                    self._records.sync()
+
+    def _flush(self, records: PatientFile, wait: bool = False) -> None:
+        if (refusal := records.flush(wait)) is not None:
+            self.event("disk_full", self._frame, seconds=round(refusal.seconds, 1), kept_bytes=refusal.kept)
+
+    def event(self, event: str, frame: int, **facts: Any) -> None:
+        """One line; may come from any thread."""
+        assert self._events is not None
+        line = {"event": event, "frame": frame, "clock": datetime.now(UTC).isoformat(), **facts}
+        with self._said():
+            self._events.write((json.dumps(line) + "\n").encode())
+            self._events.flush()
+
+    def close(self) -> None:
+        """Writes what is left; raises PlayerError where that fails."""
+        if self._records is None or self._events is None:
+            return
+        with self._said():
+            try:
+                self._flush(self._records, wait=True)
+                self._events.flush(wait=True)
+                self._records.sync()
+            finally:
+                self._records.close()
+                self._events.close()
+
+    @contextlib.contextmanager
+    def _said(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError:
+            raise PlayerError(
+                f"{self.folder}: exists already and results are never overwritten; give --output another name"
+            ) from None
+        except OSError as error:
+            raise PlayerError(
+                f"{self.folder}: cannot be written ({error.strerror}); what was written stays readable. Make room, or "
+                "give --output another place"
+            ) from None

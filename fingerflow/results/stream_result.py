@@ -1,0 +1,121 @@
+"""The folder that a played stream leaves, as the labelled data set that `process` gives."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.errors import FingerflowError
+from fingerflow.results.stream_folder import StreamResults, read_results
+from fingerflow.schema.variables import (
+    CONTACT,
+    FIELDS,
+    FRAME_CHECK,
+    LABELS,
+    STREAM,
+    TIME,
+    TRACKING,
+    Variable,
+    by_name,
+)
+
+Array = NDArray[Any]
+_VARIABLES = by_name(FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
+_WITH_GAUGE = ("divergence", "curl", "median_divergence")  # fields that hold for a length over which they are fitted
+_TRACKED = 0  # of the flags of `status`
+
+
+def open_stream(folder: str | Path) -> xr.Dataset:
+    """Opens the results of a stream.
+
+    Variables have the names, dimensions, units, definitions and flags that :func:`fingerflow.process` gives, as far as
+    a stream has them.
+
+    Values of points are mapped from the file, and read when they are used. ``point`` counts the places of the largest
+    choice of points: behind a `restart` the same place is another point. A stream that is still running, or was killed,
+    gives the frames that are whole.
+
+    Raises FingerflowError where it is no folder of results.
+    """
+    folder = Path(folder)
+    results = read_results(folder)
+    try:
+        return _labelled(results)
+    except KeyError as error:
+        raise FingerflowError(f"{folder}: header.json does not state {error}; copy the folder again") from None
+
+
+def _labelled(results: StreamResults) -> xr.Dataset:
+    chosen = [int(event["points"]) for event in results.events if event["event"] == "restart"]
+    variables = {
+        name: (one.dims, values, _attributes(one, results.header))
+        for name, values in _values(results, chosen).items()
+        if (one := _VARIABLES.get(name)) is not None
+    }
+    used = {name for dims, _, _ in variables.values() for name in dims}
+    coordinates: dict[str, Any] = {
+        "time": (TIME.dims, np.array(results.records["time"]), TIME.attributes()),
+        "frame": np.array(results.records["frame"]),
+        **{name: list(labels) for name, labels in LABELS.items() if name in used},
+    }
+    return xr.Dataset(variables, coords=coordinates, attrs=_about(results.header))
+
+
+def _values(results: StreamResults, chosen: list[int]) -> dict[str, Array]:
+    """What the records hold, and what follows from it."""
+    records, header = results.records, results.header
+    points = max(chosen, default=0)
+    found: dict[str, Array] = {}
+    for name in records.dtype.names or ():
+        variable = _VARIABLES.get(name)
+        if variable is not None:
+            # Graphs have room for more points than may be found.
+            found[name] = records[name][:, :points] if "point" in variable.dims else np.array(records[name])
+    if "position_px" in found:
+        matrix = np.array(header["topography_to_contact"])
+        on_glass = found["position_px"] @ matrix[:, :2].T + matrix[:, 2]
+        found["position"] = on_glass * header["mm_per_px"]
+    if "status" in found:
+        tracked = found["status"] == _TRACKED
+        of_restart = np.array([0, *chosen])[np.clip(found["restart"], 0, len(chosen))]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = tracked.sum(1) / of_restart
+        usable = records["frame_status"] == 0 if "frame_status" in found else True
+        found["tracked_share"] = np.where(usable, share, np.nan)
+        if "forward_backward_error" in found:
+            found["forward_backward_median"] = _medians(np.where(tracked, found["forward_backward_error"], np.nan))
+    for name, one in _VARIABLES.items():
+        if one.formula is not None and name not in found and found.keys() >= set(one.of):
+            with np.errstate(divide="ignore", invalid="ignore"):  # a quotient by nothing is NaN or infinite
+                found[name] = one.formula(*(found[other] for other in one.of))
+    return found
+
+
+def _medians(values: Array) -> Array:
+    """Of what is known in each row (F, N); NaN where nothing is."""
+    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
+
+
+def _attributes(variable: Variable, header: dict[str, Any]) -> dict[str, Any]:
+    fields = header["recipe"].get("fields", {})
+    gauge = {"gauge_length_mm": fields["gauge_length_mm"]} if fields and variable.name in _WITH_GAUGE else {}
+    return {**variable.attributes(), **gauge}
+
+
+def _about(header: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "title": "fingertip on glass, a stream",
+        "fingerflow_version": header["fingerflow"],
+        "created": header["started"],
+        "settings": json.dumps(header["recipe"]),
+        "strain_measure": "green_lagrange",
+        "warnings": json.dumps(header["warnings"]),
+        "stage_seconds": json.dumps({}),
+        "mm_per_px": header["mm_per_px"],
+        "topography_to_contact": json.dumps(header["topography_to_contact"]),
+        "frames": header["source"],
+        "engine": header.get("engine") or header["provider"],
+    }

@@ -1,0 +1,118 @@
+"""Which table or map goes into which kind of file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+import tifffile
+import xarray as xr
+
+from fingerflow.errors import FingerflowError
+from fingerflow.results.atomic_write import keep_others, write_atomically
+from fingerflow.results.tables.columns import Table, by_frame, by_point, by_track
+from fingerflow.results.tables.maps import ORIGIN as _ORIGIN
+from fingerflow.results.tables.maps import Maps, maps_of
+from fingerflow.results.tables.matlab import save_matlab
+
+ROWS = {"frame": by_frame, "point": by_point, "track": by_track}
+_BEGINNINGS = (b"frame,", b"track_id,")
+
+
+def export_table(
+    result: xr.Dataset,
+    path: Path,
+    rows: str = "frame",
+    variables: Sequence[str] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Writes a table as .csv, or everything as .mat.
+
+    Args:
+        result: of `process`, or of a stream.
+        path: ending in .csv or .mat.
+        rows: what is a row of a .csv: "frame"; "point", one a point in each frame; "track", the same as napari's tracks
+            are, (ID, t, y, x) with frames and px, where the point is tracked.
+        variables: that are columns; None for all that have a value for each row.
+        overwrite: replace any file, not a table or map alone.
+
+    Raises:
+        FingerflowError: for another suffix, a variable that the result does not have or that has other rows, or
+            without ``overwrite`` where a file is there that is no table or map.
+    """
+    keep_others(path, is_table, overwrite)
+    if rows not in ROWS:
+        raise FingerflowError(f"rows of {rows!r} are not known; choose {', '.join(ROWS)}")
+    if path.suffix == ".csv":
+        table = ROWS[rows](result, variables)
+        write_atomically(path, lambda part: _write_csv(part, table))
+    elif path.suffix == ".mat":
+        if rows != "frame" or variables:
+            raise FingerflowError(f"{path}: a .mat file holds everything; leave rows and variables out, or take .csv")
+        save_matlab(result, path)
+    else:
+        raise FingerflowError(f"{path}: a table is written as .csv or .mat, not {_suffix(path)}")
+
+
+def export_map(result: xr.Dataset, path: Path, variable: str, step_mm: float = 0.1, overwrite: bool = False) -> None:
+    """Writes a variable of points or triangles on a regular grid of the glass, in every frame.
+
+    Args:
+        result: of `process`.
+        path: .tif, a stack of float32 for ImageJ with mm and s in its tags, channels where the variable has
+            components, NaN where nothing is known; or .csv, one row a known place with frame, time, x and y.
+        variable: with a value for each point, or each triangle, in each frame.
+        step_mm: between the places of the grid.
+        overwrite: replace any file, not a table or map alone.
+
+    Raises:
+        FingerflowError: for another suffix or step, a variable that cannot be mapped, or without ``overwrite`` where a
+            file is there that is no table or map.
+    """
+    keep_others(path, is_table, overwrite)
+    if path.suffix in (".tif", ".tiff"):
+        found = maps_of(result, variable, step_mm)
+        write_atomically(path, lambda part: _write_tiff(part, found))
+    elif path.suffix == ".csv":
+        table = maps_of(result, variable, step_mm).table()
+        write_atomically(path, lambda part: _write_csv(part, table))
+    else:
+        raise FingerflowError(f"{path}: a map is written as .tif or .csv, not {_suffix(path)}")
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is a table or map of this module: by how it begins, its variables, or what its tags say."""
+    try:
+        if path.suffix == ".mat":
+            return {"time", "frame", "units"} <= {name for name, _, _ in scipy.io.whosmat(str(path))}
+        if path.suffix in (".tif", ".tiff"):
+            with tifffile.TiffFile(path) as file:
+                return _ORIGIN in str((file.imagej_metadata or {}).get("Info", ""))
+        with path.open("rb") as table:
+            return table.read(max(map(len, _BEGINNINGS))).startswith(_BEGINNINGS)
+    except Exception:  # whatever the libraries raise at a file that is none
+        return False
+
+
+def _write_csv(part: Path, table: Table) -> None:
+    np.savetxt(part, table.rows, delimiter=",", fmt="%.9g", header=",".join(table.names), comments="")
+
+
+def _write_tiff(part: Path, maps: Maps) -> None:
+    names: dict[str, str | list[str]] = {"Info": maps.about}
+    if maps.components:
+        names["Labels"] = [f"{maps.name}_{one}" for _ in maps.times for one in maps.components]
+    steps = np.diff(maps.times)
+    interval = {"finterval": float(np.median(steps)), "tunit": "s"} if len(steps) else {}
+    with part.open("wb") as file:
+        tifffile.imwrite(
+            file,
+            maps.values if maps.components else maps.values[:, 0],
+            imagej=True,
+            resolution=(1 / maps.step_mm, 1 / maps.step_mm),
+            metadata={"axes": "TCYX" if maps.components else "TYX", "unit": "mm", **interval, **names},
+        )
+
+
+def _suffix(path: Path) -> str:
+    return path.suffix or "without a suffix"

@@ -1,0 +1,153 @@
+"""A variable of points or triangles on a regular grid of the glass."""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from fingerflow.errors import FingerflowError
+from fingerflow.results.tables.columns import Table
+
+ORIGIN = "the first pixel is at"  # by which a file of maps is known
+_MOST_CELLS = 4_000_000  # of a frame: beyond, the step is a mistake
+_PARTS = ("xy", "strain_component", "shear_component", "principal")
+
+
+class Maps(NamedTuple):
+    """Values (F, C, H, W) float32 at the places x[k], y[j] mm of the glass; NaN where not known.
+
+    Attributes:
+        name: of the variable; `units` its unit; `components` its parts, () for none.
+        frames, times: (F,) number and s.
+    """
+
+    name: str
+    units: str
+    components: tuple[str, ...]
+    values: NDArray[np.float32]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    frames: NDArray[np.integer]
+    times: NDArray[np.float64]
+    step_mm: float
+
+    @property
+    def about(self) -> str:
+        """For a file that cannot say where its first pixel lies."""
+        return (
+            f"{self.name} in {self.units}; {ORIGIN} x = {self.x[0]:.6g} mm, y = {self.y[0]:.6g} mm of the "
+            f"glass, pixels are {self.step_mm:g} mm apart, the first frame is {self.frames[0]} at {self.times[0]:.6g} s"
+        )
+
+    def table(self) -> Table:
+        """One row a place where something is known."""
+        frame, row, column = np.nonzero(np.isfinite(self.values).any(1))
+        places = (self.frames[frame], self.times[frame], self.x[column], self.y[row])
+        named = [f"_{one}" for one in self.components] or [""]
+        names = ("frame", "time (s)", "x (mm)", "y (mm)", *(f"{self.name}{one} ({self.units})" for one in named))
+        return Table(names, np.column_stack([*places, *(self.values[frame, :, row, column].T)]))
+
+
+def maps_of(result: xr.Dataset, variable: str, step_mm: float) -> Maps:
+    """A variable where the skin is in each frame.
+
+    Of points: linear between the corners of the Delaunay triangles of their positions in the frame (Barber et al.
+    1996), and known within half a gauge length of a point that has a value: beyond, no gradient is fitted either. Of
+    triangles: the value of the one that covers the place, where none is turned over.
+
+    Raises FingerflowError where the variable is not there or is of something else, or the step gives no grid.
+    """
+    if variable not in result or "position" not in result:
+        missing = variable if variable not in result else "position"
+        raise FingerflowError(f"the result has no {missing}, which the map needs; compute it (process -v {missing})")
+    given = result[variable]
+    dims = tuple(map(str, given.dims))
+    of, parts = dims[:2], dims[2:]
+    if of not in (("frame", "point"), ("frame", "triangle")) or len(parts) > 1 or (parts and parts[0] not in _PARTS):
+        raise FingerflowError(
+            f"{variable} has a value for each of {', '.join(dims)}; a map is of what has one for each point or triangle"
+        )
+    position = result["position"].values
+    known = np.isfinite(position).all(-1)
+    if not known.any():
+        raise FingerflowError("no point has a position in any frame: there is nothing to map")
+    x, y = (_axis(position[..., k][known], step_mm) for k in (0, 1))
+    if len(x) * len(y) > _MOST_CELLS:
+        raise FingerflowError(
+            f"a step of {step_mm:g} mm makes maps of {len(y)} x {len(x)} pixels; give a larger one, such as 0.1"
+        )
+    places = np.stack(np.meshgrid(x, y), axis=-1)
+    reach = _gauge_mm(result) / 2
+    components = tuple(map(str, result[parts[0]].values)) if parts else ()
+    values = np.full((len(position), max(1, len(components)), len(y), len(x)), np.nan, np.float32)
+    corners = result["triangles"].values if "triangle" in dims else None
+    for frame, points in enumerate(position):
+        of_frame = given[frame].values
+        of_frame = of_frame if parts else of_frame[:, None]
+        if corners is None:
+            values[frame] = _of_points(points, of_frame, places, reach).transpose(2, 0, 1)
+        else:
+            values[frame] = _of_triangles(points, corners, of_frame, x, y).transpose(2, 0, 1)
+    units = str(given.attrs["units"])
+    frames, times = result["frame"].values, result["time"].values
+    return Maps(variable, units, components, values, x, y, frames, times, step_mm)
+
+
+def _axis(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    if not 0 < step < np.inf:
+        raise FingerflowError(f"a step of {step:g} mm gives no grid; give one above 0, such as 0.1")
+    first, last = np.floor(values.min() / step), np.ceil(values.max() / step)
+    result: NDArray[np.float64] = np.arange(first, last + 1) * step
+    return result
+
+
+def _gauge_mm(result: xr.Dataset) -> float:
+    return float(json.loads(result.attrs["settings"])["fields"]["gauge_length_mm"])
+
+
+def _of_points(
+    points: NDArray[np.float64], values: NDArray[np.floating], places: NDArray[np.float64], reach: float
+) -> NDArray[np.float64]:
+    """(H, W, C)."""
+    found = np.full((*places.shape[:2], values.shape[1]), np.nan)
+    usable = np.isfinite(points).all(1) & np.isfinite(values).all(1)
+    if usable.sum() < 3:
+        return found
+    try:
+        between = LinearNDInterpolator(Delaunay(points[usable]), values[usable].astype(np.float64))
+    except QhullError:  # all on one line
+        return found
+    near = cKDTree(points[usable]).query(places, distance_upper_bound=reach)[0] <= reach
+    found[near] = between(places[near])
+    return found
+
+
+def _of_triangles(
+    points: NDArray[np.float64],
+    corners: NDArray[np.integer],
+    values: NDArray[np.floating],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(H, W, C)."""
+    found = np.full((len(y), len(x), values.shape[1]), np.nan)
+    for triangle, value in zip(points[corners], values, strict=True):
+        if not (np.isfinite(triangle).all() and np.isfinite(value).any()):
+            continue
+        low, high = triangle.min(0), triangle.max(0)
+        columns = slice(np.searchsorted(x, low[0]), np.searchsorted(x, high[0], "right"))
+        rows = slice(np.searchsorted(y, low[1]), np.searchsorted(y, high[1], "right"))
+        at = np.stack(np.meshgrid(x[columns], y[rows]), axis=-1)
+        side = [_cross(triangle[(k + 1) % 3] - triangle[k], at - triangle[k]) for k in range(3)]
+        inside = np.all([one >= 0 for one in side], axis=0) | np.all([one <= 0 for one in side], axis=0)
+        found[rows, columns][inside] = value
+    return found
+
+
+def _cross(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    result: NDArray[np.float64] = one[0] * other[..., 1] - one[1] * other[..., 0]
+    return result

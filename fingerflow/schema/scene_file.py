@@ -1,0 +1,65 @@
+"""Reads a scene file and says what is wrong with it, a line a problem: file, line, key, value, remedy."""
+
+import re
+import tomllib
+from pathlib import Path
+
+from fingerflow.schema.scene_check import Checked, Keys, check_scene
+from fingerflow.schema.scene_keys import Reader
+
+
+class SceneError(Exception):
+    """What is wrong with a scene file, in all."""
+
+
+def read_scene(path: Path, reader: Reader) -> Checked:
+    """The content of a scene file for one of its readers.
+
+    Raises SceneError where the file is missing or is no TOML, a key is unknown, a value has the wrong type or range,
+    keys do not go together, or a file that the reader needs is missing.
+    """
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        raise SceneError(f"{path}: is no file; name a scene file, which `fingerflow init` writes")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); `fingerflow init` writes a new one") from None
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: is not UTF-8 text ({error.reason}); save it as UTF-8") from None
+    return parse_scene(text, path, reader)
+
+
+def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
+    """As :func:`read_scene`, of a text that is to become that file."""
+    try:
+        written = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SceneError(f"{path}: is not valid TOML: {error}; correct it there") from None
+    found, problems = check_scene(written, path.parent, reader)
+    if problems:
+        lines = [f"{path}, line {_line(text, one.keys)}: {'.'.join(one.keys)} {one.said}" for one in problems]
+        raise SceneError("\n".join(lines))
+    return found
+
+
+def _line(text: str, keys: Keys) -> int:
+    """The line that sets a key, or else that opens or sets the nearest table around it, or 1."""
+    table: Keys = ()
+    longest, result = 0, 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = re.match(r"\s*\[+([^\[\]]+)\]", line)
+        setting = re.match(r"([^#=]+)=", line)
+        if header:
+            place = table = _parts(header[1])
+        elif setting:
+            place = (*table, *_parts(setting[1]))
+        else:
+            continue
+        if longest < len(place) and place == keys[: len(place)]:
+            longest, result = len(place), number
+    return result
+
+
+def _parts(dotted: str) -> Keys:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))

@@ -1,0 +1,369 @@
+"""The keys of a scene file: type, range and default of each, who needs it, and the rules between them.
+
+Two read a scene: `process`, a recording, and the player, a `stream`. Where they need different things, it says so here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from fingerflow.schema.scene_kinds import Kind
+
+Reader = Literal["process", "stream"]
+PROCESS, STREAM = frozenset[Reader](("process",)), frozenset[Reader](("stream",))
+BOTH = PROCESS | STREAM
+NOBODY = frozenset[Reader]()
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number; a whole one is one too, true is none."""
+
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+    below: float | None = None
+
+
+@dataclass(frozen=True)
+class Whole(Number):
+    """A whole number, written as one; ``odd`` where it is a side with a middle pixel."""
+
+    odd: bool = False
+
+
+@dataclass(frozen=True)
+class Switch:
+    """true or false."""
+
+
+@dataclass(frozen=True)
+class Text:
+    """Any text."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some words, or a number."""
+
+    words: tuple[str, ...]
+    number: Number | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """The name of a column, or its number, from 1; with ``several`` a list of up to so many."""
+
+    several: int = 1
+
+
+@dataclass(frozen=True)
+class Each:
+    """A number for all forces, or a list of one each, normal first; ``among`` these, where not empty."""
+
+    number: Number = Number()
+    among: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """[t0, t1] s from the trigger, t0 before t1."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One of some words, a frame as a whole number from 0, or a time from the trigger as text, "0.25 s"."""
+
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class File:
+    """A path relative to the scene file; "file.h5::/dataset" is a data set within a file.
+
+    Attributes:
+        there_for: who needs that it exists: a scene may be taken to a lab PC without its recording.
+        calibration: whether it is a calibration, which is read with the scene.
+    """
+
+    there_for: frozenset[Reader] = BOTH
+    calibration: bool = False
+
+
+@dataclass(frozen=True)
+class PixelRange:
+    """Half-open, [first, end)."""
+
+
+@dataclass(frozen=True)
+class Corners:
+    """[[x, y], ...], three or more px of a view."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """[x, y], two numbers."""
+
+    each: Number = Number()
+
+
+@dataclass(frozen=True)
+class Transform:
+    """[[a, b, x], [c, d, y]] that can be undone."""
+
+
+Type = (
+    Number
+    | Switch
+    | Text
+    | Choice
+    | Column
+    | Each
+    | TimeRange
+    | Moment
+    | File
+    | PixelRange
+    | Corners
+    | Pair
+    | Transform
+)
+
+
+@dataclass(frozen=True)
+class Key:
+    """One setting: its type, its default, and who cannot do without."""
+
+    type: Type
+    default: Any = None
+    needed_by: frozenset[Reader] = NOBODY
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of settings. One that is left out has its defaults, or is none where a key of it is needed."""
+
+    keys: Mapping[str, "Key | Table"]
+    needed_by: frozenset[Reader] = NOBODY
+
+
+POSITIVE, FROM_0 = Number(above=0), Whole(least=0)
+RECTANGLE = {"rows": Key(PixelRange(), needed_by=BOTH), "columns": Key(PixelRange(), needed_by=BOTH)}
+#: A part of a view, px of the view with whole numbers at pixel centres: one of these.
+REGION = Table(
+    {
+        "polygon": Key(Corners()),
+        "ellipse": Table(
+            {
+                "center": Key(Pair(), needed_by=BOTH),
+                "semi_axes": Key(Pair(POSITIVE), needed_by=BOTH),
+                "angle": Key(Number(), default=0.0),
+            }
+        ),
+        "mask": Key(File(there_for=PROCESS)),
+    }
+)
+
+SCENE: dict[str, Key | Table] = {
+    "recording": Table(
+        {
+            "frames": Key(File(there_for=PROCESS), needed_by=PROCESS),
+            "frame_rate": Key(Number(above=1e-6)),
+            "trigger_frame": Key(FROM_0),
+            "first_frame": Key(FROM_0, default=0),
+            "last_frame": Key(FROM_0),
+        },
+        needed_by=PROCESS,
+    ),
+    "background": Table(
+        {
+            "frames": Key(File(there_for=PROCESS), needed_by=BOTH),
+            "dark": Key(File(there_for=PROCESS)),
+        },
+        needed_by=PROCESS,
+    ),
+    "calibration": Table(
+        {
+            "file": Key(File(calibration=True)),
+            "mm_per_px": Key(Number(above=0, most=1)),
+            # It matters only where there is a topography view.
+            "topography_to_contact": Key(Transform(), default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+        },
+        needed_by=BOTH,
+    ),
+    "forces": Table(
+        {
+            "file": Key(File(there_for=PROCESS), needed_by=BOTH),
+            "normal": Key(Column(), needed_by=BOTH),
+            "tangential": Key(Column(several=2)),
+            "units": Key(Choice(("N", "mN", "g", "kgf", "V"))),
+            "gain": Key(Each()),
+            "sign": Key(Each(among=(1, -1)), default=1.0),
+            "offset": Key(Each()),
+            "tare": Key(TimeRange()),
+            "trigger": Key(Column()),
+            "trigger_level": Key(Number()),
+            "time": Key(Column()),
+            "sample_rate": Key(POSITIVE),
+        },
+    ),
+    "contact": Table(
+        {
+            "median_px": Key(Whole(least=3, most=63, odd=True), default=3),
+            "threshold": Key(
+                Choice(("reference_frame", "per_frame"), Number(above=0, below=1)), default="reference_frame"
+            ),
+            "gross_radius_px": Key(Whole(least=1, most=255), default=8),
+        },
+    ),
+    "tracking": Table(
+        {
+            "points": Key(Whole(least=3), default=700),
+            "window_px": Key(Whole(least=5, most=255, odd=True), default=25),
+            "min_distance_px": Key(POSITIVE, default=6.0),
+            "points_from": Key(Choice(("recorded", "enhanced")), default="recorded"),
+            "direction": Key(Choice(("forward", "backward")), default="forward"),
+            "template": Key(Choice(("keyframe", "previous")), default="keyframe"),
+            "forward_backward_limit_px": Key(POSITIVE, default=1.0),
+            "search_px": Key(FROM_0, default=8),
+            "gain_offset": Key(Switch(), default=True),
+        },
+    ),
+    "fields": Table(
+        {
+            "reference": Key(Moment(("onset", "first_frame")), default="onset"),
+            "gauge_length_mm": Key(Number(above=0, most=100), default=1.6),
+            "strain": Key(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
+            "young_modulus_mpa": Key(POSITIVE, default=1.0),
+            "poisson_ratio": Key(Number(above=-1, below=0.5), default=0.4),
+            "depth_mm": Key(POSITIVE, default=2.0),
+            "rate_window_s": Key(POSITIVE, default=0.05),
+        },
+    ),
+    "slip": Table(
+        {
+            "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
+            "stuck_mm": Key(POSITIVE, default=0.04),
+            "displacement": Key(Choice(("points", "dense_flow")), default="points"),
+        }
+    ),
+    "stream": Table(
+        {
+            "output": Key(File(there_for=NOBODY)),
+            "region": Table(RECTANGLE),
+            "rekey_share": Key(Number(above=0, most=1)),
+            "rekey_frames": Key(Whole(least=1)),
+        },
+    ),
+}
+
+
+def views_of(kind: Kind) -> Table:
+    """[views] of a scene of this kind: a rectangle each, and a region in it."""
+    keys: dict[str, Key | Table] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    tables: dict[str, Key | Table] = {name: Table(keys, needed_by=BOTH) for name in kind.views}
+    tables |= {name: Table(keys, needed_by=STREAM) for name in kind.optional_views}
+    return Table(tables, needed_by=BOTH)
+
+
+def optional(table: Key | Table) -> Table:
+    """The same table, whose keys nobody needs."""
+    assert isinstance(table, Table)
+    return Table({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
+
+
+# Rules between keys, all named by their dotted paths. The first key of each is the one that is blamed.
+
+
+@dataclass(frozen=True)
+class NotBefore:
+    """A frame that is not before another."""
+
+    key: str
+    first: str
+
+
+@dataclass(frozen=True)
+class Together:
+    """Two keys that are given both or not at all."""
+
+    key: str
+    other: str
+    why: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class NotBoth:
+    """Two keys of which one is given at most."""
+
+    key: str
+    other: str
+    why: str
+
+
+@dataclass(frozen=True)
+class OneEach:
+    """A list of one number a force, where it is a list."""
+
+    key: str
+    forces: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InPlaceOf:
+    """A calibration file that gives a scale and, it may be, a transform, of which the scale is needed else."""
+
+    key: str
+    needed: str
+    transform: str
+
+
+@dataclass(frozen=True)
+class Inside:
+    """A rectangle that lies in a view."""
+
+    key: str
+    view: str
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """A table of which one key is given, where it is given at all."""
+
+    key: str
+
+
+@dataclass(frozen=True)
+class FitsTheViews:
+    """A calibration that says where the pixels of a view are in the other one, and was made with these views."""
+
+    key: str
+    scale: str
+    transform: str
+    view: str
+    into: str
+
+
+Rule = NotBefore | Together | NotBoth | OneEach | InPlaceOf | Inside | OneOf | FitsTheViews
+_TRIGGER = "trigger and trigger_level belong together: the channel, and the level that it crosses at time 0"
+RULES: tuple[Rule, ...] = (
+    NotBefore("recording.last_frame", "recording.first_frame"),
+    Together("forces.trigger", "forces.trigger_level", _TRIGGER, "add trigger_level = 2.5 in the channel's unit"),
+    Together("forces.trigger_level", "forces.trigger", _TRIGGER, "add trigger = with the channel's name"),
+    NotBoth("forces.tare", "forces.offset", "both say what the sensor reads without a load"),
+    *(OneEach(f"forces.{key}", ("forces.normal", "forces.tangential")) for key in ("gain", "sign", "offset")),
+    InPlaceOf("calibration.file", "calibration.mm_per_px", "calibration.topography_to_contact"),
+    Inside("stream.region", "views.topography"),
+    *(OneOf(f"views.{view}.region") for view in ("contact", "topography", "camera")),
+    *(
+        NotBoth("stream.region", f"views.{view}.region", "both say where points are chosen")
+        for view in ("topography", "camera")
+    ),
+    FitsTheViews(
+        "calibration.file",
+        "calibration.mm_per_px",
+        "calibration.topography_to_contact",
+        "views.topography",
+        "views.contact",
+    ),
+)

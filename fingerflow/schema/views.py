@@ -1,0 +1,63 @@
+"""Where a view lies in a frame: one camera frame may hold several views of the finger side by side."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fingerflow.errors import FingerflowError
+from fingerflow.schema.calibration_file import pixel_range
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """Px of the view; `angle` of the first axis, rad from x towards y."""
+
+    center: tuple[float, float]
+    semi_axes: tuple[float, float]
+    angle: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a view, px of the view with whole numbers at pixel centres: one of these, the others are None."""
+
+    polygon: tuple[tuple[float, float], ...] | None
+    ellipse: Ellipse | None
+    mask: Path | None
+
+
+@dataclass(frozen=True)
+class View:
+    """A rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1). `region` is a part of it.
+
+    Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
+    """
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+    region: Region | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            try:
+                object.__setattr__(self, name, pixel_range(name, getattr(self, name)))
+            except ValueError as error:
+                raise FingerflowError(str(error)) from None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) px."""
+        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
+
+    def crop(self, frame: Any) -> Any:
+        """The view's part of a frame (..., H, W), an array or a tensor, without a copy.
+
+        Raises FingerflowError where the view does not fit into the frame.
+        """
+        height, width = frame.shape[-2:]
+        if self.rows[1] > height or self.columns[1] > width:
+            raise FingerflowError(
+                f"the view rows {list(self.rows)}, columns {list(self.columns)} does not fit into a frame of "
+                f"{height} rows and {width} columns: ranges are half-open, their ends are at most {height} and {width}"
+            )
+        return frame[..., self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]

@@ -1,0 +1,116 @@
+"""Measured against the truth of a synthetic scene."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fingerflow.ops.tracking.track_points import TrackStatus
+from fingerflow.synthetic import Scene
+
+
+class Comparison(NamedTuple):
+    """One quantity: measured and true value in the last frame, and the error over all frames that ``error_of``
+    names.
+    """
+
+    quantity: str
+    unit: str
+    measured: float
+    truth: float
+    error: str
+
+
+def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
+    """What was measured beside what is true, for every quantity of a synthetic recording that was processed whole.
+
+    Early contact is smaller than the structures it is made of: errors of areas are given from 10 mm^2 on.
+    """
+    truth = scene.truth
+    last = scene.n_frames - 1
+    rows = []
+
+    def relative(
+        quantity: str, name: str, values: NDArray[np.float64], true: NDArray[np.float64], large: NDArray[np.bool_]
+    ) -> None:
+        error = np.abs(values[large] / true[large] - 1)
+        rows.append(
+            Comparison(
+                quantity,
+                name,
+                values[last],
+                true[last],
+                f"{error[-1]:.2%} (worst frame over 10 mm²: {error.max():.2%})",
+            )
+        )
+
+    gross = np.array([truth.gross_contact_area_mm2(i) for i in range(scene.n_frames)])
+    large = gross > 10
+    looked = np.flatnonzero(large)[:: max(1, large.sum() // 30)]
+    some = np.zeros_like(large)
+    some[[*looked, last]] = True
+    real = np.array([truth.real_contact_area_mm2(i) if some[i] else np.nan for i in range(scene.n_frames)])
+    relative("real contact area", "mm²", result["real_contact_area"].values, real, some)
+    relative("gross contact area", "mm²", result["gross_contact_area"].values, gross, large)
+    ellipses = [truth.ellipse(i) for i in range(scene.n_frames)]
+    axes = np.array(
+        [(np.nan, np.nan) if ellipse is None else sorted(ellipse.semi_axes, reverse=True) for ellipse in ellipses]
+    )
+    for k, name in enumerate(("semi-major axis", "semi-minor axis")):
+        relative(name, "mm", result["ellipse_semi_axes"].values[:, k], axes[:, k], large)
+    if "position_px" not in result:
+        return rows
+
+    pixels = result["position_px"].values
+    material = truth.material(truth.topography_positions(pixels[0]), 0)
+    true_pixels = truth.topography_pixels(truth.positions(material, last))
+    tracked = result["status"].values[last] == TrackStatus.TRACKED
+    distance = np.linalg.norm(pixels[last] - true_pixels, axis=-1)[tracked]
+    rows.append(
+        Comparison(
+            "position of a point, last frame",
+            "px",
+            float(np.sqrt((distance**2).mean())),
+            0.0,
+            f"{np.sqrt((distance**2).mean()):.4f} RMS, {distance.max():.3f} worst",
+        )
+    )
+    if "median_divergence" not in result:
+        return rows
+    frames = [*looked[::2], last]
+    since = result["median_divergence"].attrs.get("reference_frame")
+    medians = {i: truth.medians(i, reference=since) for i in frames}
+    true_displacement = float(np.hypot(medians[last].displacement_x, medians[last].displacement_y))
+    displacement = float(result["global_displacement"].values[last])
+    rows.append(
+        Comparison(
+            "global displacement", "mm", displacement, true_displacement, f"{displacement - true_displacement:+.4f} mm"
+        )
+    )
+    strain = result["median_strain"].values
+    for quantity, measured, true in (
+        ("median divergence", result["median_divergence"].values[frames], [medians[i].divergence for i in frames]),
+        ("median curl", result["median_curl"].values[frames], [medians[i].curl for i in frames]),
+        ("median strain exx", strain[frames, 0], [medians[i].exx for i in frames]),
+        ("median strain eyy", strain[frames, 1], [medians[i].eyy for i in frames]),
+        ("median strain exy", strain[frames, 2], [medians[i].exy for i in frames]),
+    ):
+        error = 1000 * (measured - np.array(true))
+        rows.append(
+            Comparison(
+                quantity,
+                "µm/mm",
+                float(1000 * measured[-1]),
+                float(1000 * true[-1]),
+                f"{error[-1]:+.2f} (worst frame: {error[np.nanargmax(np.abs(error))]:+.2f})",
+            )
+        )
+    return rows
+
+
+def as_text(rows: list[Comparison]) -> str:
+    """The table in plain text."""
+    lines = [f"{'quantity':33}{'measured':>12}{'truth':>12}  {'unit':7}error"]
+    lines += [f"{row.quantity:33}{row.measured:12.4f}{row.truth:12.4f}  {row.unit:7}{row.error}" for row in rows]
+    return "\n".join(lines)

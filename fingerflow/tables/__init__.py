@@ -1,5 +1,0 @@
-"""Results as files for other programs: tables by frame, point or track, everything for MATLAB, maps on a grid."""
-
-from fingerflow.tables.files import export_map as export_map
-from fingerflow.tables.files import export_table as export_table
-from fingerflow.tables.files import is_table as is_table
