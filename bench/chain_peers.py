@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.rows import Skipped
-from fingerflow.models.skin_explicit import Values, rates
+from fingerflow.models.skin_explicit import ChainState, rates
 from fingerflow.models.skin_forces import Array, Chain
 from fingerflow.models.skin_implicit import Load, State
 
@@ -26,7 +26,7 @@ def cvode(chain: Chain, state: State, mu: Array, load: Load, duration: float, rt
 
     def slopes(time: float, y: Array, out: Array) -> None:
         place = chain.reference + y[: 2 * count].reshape(count, 2)
-        at = Values(place, y[2 * count : 2 * count + 2], y[2 * count + 2 :])
+        at = ChainState(place, y[2 * count : 2 * count + 2], y[2 * count + 2 :])
         speeds = rates(chain, mu, at, load.at(time / duration))
         out[:] = np.concatenate([part.ravel() for part in speeds])
 

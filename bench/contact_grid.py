@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
-from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.scenes import SyntheticScene
 
 DEPTH_MM = 2.0  # fields.depth_mm, by default
 Array = NDArray[np.float64]
 
 
-def skin_in_contact(scene: Scene, frame: int, step_mm: float) -> Array:
+def skin_in_contact(scene: SyntheticScene, frame: int, step_mm: float) -> Array:
     """(N, 2) mm, material of a grid over the contact in a frame."""
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
@@ -33,7 +33,7 @@ def energies(gradient: Array, step_mm: float) -> Array:
     return result
 
 
-def energy_since_onset(scene: Scene, result: xr.Dataset, frame: int, step_mm: float) -> tuple[float, float]:
+def energy_since_onset(scene: SyntheticScene, result: xr.Dataset, frame: int, step_mm: float) -> tuple[float, float]:
     """mJ of the skin since its onset: of all of the contact, and of what is in a triangle of ``result`` that counts."""
     material = skin_in_contact(scene, frame, step_mm)
     each = energies(scene.truth.gradient(material, frame), step_mm)

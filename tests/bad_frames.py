@@ -30,13 +30,13 @@ from fingerflow import load_scene, player, process
 from fingerflow.export.recipe import load_recipe
 from fingerflow.schema.variables import FRAME_STATUS, TRACK_STATUS
 from fingerflow.synthetic import Press, Slide, write_recording
-from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.scenes import SyntheticScene
 from tests.small_trials import SPOILED, write_library_bundle
 
 __all__ = ["KINDS", "TRIALS", "WAYS", "look", "main"]
 Array = NDArray[Any]
 PLACES = 10
-TRIALS: dict[str, Callable[[], Scene]] = {"press": Press, "slide": Slide}  # as shipped
+TRIALS: dict[str, Callable[[], SyntheticScene]] = {"press": Press, "slide": Slide}  # as shipped
 WAYS = ("recorded", "live")
 RECIPE = Path(__file__).resolve().parents[1] / "export" / "exact.toml"
 USABLE = FRAME_STATUS.index("usable")
@@ -122,7 +122,7 @@ def look(folder: Path, way: str, kinds: list[str], seed: int) -> int:
     return wrong
 
 
-def _write(folder: Path, scene: Scene) -> None:
+def _write(folder: Path, scene: SyntheticScene) -> None:
     """As `fingerflow simulate` does."""
     with _quiet(folder.with_suffix(".log")):
         write_recording(folder, scene)

@@ -9,7 +9,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from fingerflow.schema.views import View
-from fingerflow.synthetic import Press, Scene, scene_of_print
+from fingerflow.synthetic import Press, SyntheticScene, scene_of_print
 from fingerflow.synthetic.scenes import FORCE_RATE
 from tests.calibration.drawn_discs import DrawnDisc, camera, draw, moved
 
@@ -27,14 +27,14 @@ _LONGER = 1000  # samples of the force sensors, before and after
 _BRIGHT, _DARK = 150.0, 60.0
 
 
-def press_of(fingerprint: Path) -> Scene:
+def press_of(fingerprint: Path) -> SyntheticScene:
     """The press of `make demo` in 40 frames, with the skin of a picture of a real fingertip."""
     return replace(
         scene_of_print(Press, fingerprint, DPI), n_frames=FRAMES, frame_rate=RATE, frames_before_trigger=TRIGGER_FRAME
     )
 
 
-def write_raw_press(folder: Path, scene: Scene) -> None:
+def write_raw_press(folder: Path, scene: SyntheticScene) -> None:
     """press.tif, empty.tif and dark.tif with 8 frames each; ring.tif and target.tif; forces.csv.
 
     The force is in gram-force and negative where the finger presses. The discs of the target and the hole of the ring

@@ -20,7 +20,7 @@ from fingerflow.export.recipe import GRAPHS, Recipe, ViewRecipe
 from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
-from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.scenes import SyntheticScene
 from tests.stages.rolling import Rolling
 
 Frame = np.ndarray[Any, Any]
@@ -54,7 +54,7 @@ def write_trial(folder: Path, kind: str = "press") -> Path:
     return write_scene_of_bundle(folder, TRIALS[kind])
 
 
-def write_scene_of_bundle(folder: Path, trial: Scene) -> Path:
+def write_scene_of_bundle(folder: Path, trial: SyntheticScene) -> Path:
     """Writes the recording of a trial of any kind, views of `HEIGHT` x `WIDTH` px, and the scene file as above."""
     write_recording(folder, trial)
     scene = folder / "scene.toml"

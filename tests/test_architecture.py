@@ -110,6 +110,16 @@ def test_every_room_has_its_place() -> None:
     assert rooms <= set(ARROWS), "a new room: say in ARROWS what it may import"
 
 
+def test_no_class_name_twice() -> None:
+    """Who reads a name in a message, a docstring or a search finds one class."""
+    named: dict[str, list[str]] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                named.setdefault(node.name, []).append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
+    assert not {name: places for name, places in named.items() if len(places) > 1}
+
+
 def test_imports_follow_the_arrows() -> None:
     files = sorted(PACKAGE.rglob("*.py"))
     assert len(files) > 50

@@ -11,7 +11,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.player import PlayerError
 from fingerflow.player import scene as player
 from fingerflow.schema import scene as package
-from fingerflow.schema.scene_keys import SCENE, Key, Table
+from fingerflow.schema.scene_keys import SCENE, SceneKey, SceneTable
 from fingerflow.schema.scene_kinds import KINDS, Kind
 
 
@@ -120,7 +120,7 @@ def test_the_validated_scene_has_the_keys_of_the_contract() -> None:
     assert types.keys() == SCENE.keys()
     assert {field.name for field in fields(package.Scene)} == {"path", "kind", "views", *types}
     for name, table in SCENE.items():
-        assert isinstance(table, Table)
+        assert isinstance(table, SceneTable)
         assert [field.name for field in fields(types[name])] == list(table.keys), name
 
 
@@ -128,9 +128,9 @@ def test_defaults_are_values_that_may_be_given() -> None:
     from fingerflow.schema.scene_values import value_of
 
     for table in SCENE.values():
-        assert isinstance(table, Table)
+        assert isinstance(table, SceneTable)
         for name, key in table.keys.items():
-            if isinstance(key, Key) and key.default is not None:
+            if isinstance(key, SceneKey) and key.default is not None:
                 given = [list(row) for row in key.default] if isinstance(key.default, tuple) else key.default
                 assert value_of(key.type, given) == key.default, name
 

@@ -31,7 +31,7 @@ from bench.opencv_pipeline import Measured, Rig
 from bench.rows import Row
 from bench.timing import time_in_turns
 from fingerflow import load_scene, process
-from fingerflow.synthetic import Press, Scene, write_recording
+from fingerflow.synthetic import Press, SyntheticScene, write_recording
 
 PRESS = Press(n_frames=60, frame_rate=60.0, frames_before_trigger=3)
 QUICK_PRESS = Press(
@@ -85,7 +85,7 @@ def run(quick: bool) -> list[Row]:
     ]
 
 
-def write_quietly(folder: Path, scene: Scene) -> None:
+def write_quietly(folder: Path, scene: SyntheticScene) -> None:
     """Writes the recording without a progress bar between the tables."""
     with contextlib.redirect_stderr(io.StringIO()):
         write_recording(folder, scene)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from bench.rows import Row
 from bench.suites.pipeline import QUICK_PRESS, write_quietly
 from fingerflow import load_scene, process
-from fingerflow.synthetic import FingerprintTexture, Press, Scene, scene_of_print
+from fingerflow.synthetic import FingerprintTexture, Press, SyntheticScene, scene_of_print
 
 FINGERS = Path(__file__).resolve().parents[3] / "shared" / "data" / "fingers"
 PRINTS = ("101_1", "101_2", "101_3", "104_1")
@@ -72,7 +72,9 @@ def _presses(quick: bool) -> Iterator[tuple[str, Press]]:
         yield name, scene_of_print(Press, FINGERS / f"{name}.tif", DPI)
 
 
-def errors(result: xr.Dataset, scene: Scene, middle: float = 10.0, large: float = 40.0) -> dict[str, float | None]:
+def errors(
+    result: xr.Dataset, scene: SyntheticScene, middle: float = 10.0, large: float = 40.0
+) -> dict[str, float | None]:
     """What the columns above say, for a result of a scene; None where no frame counts.
 
     Args:
@@ -110,7 +112,7 @@ def errors(result: xr.Dataset, scene: Scene, middle: float = 10.0, large: float 
     }
 
 
-def _at_points(result: xr.Dataset, scene: Scene, area: Array) -> tuple[Array, Array]:
+def _at_points(result: xr.Dataset, scene: SyntheticScene, area: Array) -> tuple[Array, Array]:
     """Errors of the onset (frames) at the points that touch late enough, and distances (px) from the true places."""
     truth, last = scene.truth, scene.n_frames - 1
     pixels = result["position_px"].values

@@ -28,7 +28,7 @@ from bench.suites.pipeline import write_quietly
 from fingerflow import load_scene, process
 from fingerflow.engines.together import Steps, run_alone
 from fingerflow.kernels.tracking_limits import TrackStatus
-from fingerflow.synthetic import FingerprintTexture, Press, Scene, Slide
+from fingerflow.synthetic import FingerprintTexture, Press, Slide, SyntheticScene
 from fingerflow.tracker.verification import Verification
 
 SMALL: dict[str, Any] = {"frame_shape": (320, 800), "finger": (5.0, 4.2), "semi_axes": (3.6, 3.1)}
@@ -48,7 +48,7 @@ def run(quick: bool) -> list[Row]:
     frames = 16 if quick else 48
     usual: dict[str, Any] = {"n_frames": frames, "frame_rate": float(frames), "frames_before_trigger": 2, **size}
     press = Press(**usual)
-    recordings: dict[str, Scene] = {
+    recordings: dict[str, SyntheticScene] = {
         "press": press,
         "press of a fingerprint": Press(texture=FingerprintTexture(pattern="loop"), **usual),
         "press in eight frames": Press(**{**usual, "n_frames": 8, "frame_rate": 8.0, "frames_before_trigger": 1}),
@@ -66,7 +66,7 @@ def run(quick: bool) -> list[Row]:
     return rows
 
 
-def _measured(folder: Path, scene: Scene, jump: bool) -> dict[str, float | None]:
+def _measured(folder: Path, scene: SyntheticScene, jump: bool) -> dict[str, float | None]:
     """The cells of a row; positions that the check takes away are those of a run without it."""
     loaded, seconds, last = load_scene(folder / "scene.toml"), list[float](), list[Check]()
     check = Verification.check

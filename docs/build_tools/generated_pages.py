@@ -5,24 +5,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fingerflow.pipeline.dictionary import Entry, dictionary
+from fingerflow.pipeline.dictionary import DictionaryEntry, dictionary
 from fingerflow.schema.scene_keys import (
     SCENE,
     Choice,
     Column,
-    Corners,
+    CornersType,
     Each,
     File,
-    Key,
     Moment,
-    Number,
+    NumberType,
     Pair,
     PixelRange,
+    SceneKey,
+    SceneTable,
     Switch,
-    Table,
     Text,
     TimeRange,
-    Transform,
+    TransformType,
     Whole,
     views_of,
 )
@@ -57,7 +57,7 @@ def outputs_page() -> str:
         "",
         *_symbols(),
     ]
-    stages: dict[str, list[Entry]] = {}
+    stages: dict[str, list[DictionaryEntry]] = {}
     for entry in dictionary():
         stages.setdefault(entry.stage, []).append(entry)
     for stage, entries in stages.items():
@@ -77,7 +77,7 @@ def outputs_page() -> str:
     return "\n".join(lines)
 
 
-def _facts(entry: Entry) -> str:
+def _facts(entry: DictionaryEntry) -> str:
     facts = [f"Unit `{entry.units}`", f"dimensions `({', '.join(entry.dimensions)})`"]
     if entry.needs:
         facts.append("needs " + ", ".join(f"`{key}`" for key in entry.needs))
@@ -98,7 +98,7 @@ def _symbols() -> list[str]:
 def keys_page() -> str:
     """Every key of a scene file: type, range, default, who needs it."""
     press = views_of(KINDS["press"])
-    tables: dict[str, Key | Table] = {"views": press, **SCENE}
+    tables: dict[str, SceneKey | SceneTable] = {"views": press, **SCENE}
     lines = [
         "# Keys of a scene file",
         "",
@@ -110,15 +110,15 @@ def keys_page() -> str:
         "",
     ]
     for name, table in tables.items():
-        assert isinstance(table, Table)
+        assert isinstance(table, SceneTable)
         lines += [f"## [{name}]", "", *_table(("key", "is", "default", "needed by"), _keys(table, ""))]
     return "\n".join(lines)
 
 
-def _keys(table: Table, above: str) -> list[tuple[str, str, str, str]]:
+def _keys(table: SceneTable, above: str) -> list[tuple[str, str, str, str]]:
     rows = []
     for name, key in table.keys.items():
-        if isinstance(key, Table):
+        if isinstance(key, SceneTable):
             rows += _keys(key, f"{above}{name}.")
         else:
             default = "" if key.default is None else json.dumps(key.default)
@@ -131,8 +131,8 @@ _PLAIN: dict[type, str] = {
     Text: "text",
     TimeRange: "[t0, t1], s from the trigger",
     PixelRange: "[first, end) px",
-    Corners: "[[x, y], ...], three or more, px of the view",
-    Transform: "[[a, b, x], [c, d, y]]",
+    CornersType: "[[x, y], ...], three or more, px of the view",
+    TransformType: "[[a, b, x], [c, d, y]]",
 }
 
 
@@ -140,7 +140,7 @@ def _kind_of(of: Any) -> str:
     if type(of) in _PLAIN:
         return _PLAIN[type(of)]
     match of:
-        case Number():
+        case NumberType():
             limits = ((">", of.above), ("≥", of.least), ("≤", of.most), ("<", of.below))
             said = " and ".join(f"{sign} {limit:g}" for sign, limit in limits if limit is not None)
             odd = "odd " if isinstance(of, Whole) and of.odd else ""

@@ -10,7 +10,7 @@ from fingerflow.cli.app import AsJson, app, print_json
 from fingerflow.errors import FingerflowError
 
 if TYPE_CHECKING:
-    from fingerflow.player.live import Forces
+    from fingerflow.player.live import LiveForces
 
 
 @app.command()
@@ -40,10 +40,10 @@ def stream(context: typer.Context) -> None:
     raise typer.Exit(play(context.args, prog="fingerflow stream", forces_of=_forces_of))
 
 
-def _forces_of(file: Path) -> "Forces | None":
+def _forces_of(file: Path) -> "LiveForces | None":
     """As `process` gives them. Where they cannot be read the log says why, and the stream goes on without."""
     from fingerflow.pipeline.run import process
-    from fingerflow.player.live import Forces
+    from fingerflow.player.live import LiveForces
     from fingerflow.schema.scene import load_scene
 
     try:
@@ -53,4 +53,4 @@ def _forces_of(file: Path) -> "Forces | None":
     except FingerflowError as error:
         logging.getLogger("fingerflow.player").warning("%s; the page shows no force", error)
         return None
-    return Forces(int(found["frame"][0]), {name: found[name].values for name in names})
+    return LiveForces(int(found["frame"][0]), {name: found[name].values for name in names})

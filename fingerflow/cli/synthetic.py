@@ -97,13 +97,13 @@ def _simulate(
         FingerprintTexture,
         PartialSlip,
         Press,
-        Scene,
         Slide,
+        SyntheticScene,
         scene_of_print,
         write_recording,
     )
 
-    kinds: dict[str, type[Scene]] = {
+    kinds: dict[str, type[SyntheticScene]] = {
         "press": Press,
         "chain-press": ChainPress,
         "slide": Slide,

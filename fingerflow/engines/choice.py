@@ -24,7 +24,7 @@ STREAM_ENGINES = ("native", "onnx")
 log = logging.getLogger("fingerflow.player")
 
 
-class Bundle(Protocol):
+class PlayableBundle(Protocol):
     """What is asked of a deployment bundle."""
 
     @property
@@ -67,7 +67,7 @@ def engine_for(name: str, settings: EngineSettings, device: torch.device, module
     return TorchEngine(settings, device, modules or as_it_is)
 
 
-def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
+def engine_of_stream(bundle: PlayableBundle, name: str | None, provider: str | None = None, threads: int = 1) -> Engine:
     """The engine of a stream; one line of the log says which, and why.
 
     Native is tried first: it serves where the library loads and gives the numbers of the bundle's built-in frame. Else
@@ -114,7 +114,7 @@ def engine_of_stream(bundle: Bundle, name: str | None, provider: str | None = No
     return engine
 
 
-def _why_not_native(bundle: Bundle) -> str:
+def _why_not_native(bundle: PlayableBundle) -> str:
     """Why the compiled library does not serve a bundle; empty where it does."""
     if not is_present():
         return "the compiled library is not there, is turned off, or is of another version"

@@ -41,14 +41,14 @@ class EngineSettings:
     strain: str = "green_lagrange"
 
 
-class Light(NamedTuple):
+class GlassLight(NamedTuple):
     """What the empty glass gives each pixel: counts of light and counts without light, as the engine holds them."""
 
     light: Any
     black: Any
 
 
-class Contact(NamedTuple):
+class FrameContact(NamedTuple):
     """Contact of K frames, in px of the contact view; ellipses are NaN without contact.
 
     Attributes:
@@ -69,14 +69,14 @@ class Contact(NamedTuple):
     light_gain: Array
 
 
-class Key(NamedTuple):
+class KeyFrame(NamedTuple):
     """A key frame as the engine holds it, and the standard deviation of its noise, grey levels."""
 
     image: Images
     noise: float
 
 
-class Templates(Protocol):
+class TemplateBuffers(Protocol):
     """Templates of N points, in buffers of the engine."""
 
     @property
@@ -85,7 +85,7 @@ class Templates(Protocol):
         ...
 
 
-class Found(NamedTuple):
+class FoundPoints(NamedTuple):
     """Points found in K frames.
 
     Attributes:
@@ -107,15 +107,15 @@ class Found(NamedTuple):
         """(K, N) px^2, mean of both components."""
         return (self.covariance[..., 0, 0] + self.covariance[..., 1, 1]) / 2
 
-    def of(self, frames: Any, points: Any = slice(None)) -> Found:
+    def of(self, frames: Any, points: Any = slice(None)) -> FoundPoints:
         """Some frames, or all frames and some points."""
-        return Found(*(one[frames][:, points] for one in self))
+        return FoundPoints(*(one[frames][:, points] for one in self))
 
 
 class Followed(NamedTuple):
     """What was found in K frames, and place and speed (N, 2) px of the points after the last one."""
 
-    found: Found
+    found: FoundPoints
     place: Array
     speed: Array
 
@@ -130,13 +130,13 @@ class Corrected(NamedTuple):
         expected: (K, N, 2) px, where the neighbours of a point expect it; NaN where too few are known.
     """
 
-    found: Found
+    found: FoundPoints
     warp: Array
     shift: Array
     expected: Array
 
 
-class Ellipse(NamedTuple):
+class FrameEllipse(NamedTuple):
     """Apparent contact of K frames in mm: center (K, 2), semi_axes (K, 2), angle (K,) rad."""
 
     center: Array
@@ -144,7 +144,7 @@ class Ellipse(NamedTuple):
     angle: Array
 
 
-class Entered(NamedTuple):
+class EnteredPoints(NamedTuple):
     """Points that were advected into the contact (`tracker.entry`), with the gradient since their own entry.
 
     Attributes:
@@ -165,7 +165,7 @@ class Fit(NamedTuple):
     covariance: Array | None
 
 
-class Fields(NamedTuple):
+class FrameFields(NamedTuple):
     """Fields at N points of K frames and medians over the apparent contact, as `graphs.fields.Fields` has them."""
 
     divergence: Array
@@ -204,17 +204,17 @@ class Engine(Protocol):
         """
         ...
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> Light:
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
         """`ops.glass_light` of the empty glass (H, W) and of the view without light, counts; no light, so that nothing
         touches, where a mask (H, W) bool is False.
         """
         ...
 
-    def contact(self, images: Images, light: Light, threshold: Array) -> Contact:
+    def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
         """Contact by the relative intensity loss (K,) above which a pixel touches; NaN: nothing touches."""
         ...
 
-    def threshold(self, images: Images, light: Light) -> Array:
+    def threshold(self, images: Images, light: GlassLight) -> Array:
         """(K,) relative intensity loss half-way between ridges and the skin beside them; NaN without contact."""
         ...
 
@@ -226,11 +226,11 @@ class Engine(Protocol):
         """(n, 2) px, up to `count` points worth tracking in the part (H, W) bool of a view; the strongest first."""
         ...
 
-    def key(self, image: Images) -> Key:
+    def key(self, image: Images) -> KeyFrame:
         """A copy of a frame (1, 1, H, W), with its noise."""
         ...
 
-    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> Templates:
+    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> TemplateBuffers:
         """Templates of points (N, 2) px of a key frame, for its deformation (N, 2, 2); NaN points match nothing."""
         ...
 
@@ -246,7 +246,7 @@ class Engine(Protocol):
         """
         ...
 
-    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         """Corrects for the deformation that templates do not know (`graphs.DeformationGraph`).
 
         Start (N, 2) px in the key frame, numbers (N, 32) and inverse deformation (N, 2, 2) of the templates.
@@ -257,11 +257,11 @@ class Engine(Protocol):
         """What `outliers` needs to know of points (N, 2) px of a key frame."""
         ...
 
-    def outliers(self, neighbours: Any, start: Array, found: Found) -> tuple[Array, Array]:
+    def outliers(self, neighbours: Any, start: Array, found: FoundPoints) -> tuple[Array, Array]:
         """(K, N) bool twice: off their neighbours, and far more uncertain than they (`ops.tracking.outliers`)."""
         ...
 
-    def search(self, key: Key, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
         """Places (n, 2) px of points of a key frame around guesses (n, 2), and whether (n,) the way back returns."""
         ...
 
@@ -281,16 +281,16 @@ class Engine(Protocol):
         self,
         reference: Array,
         displacement: Array,
-        ellipse: Ellipse,
+        ellipse: FrameEllipse,
         covariance: Array | None = None,
-        entered: Entered | None = None,
-    ) -> Fields:
+        entered: EnteredPoints | None = None,
+    ) -> FrameFields:
         """Fields of displacements (K, N, 2) mm at reference positions (N, 2) mm over the gauge length."""
         ...
 
 
-def nothing_found(frames: int) -> Found:
+def nothing_found(frames: int) -> FoundPoints:
     """Of no points in so many frames."""
     none = np.zeros((frames, 0), np.float32)
     place = np.zeros((frames, 0, 2), np.float32)
-    return Found(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)
+    return FoundPoints(place, none, np.zeros((frames, 0, 2, 2), np.float32), none.astype(np.uint8), place)

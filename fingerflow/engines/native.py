@@ -9,17 +9,17 @@ import numpy as np
 
 from fingerflow.engines.engine import (
     Array,
-    Contact,
     Corrected,
-    Ellipse,
     EngineSettings,
-    Entered,
-    Fields,
+    EnteredPoints,
     Fit,
     Followed,
-    Found,
-    Key,
-    Light,
+    FoundPoints,
+    FrameContact,
+    FrameEllipse,
+    FrameFields,
+    GlassLight,
+    KeyFrame,
 )
 from fingerflow.engines.native_fields import fields_of_frames
 from fingerflow.kernels import contact_frames, deformation, tracked_points, tracking
@@ -27,12 +27,12 @@ from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.contact_sizes import FULL_LIGHT, LEAST_LIGHT, PIXELS_OF_LIGHT, cell_of
 from fingerflow.kernels.field_limits import MINIMUM_POINTS, MINIMUM_SPREAD
 from fingerflow.kernels.fields import local_gradients
-from fingerflow.kernels.tracked_points import Neighbours
+from fingerflow.kernels.tracked_points import NeighbourLists
 from fingerflow.kernels.tracking_limits import MISMATCH_SHARE, ROUNDING, ROUNDS, WARP_GAUGE_PX
 
 
 @dataclass
-class _Held:
+class _NativeTemplates:
     """Templates of N points: start (1, N, 2), samples and numbers as `kernels.prepare_templates` gives them."""
 
     arrays: tuple[Array, Array, Array]
@@ -65,22 +65,24 @@ class NativeEngine:
             frames = frames.astype(np.float32)
         return frames[:, None]
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> Light:
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
         light, black = _glass_light(empty.astype(np.float32), dark)
         if inside is not None:
             light = np.where(inside, light, np.float32(0))
-        return Light(light[None, None], black[None, None])
+        return GlassLight(light[None, None], black[None, None])
 
-    def contact(self, images: Array, light: Light, threshold: Array) -> Contact:
+    def contact(self, images: Array, light: GlassLight, threshold: Array) -> FrameContact:
         own = self.settings
         limits = (1 - threshold).astype(np.float32)
         sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "cell": self.cell_px}
         found = contact_frames.contact_of_frames(images, light.light, light.black, limits, **sizes)
         numbers = found.numbers
         real, gross, center, axes, angle = numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
-        return Contact(found.real_contact_mask, real, gross, center, axes, angle, found.density_margin, found.gains)
+        return FrameContact(
+            found.real_contact_mask, real, gross, center, axes, angle, found.density_margin, found.gains
+        )
 
-    def threshold(self, images: Array, light: Light) -> Array:
+    def threshold(self, images: Array, light: GlassLight) -> Array:
         own = self.settings
         sizes = {"median_px": own.median_px, "radius": own.gross_radius_px, "stride_px": own.stride_px}
         unknown = np.full(len(images), np.nan, np.float32)
@@ -98,34 +100,34 @@ class NativeEngine:
         )
         return found.points[np.isfinite(found.points[:, 0])]
 
-    def key(self, image: Array) -> Key:
-        return Key(image.copy(), self.noise(image))
+    def key(self, image: Array) -> KeyFrame:
+        return KeyFrame(image.copy(), self.noise(image))
 
     def noise(self, image: Array) -> float:
         return float(np.float32(math.sqrt(math.pi / 2) / 6 * tracking.mean_response(image)[0]))
 
-    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> _Held:
+    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _NativeTemplates:
         own = self.settings
         variance = np.square(np.array([key.noise], np.float32))
         inverse = None if warp is None else inverse_2x2(warp.astype(np.float32))[None]
         rounding = ROUNDING if key.image.dtype.kind in "iu" else 0.0
         given = (key.image, np.ascontiguousarray(points, np.float32)[None], inverse, variance)
-        return _Held(tracking.prepare_templates(*given, own.window_px, own.gain_offset, rounding))
+        return _NativeTemplates(tracking.prepare_templates(*given, own.window_px, own.gain_offset, rounding))
 
-    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+    def update(self, templates: _NativeTemplates, rows: Array, updated: _NativeTemplates) -> None:
         for old, new in zip(templates.arrays, updated.arrays, strict=True):
             old[:, rows] = new
 
     def follow(
-        self, templates: _Held, images: Array, place: Array, speed: Array, rows: Array | None = None
+        self, templates: _NativeTemplates, images: Array, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
         some = templates.arrays if rows is None else templates.of(rows)
         rounding = ROUNDING if images.dtype.kind in "iu" else 0.0
         limits = (rounding, self.settings.forward_backward_limit_px, MISMATCH_SHARE)
         found = tracking.find_templates(some, images, place[None], speed[None], None, ROUNDS, *limits)
-        return Followed(Found(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
+        return Followed(FoundPoints(*(one[:, 0] for one in found[:5])), found.place[0], found.speed[0])
 
-    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         corrected = deformation.correct_points(
             *(start, found.points, found.covariance, numbers, inverse_warp),
             window=self.settings.window_px,
@@ -134,15 +136,15 @@ class NativeEngine:
         better = found._replace(points=corrected.points, covariance=corrected.covariance)
         return Corrected(better, corrected.warp, corrected.shift, corrected.expected)
 
-    def neighbours(self, start: Array) -> Neighbours:
+    def neighbours(self, start: Array) -> NeighbourLists:
         return tracked_points.find_neighbours(start, WARP_GAUGE_PX)
 
-    def outliers(self, neighbours: Neighbours, start: Array, found: Found) -> tuple[Array, Array]:
+    def outliers(self, neighbours: NeighbourLists, start: Array, found: FoundPoints) -> tuple[Array, Array]:
         moved, deviation = found.points - start, np.sqrt(found.variance)
         judged = tracked_points.find_outliers(neighbours, moved, deviation)
         return judged.off_neighbours, judged.uncertain
 
-    def search(self, key: Key, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
         own = self.settings
         return tracked_points.search_and_return(
             *(key.image, image, points, guess),
@@ -171,10 +173,10 @@ class NativeEngine:
         self,
         reference: Array,
         displacement: Array,
-        ellipse: Ellipse,
+        ellipse: FrameEllipse,
         covariance: Array | None = None,
-        entered: Entered | None = None,
-    ) -> Fields:
+        entered: EnteredPoints | None = None,
+    ) -> FrameFields:
         return fields_of_frames(
             *(reference[None], displacement),
             gauge_length=self.settings.gauge_length_mm,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fingerflow.engines.engine import Array, Ellipse, Entered, Fields
+from fingerflow.engines.engine import Array, EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.kernels import field_limits as limits
 from fingerflow.kernels.arrays import in_one_piece
 from fingerflow.kernels.checks import check_like
@@ -17,10 +17,10 @@ def fields_of_frames(
     *,
     gauge_length: float,
     measure: str,
-    ellipse: Ellipse,
+    ellipse: FrameEllipse,
     covariance: Array | None = None,
-    entered: Entered | None = None,
-) -> Fields:
+    entered: EnteredPoints | None = None,
+) -> FrameFields:
     """Return the fields of K frames and medians over the apparent contact, as `graphs.FieldsGraph` has them.
 
     Args:
@@ -64,7 +64,7 @@ def fields_of_frames(
     divergence_std = curl_std = None
     if spread is not None:
         divergence_std, curl_std = (one.reshape(batch, count) for one in _deviations(spread.reshape(-1, 4, 4)))
-    return Fields(
+    return FrameFields(
         fields[0].reshape(batch, count),
         fields[1].reshape(batch, count),
         np.ascontiguousarray(fields[2:].T).reshape(batch, count, 3),
@@ -100,10 +100,10 @@ def _area_medians(
     reference: Array,
     displacement: Array,
     covariance: Array | None,
-    ellipse: Ellipse,
+    ellipse: FrameEllipse,
     gauge_length: float,
     measure: str,
-    entered: Entered | None,
+    entered: EnteredPoints | None,
 ) -> tuple[Array, Array | None, Array]:
     """Return medians, their deviations and the share of the ellipse, as `ops.fields.area_medians` has them."""
     batch = len(displacement)
@@ -177,7 +177,9 @@ def _root(variance: Array) -> Array:
     return result
 
 
-def _check(reference: Array, displacement: Array, covariance: Array | None, entered: Entered | None) -> tuple[int, int]:
+def _check(
+    reference: Array, displacement: Array, covariance: Array | None, entered: EnteredPoints | None
+) -> tuple[int, int]:
     """Return the numbers of frames and points."""
     if displacement.ndim != 3:
         raise ValueError(f"displacement has shape {displacement.shape}: give (K, N, 2)")

@@ -12,22 +12,22 @@ import numpy as np
 from fingerflow.engines.cells import covered
 from fingerflow.engines.engine import (
     Array,
-    Contact,
     Corrected,
-    Ellipse,
     EngineSettings,
-    Entered,
-    Fields,
+    EnteredPoints,
     Fit,
     Followed,
-    Found,
+    FoundPoints,
+    FrameContact,
+    FrameEllipse,
+    FrameFields,
+    GlassLight,
     Images,
-    Key,
-    Light,
+    KeyFrame,
 )
 from fingerflow.engines.prediction import Course
 from fingerflow.engines.providers import CPU
-from fingerflow.engines.sessions import Session, Sessions
+from fingerflow.engines.sessions import GraphSession, Sessions
 from fingerflow.errors import FingerflowError
 from fingerflow.kernels.tracked_points import find_neighbours
 from fingerflow.kernels.tracking_limits import ROUNDS, WARP_GAUGE_PX, TrackStatus
@@ -46,7 +46,7 @@ class _KeyImage:
         return len(self.view)
 
 
-class _Held:
+class _OnnxTemplates:
     """Templates of n points: arrays (1, n or more, ...) by name, and what `track` is given of them."""
 
     def __init__(self, arrays: dict[str, Array]) -> None:
@@ -64,7 +64,7 @@ class _Held:
         """Those of some rows."""
         return {name: array[:, rows] for name, array in self.arrays.items()}
 
-    def kept(self, track: Session, points: int) -> dict[str, Any]:
+    def kept(self, track: GraphSession, points: int) -> dict[str, Any]:
         """As `track` takes them, for so many points."""
         with self._lock:
             if not self._values:
@@ -72,7 +72,7 @@ class _Held:
                 self._values = {name: track.kept(name, array) for name, array in self.arrays.items()}
             return self._values
 
-    def update(self, rows: Array, updated: _Held, track: Session) -> None:
+    def update(self, rows: Array, updated: _OnnxTemplates, track: GraphSession) -> None:
         """Replaces some rows, in the memory of the provider too."""
         for name, array in self.arrays.items():
             array[:, rows] = updated.arrays[name][:, : len(rows)]
@@ -126,20 +126,20 @@ class OnnxEngine:
         images: Array = np.ascontiguousarray(frames, dtype)[:, None]
         return images
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> Light:
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> GlassLight:
         nothing = np.zeros_like(empty, np.float32) if dark is None else dark
         found = self._sessions["light"]({"empty": empty[None, None], "dark": nothing[None, None]})
         if inside is not None:
             found["light"] = np.where(inside, found["light"], np.float32(0))
         contact = self._sessions["contact"]
-        return Light(*(contact.kept(name, found[name]) for name in Light._fields))
+        return GlassLight(*(contact.kept(name, found[name]) for name in GlassLight._fields))
 
-    def contact(self, images: Images, light: Light, threshold: Array) -> Contact:
+    def contact(self, images: Images, light: GlassLight, threshold: Array) -> FrameContact:
         given = {"contact_view": images, **light._asdict(), "threshold": threshold}
         found = self._sessions["contact"](given)
-        return Contact(**{name: found.get(name) for name in Contact._fields})  # type: ignore[arg-type]
+        return FrameContact(**{name: found.get(name) for name in FrameContact._fields})  # type: ignore[arg-type]
 
-    def threshold(self, images: Images, light: Light) -> Array:
+    def threshold(self, images: Images, light: GlassLight) -> Array:
         return self._sessions["threshold"]({"contact_view": images, **light._asdict()})["threshold"]
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
@@ -152,18 +152,18 @@ class OnnxEngine:
         found: Array = points[np.isfinite(points).all(1)]
         return found
 
-    def key(self, image: Images) -> Key:
-        return Key(_KeyImage(image.copy()), self.noise(image))
+    def key(self, image: Images) -> KeyFrame:
+        return KeyFrame(_KeyImage(image.copy()), self.noise(image))
 
     def noise(self, image: Images) -> float:
         return float(self._sessions["noise"]({"topography_view": image})["noise"][0])
 
-    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> _Held:
+    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> _OnnxTemplates:
         noise = np.array([key.noise], np.float32)
         if warp is None:
             given = {"topography_view": key.image.view, "noise": noise, "points": self._all("points", points[None])}
             found = self._sessions["prepare"](given)
-            return _Held({name: found[name][:, : len(points)] for name in _TEMPLATES})
+            return _OnnxTemplates({name: found[name][:, : len(points)] for name in _TEMPLATES})
         if key.image.spline is None:
             spline = self._sessions["spline"]({"topography_view": key.image.view})["spline"]
             key.image.spline = self._sessions["renew"].kept("spline", spline)
@@ -172,13 +172,13 @@ class OnnxEngine:
             given = {name: _filled(one[None, some], self._few) for name, one in (("points", points), ("warp", warp))}
             found = self._sessions["renew"]({"spline": key.image.spline, "noise": noise, **given})
             parts.append({name: found[name][:, : some.stop - some.start] for name in _TEMPLATES})
-        return _Held({name: np.concatenate([part[name] for part in parts], axis=1) for name in _TEMPLATES})
+        return _OnnxTemplates({name: np.concatenate([part[name] for part in parts], axis=1) for name in _TEMPLATES})
 
-    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+    def update(self, templates: _OnnxTemplates, rows: Array, updated: _OnnxTemplates) -> None:
         templates.update(rows, updated, self._sessions["track"])
 
     def follow(
-        self, templates: _Held, images: Images, place: Array, speed: Array, rows: Array | None = None
+        self, templates: _OnnxTemplates, images: Images, place: Array, speed: Array, rows: Array | None = None
     ) -> Followed:
         course = Course.begin(place, speed)
         guess = course.expect()
@@ -194,7 +194,9 @@ class OnnxEngine:
         after = course.see(found)
         return Followed(found, after.place, after.speed)
 
-    def _look(self, templates: _Held, images: Images, guess: Array, rows: Array, whole: bool = False) -> Found:
+    def _look(
+        self, templates: _OnnxTemplates, images: Images, guess: Array, rows: Array, whole: bool = False
+    ) -> FoundPoints:
         """What a frame shows of some rows of templates, near guesses (L, 2)."""
         if whole or 2 * len(rows) > self.points:
             near = np.full((1, self.points, 2), np.nan, np.float32)
@@ -205,17 +207,17 @@ class OnnxEngine:
                 "prediction": near,
             }
             found = self._sessions["track"](given)
-            every = Found(*(found[name] for name in Found._fields))
+            every = FoundPoints(*(found[name] for name in FoundPoints._fields))
             return every.of(slice(None), slice(0, len(rows)) if whole else rows)
         parts = []
         for some in self._pieces(len(rows)):
             held = {name: _filled(array, self._few) for name, array in templates.of(rows[some]).items()}
             near = _filled(guess[None, some], self._few)
             found = self._sessions["track_few"]({**held, "topography_view": images, "prediction": near})
-            parts.append([found[name][:, : some.stop - some.start] for name in Found._fields])
-        return Found(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
+            parts.append([found[name][:, : some.stop - some.start] for name in FoundPoints._fields])
+        return FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*parts, strict=True)))
 
-    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         count = len(start)
         given = {
             "start": start[None],
@@ -246,13 +248,13 @@ class OnnxEngine:
         offset = np.stack((x, y), axis=-1)
         return {"neighbour_number": number, "neighbour_offset": offset, "neighbour_within": within}
 
-    def outliers(self, neighbours: dict[str, Array], start: Array, found: Found) -> tuple[Array, Array]:
+    def outliers(self, neighbours: dict[str, Array], start: Array, found: FoundPoints) -> tuple[Array, Array]:
         given = {"start": start[None], "found": found.points, "position_std": np.sqrt(found.variance)}
         given = {name: self._all(name, array) for name, array in given.items()}
         judged = self._sessions["outliers"]({**neighbours, **given})
         return judged["off_neighbours"][:, : len(start)], judged["uncertain"][:, : len(start)]
 
-    def search(self, key: Key, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, key: KeyFrame, image: Images, points: Array, guess: Array) -> tuple[Array, Array]:
         views = {"key_view": key.image.view, "topography_view": image}
         places, returns = [np.zeros((0, 2), np.float32)], [np.zeros(0, bool)]
         for some in self._pieces(len(points)):
@@ -288,10 +290,10 @@ class OnnxEngine:
         self,
         reference: Array,
         displacement: Array,
-        ellipse: Ellipse,
+        ellipse: FrameEllipse,
         covariance: Array | None = None,
-        entered: Entered | None = None,
-    ) -> Fields:
+        entered: EnteredPoints | None = None,
+    ) -> FrameFields:
         if covariance is not None:
             raise ValueError("the graphs of a bundle give fields without deviations")
         count = len(reference)
@@ -303,7 +305,7 @@ class OnnxEngine:
         found = self._sessions["fields" if entered is None else "fields_entered"](given)
         of_points = {name: found[name][:, :count] for name in ("divergence", "curl", "strain", "shear")}
         of_frame = {name: found[name] for name in ("median", "known_share")}
-        return Fields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
+        return FrameFields(**of_points, **of_frame, divergence_std=None, curl_std=None, median_std=None)
 
     def _pieces(self, count: int) -> Iterator[slice]:
         """Of so many rows, as many at a time as graphs of few points take."""

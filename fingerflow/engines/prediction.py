@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fingerflow.engines.engine import Array, Found
+from fingerflow.engines.engine import Array, FoundPoints
 from fingerflow.kernels.tracking_limits import SPEED_FRAMES, SPEED_WEIGHT, TrackStatus
 
 
@@ -27,7 +27,7 @@ class Course(NamedTuple):
         guess: Array = (self.place + self.speed).astype(np.float32)
         return guess
 
-    def see(self, found: Found) -> Course:
+    def see(self, found: FoundPoints) -> Course:
         """After the next frame, of which `found` (1, N) has what it shows.
 
         The latest displacement has half the weight in a speed: that of two positions alone would carry their noise on.

@@ -34,7 +34,7 @@ class Input(NamedTuple):
     dtype: np.dtype[Any]
 
 
-class Session:
+class GraphSession:
     """A graph of a bundle. Calls from several threads at once are allowed: each has tensors of its own.
 
     Attributes:
@@ -97,12 +97,12 @@ class Sessions:
         self._short, self.provider = provider, provider_named(provider)
         self._sessions = {name: self._open(name) for name in files}
 
-    def __getitem__(self, name: str) -> Session:
+    def __getitem__(self, name: str) -> GraphSession:
         if name not in self._sessions:
             raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
         return self._sessions[name]
 
-    def _open(self, name: str) -> Session:
+    def _open(self, name: str) -> GraphSession:
         if name not in self._files:
             raise FingerflowError(f"the bundle has no graph {name!r}; export it again with all that a player needs")
         path = self._files[name]
@@ -111,7 +111,7 @@ class Sessions:
         if properties.get("fingerflow.graph") != name:
             found = properties.get("fingerflow.graph", "no fingerflow metadata")
             raise FingerflowError(f"{path}: holds {found!r} where the graph {name!r} is expected: a foreign model file")
-        return Session(session, path, "cuda" if self._short in _ON_GPU else "cpu")
+        return GraphSession(session, path, "cuda" if self._short in _ON_GPU else "cpu")
 
     def _session(self, path: Path) -> ort.InferenceSession:
         options = ort.SessionOptions()

@@ -49,7 +49,7 @@ def as_it_is(module: M) -> M:
 
 
 @dataclass
-class _Held:
+class _TorchTemplates:
     """`ops.Templates` (1, N, ...)."""
 
     templates: Templates
@@ -89,7 +89,7 @@ class TorchEngine:
     def images(self, frames: Array) -> Tensor:
         return images_on(self._device, frames)
 
-    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> arrays.Light:
+    def light(self, empty: Array, dark: Array | None, inside: Array | None = None) -> arrays.GlassLight:
         unknown = torch.full((1,), torch.nan, device=self._device)
         given = (
             self._tensor(empty, torch.float32)[None, None],
@@ -98,12 +98,12 @@ class TorchEngine:
         light, black, _ = self._light(*given, unknown)
         if inside is not None:
             light = torch.where(self._tensor(inside), light, 0.0)
-        return arrays.Light(light, black)
+        return arrays.GlassLight(light, black)
 
-    def contact(self, images: Tensor, light: arrays.Light, threshold: Array) -> arrays.Contact:
+    def contact(self, images: Tensor, light: arrays.GlassLight, threshold: Array) -> arrays.FrameContact:
         return self._contact_of([(images, light, threshold)])[0]
 
-    def threshold(self, images: Tensor, light: arrays.Light) -> Array:
+    def threshold(self, images: Tensor, light: arrays.GlassLight) -> Array:
         return self._threshold_of([(images, light)])[0]
 
     def covered(self, density_margin: Array, points: Array, topography_to_contact: Array) -> Array:
@@ -119,36 +119,36 @@ class TorchEngine:
         points, _ = detect(image, self._tensor(mask)[None, None])
         return _array(points[0][points[0].isfinite().all(-1)])
 
-    def key(self, image: Tensor) -> arrays.Key:
-        return arrays.Key(image.clone(), self.noise(image))
+    def key(self, image: Tensor) -> arrays.KeyFrame:
+        return arrays.KeyFrame(image.clone(), self.noise(image))
 
     def noise(self, image: Tensor) -> float:
         return self._noise_of([(image,)])[0]
 
-    def prepare(self, key: arrays.Key, points: Array, warp: Array | None = None) -> _Held:
+    def prepare(self, key: arrays.KeyFrame, points: Array, warp: Array | None = None) -> _TorchTemplates:
         return self._prepare_of([(key, points, warp)])[0]
 
-    def update(self, templates: _Held, rows: Array, updated: _Held) -> None:
+    def update(self, templates: _TorchTemplates, rows: Array, updated: _TorchTemplates) -> None:
         chosen = self._tensor(rows)
         for old, new in zip(templates.templates, updated.templates, strict=True):
             if old is not None and new is not None:
                 old.index_copy_(1, chosen, new)  # in place: a few are updated, and all are megabytes
 
     def follow(
-        self, templates: _Held, images: Tensor, place: Array, speed: Array, rows: Array | None = None
+        self, templates: _TorchTemplates, images: Tensor, place: Array, speed: Array, rows: Array | None = None
     ) -> arrays.Followed:
         return self._follow_of([(templates, images, place, speed, rows)])[0]
 
-    def correct(self, start: Array, found: arrays.Found, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
+    def correct(self, start: Array, found: arrays.FoundPoints, numbers: Array, inverse_warp: Array) -> arrays.Corrected:
         return self._correct_of([(start, found, numbers, inverse_warp)])[0]
 
     def neighbours(self, start: Array) -> Neighbours:
         return find_neighbours(self._tensor(start)[None], WARP_GAUGE_PX)
 
-    def outliers(self, neighbours: Neighbours, start: Array, found: arrays.Found) -> tuple[Array, Array]:
+    def outliers(self, neighbours: Neighbours, start: Array, found: arrays.FoundPoints) -> tuple[Array, Array]:
         return self._outliers_of([(neighbours, start, found)])[0]
 
-    def search(self, key: arrays.Key, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, key: arrays.KeyFrame, image: Tensor, points: Array, guess: Array) -> tuple[Array, Array]:
         own = self.settings
         given = (
             torch.zeros(len(points), dtype=torch.int64, device=self._device),
@@ -176,10 +176,10 @@ class TorchEngine:
         self,
         reference: Array,
         displacement: Array,
-        ellipse: arrays.Ellipse,
+        ellipse: arrays.FrameEllipse,
         covariance: Array | None = None,
-        entered: arrays.Entered | None = None,
-    ) -> arrays.Fields:
+        entered: arrays.EnteredPoints | None = None,
+    ) -> arrays.FrameFields:
         real = partial(self._tensor, dtype=torch.float32)
         own = None
         if entered is not None:
@@ -193,7 +193,7 @@ class TorchEngine:
             own,
         )
         known = {name: None if one is None else _array(one) for name, one in found._asdict().items()}
-        return arrays.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
+        return arrays.FrameFields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
 
     def kind(self) -> object:
         """What engines have in common whose calls can be joined (`together.Joining`).
@@ -213,11 +213,11 @@ class TorchEngine:
             results |= zip(places, getattr(self, f"_{method}_of")([many[place] for place in places]), strict=True)
         return [results[place] for place in range(len(many))]
 
-    def _contact_of(self, many: _Many) -> list[arrays.Contact]:
+    def _contact_of(self, many: _Many) -> list[arrays.FrameContact]:
         images, light, black = self._lit([(images, light) for images, light, _ in many])
         limit = 1 - self._tensor(np.concatenate([threshold for *_, threshold in many]), torch.float32)
         found = [_array(one) for one in self._contact(images, light, black, limit)]
-        return [arrays.Contact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
+        return [arrays.FrameContact(*(one[frames] for one in found)) for frames in parts(len(one[0]) for one in many)]
 
     def _threshold_of(self, many: _Many) -> list[Array]:
         found = _array(self._contact.threshold(*self._lit(many)))
@@ -236,13 +236,16 @@ class TorchEngine:
         found: list[float] = estimate_noise(_in_a_row([image for (image,) in many])).tolist()
         return found
 
-    def _prepare_of(self, many: _Many) -> list[_Held]:
+    def _prepare_of(self, many: _Many) -> list[_TorchTemplates]:
         keys, points, warps = zip(*many, strict=True)
         warp = None if warps[0] is None else self._tensor(stacked(warps))
         noise = self._tensor(np.array([key.noise for key in keys], np.float32))
         images = _in_a_row([key.image for key in keys])
         templates = self._key(images, self._tensor(stacked(points)), noise, warp)
-        return [_Held(Templates._make(one[k : k + 1, : len(own)] for one in templates)) for k, own in enumerate(points)]
+        return [
+            _TorchTemplates(Templates._make(one[k : k + 1, : len(own)] for one in templates))
+            for k, own in enumerate(points)
+        ]
 
     def _follow_of(self, many: _Many) -> list[arrays.Followed]:
         held, images, places, speeds, rows = zip(*many, strict=True)
@@ -257,17 +260,17 @@ class TorchEngine:
             guess = self._tensor(courses[k].expect().reshape(*size, 2))
             look = partial(self._look, image)
             found = [_array(one) for one in in_rounds(look, templates, guess, ROUNDS)]
-            courses.append(courses[k].see(arrays.Found(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
+            courses.append(courses[k].see(arrays.FoundPoints(*(one.reshape(1, -1, *one.shape[2:]) for one in found))))
             every.append(found)
         joined = [np.stack(one) for one in zip(*every, strict=True)]  # (K, B, N, ...)
         results = []
         for place, (last, count) in enumerate(zip(frames, counts, strict=True)):
-            own = arrays.Found(*(one[:last, place, :count] for one in joined))
+            own = arrays.FoundPoints(*(one[:last, place, :count] for one in joined))
             after = (one.reshape(*size, 2)[place, :count] for one in courses[last][:2])
             results.append(arrays.Followed(own, *after))
         return results
 
-    def _stacked_templates(self, held: Sequence[_Held], rows: Sequence[Array | None]) -> Templates:
+    def _stacked_templates(self, held: Sequence[_TorchTemplates], rows: Sequence[Array | None]) -> Templates:
         """Templates of B recordings, or some rows of them, as those of B x N points."""
         every = [
             one.templates if some is None else one.templates.of(self._tensor(some)[None])
@@ -291,7 +294,9 @@ class TorchEngine:
         corrected, *others = self._deformation(known[0], Found(*map(self._tensor, found)), *known[1:])
         every = [*map(_array, corrected)], [*map(_array, others)]
         return [
-            arrays.Corrected(arrays.Found(*(one[k, :count] for one in every[0])), *(one[k, :count] for one in every[1]))
+            arrays.Corrected(
+                arrays.FoundPoints(*(one[k, :count] for one in every[0])), *(one[k, :count] for one in every[1])
+            )
             for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
         ]
 
@@ -320,13 +325,13 @@ class TorchEngine:
             for k, count in zip(parts(len(one.status) for one in founds), counts, strict=True)
         ]
 
-    def _frame_by_frame(self, founds: Sequence[arrays.Found]) -> tuple[Tensor | None, arrays.Found]:
+    def _frame_by_frame(self, founds: Sequence[arrays.FoundPoints]) -> tuple[Tensor | None, arrays.FoundPoints]:
         """The frames of all recordings, and the recording of each; None for a single one."""
         if len(founds) == 1:
             return None, founds[0]
         most = max(one.status.shape[1] for one in founds)
         given = zip(*founds, strict=True)
-        found = arrays.Found(*(np.concatenate([filled(one, most, axis=1) for one in some]) for some in given))
+        found = arrays.FoundPoints(*(np.concatenate([filled(one, most, axis=1) for one in some]) for some in given))
         frames = [len(one.status) for one in founds]
         return self._tensor(np.repeat(np.arange(len(founds)), frames)), found
 
@@ -376,9 +381,9 @@ def _size(argument: Any) -> object:
     """What an argument must have in common with that of another recording to be joined with it."""
     if isinstance(argument, Tensor):
         return argument.dtype, argument.shape[1:]
-    if isinstance(argument, arrays.Light):
+    if isinstance(argument, arrays.GlassLight):
         return _size(argument.light)
-    if isinstance(argument, arrays.Key):
+    if isinstance(argument, arrays.KeyFrame):
         return _size(argument.image)
     if isinstance(argument, Neighbours):
         return argument.number.shape[1]

@@ -11,7 +11,7 @@ from torch.utils import _pytree as tree
 Axis = int | None
 
 
-class Call(NamedTuple):
+class GraphCall(NamedTuple):
     """Arguments of a method of a module, flat.
 
     Attributes:
@@ -27,7 +27,7 @@ class Call(NamedTuple):
     structure: Any
 
     @classmethod
-    def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "Call":
+    def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "GraphCall":
         """Of the arguments as they are given, with the defaults of the others."""
         bound = inspect.signature(getattr(module, method)).bind(*arguments, **named)
         bound.apply_defaults()

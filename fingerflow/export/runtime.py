@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils import _pytree as tree
 
-from fingerflow.export.calls import Call, axes_that_differ, filled_up, settings_of
+from fingerflow.export.calls import GraphCall, axes_that_differ, filled_up, settings_of
 from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
@@ -113,7 +113,7 @@ class _Executed:
         return functools.partial(self._answer, name) if inspect.ismethod(value) else value
 
     def _answer(self, method: str, *arguments: Any, **named: Any) -> Any:
-        call = Call.of(self._module, method, arguments, named)
+        call = GraphCall.of(self._module, method, arguments, named)
         own = [isinstance(value, Tensor) for value in call.values]
         shared = [any(name in path for name in _OF_ALL) for path in call.names]
         batch = max(
@@ -135,7 +135,7 @@ class _Executed:
         ]
         return tree.tree_unflatten(joined, flat[0][1])
 
-    def _run_one(self, method: str, call: Call) -> Any:
+    def _run_one(self, method: str, call: GraphCall) -> Any:
         given, along, points = call.tensors, call.tensor_axes, call.points
         inputs = [name for name, value in zip(call.names, call.values, strict=True) if isinstance(value, Tensor)]
         tensors = filled_up(given, along, _room(points))
@@ -191,7 +191,7 @@ def _room(points: int) -> int:
 class _Leaves(nn.Module):
     """A method of a module with the tensors of its arguments by position, and those of its result as a tuple."""
 
-    def __init__(self, module: nn.Module, method: str, call: Call) -> None:
+    def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
         self.module, self.method, self.call = module, method, call
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"

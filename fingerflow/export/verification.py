@@ -36,7 +36,7 @@ class Difference(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class GraphTolerance:
     """Largest differences to torch in the same precision and to float64; what one graph passes on is not its error."""
 
     to_torch: float
@@ -47,16 +47,18 @@ class Tolerance:
 # of a position over a gauge length of tens of px. All but px and rad is relative to the largest number of the output:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
-    "points": Tolerance(1e-3, 1e-3),
+    "points": GraphTolerance(1e-3, 1e-3),
     # Of matches that are none, whose backward check and step are nearly singular; the limit of both is 1 px.
-    **dict.fromkeys(("error", "estimate"), Tolerance(2e-2, 2e-2)),
-    **dict.fromkeys(("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), Tolerance(2e-4, 1e-3)),
+    **dict.fromkeys(("error", "estimate"), GraphTolerance(2e-2, 2e-2)),
+    **dict.fromkeys(
+        ("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), GraphTolerance(2e-4, 1e-3)
+    ),
     # A cell at the border of the region may be told either way in float64.
-    **dict.fromkeys(("center", "semi_axes"), Tolerance(1e-3, 0.1)),
-    "angle": Tolerance(1e-4, 2e-2),  # what turns an axis that is 5 px longer than the other by that 0.1 px
-    **dict.fromkeys(("threshold", "covariance"), Tolerance(1e-4, 1e-3)),  # of the latter, as deviations in px
+    **dict.fromkeys(("center", "semi_axes"), GraphTolerance(1e-3, 0.1)),
+    "angle": GraphTolerance(1e-4, 2e-2),  # what turns an axis that is 5 px longer than the other by that 0.1 px
+    **dict.fromkeys(("threshold", "covariance"), GraphTolerance(1e-4, 1e-3)),  # of the latter, as deviations in px
 }
-_RELATIVE = Tolerance(1e-4, 1e-3)
+_RELATIVE = GraphTolerance(1e-4, 1e-3)
 _MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may turn against float64
 
 

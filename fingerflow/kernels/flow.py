@@ -29,7 +29,7 @@ __all__ = [
 _PLANES = ((3, 0, 0), (1, 0, -1), (1, -1, 0), (3, 0, 0), (1, 0, 0))
 
 
-class Fields(NamedTuple, Generic[Array]):
+class FlowFields(NamedTuple, Generic[Array]):
     """What dense flow takes from a first image."""
 
     value: Array  # (B, 1, H, W) spline at the pixels
@@ -179,7 +179,7 @@ def flow_covariance(tensor: Array, density: Array, alpha: Array, textured: Array
     return covariance
 
 
-def flow_template(coefficients: Array, mask: Array, margin: int) -> Fields[Array]:
+def flow_template(coefficients: Array, mask: Array, margin: int) -> FlowFields[Array]:
     """As `ops.flow.dense_flow` has it, of spline coefficients and mask (B, 1, H, W), both float32.
 
     Raises:
@@ -191,7 +191,7 @@ def flow_template(coefficients: Array, mask: Array, margin: int) -> Fields[Array
     rows, columns = (height + 1) // 2, (width + 1) // 2
     sizes = ((1, height, width), (2, height, width), (1, height, width))
     of_cells = ((3, rows, columns), (1, rows, columns), (1, rows, columns - 1), (1, rows - 1, columns))
-    fields = Fields(*(empty(coefficients, "float32", batch, *size) for size in (*sizes, *of_cells)))
+    fields = FlowFields(*(empty(coefficients, "float32", batch, *size) for size in (*sizes, *of_cells)))
     entry("flow_template")(
         coefficients=in_one_piece(coefficients),
         mask=in_one_piece(mask),

@@ -21,8 +21,8 @@ from fingerflow.kernels.tracking import WIDEST_SEARCH
 
 __all__ = [
     "DetectedPoints",
-    "Neighbours",
-    "Outliers",
+    "NeighbourLists",
+    "OutlierFlags",
     "detect_points",
     "find_neighbours",
     "find_outliers",
@@ -35,7 +35,7 @@ _LANES = 16  # points that the compiled kernel judges at a time
 _ROWS = 32  # points whose distances to all others are in memory at a time
 
 
-class Neighbours(NamedTuple):
+class NeighbourLists(NamedTuple):
     """The k nearest neighbours of N points, nearest first: (k, P) each, P the next multiple of 16 from N on.
 
     Attributes:
@@ -50,14 +50,14 @@ class Neighbours(NamedTuple):
     within: Array
 
 
-class Outliers(NamedTuple):
+class OutlierFlags(NamedTuple):
     """(K, N) bool each, as `ops.tracking.outliers.Outliers`."""
 
     off_neighbours: Array
     uncertain: Array
 
 
-def find_neighbours(positions: Array, gauge_length: float) -> Neighbours:
+def find_neighbours(positions: Array, gauge_length: float) -> NeighbourLists:
     """Return the points to judge each point by, once for all frames of the same points.
 
     Args:
@@ -88,10 +88,10 @@ def find_neighbours(positions: Array, gauge_length: float) -> Neighbours:
         number[:, own], within[:, own] = nearest.T, counts.T
         for to, away in ((x, away_x), (y, away_y)):
             to[:, own] = np.where(counts, np.take_along_axis(away, nearest, 1), np.float32(0)).T
-    return Neighbours(number, x, y, within)
+    return NeighbourLists(number, x, y, within)
 
 
-def find_outliers(neighbours: Neighbours, displacement: Array, position_std: Array) -> Outliers:
+def find_outliers(neighbours: NeighbourLists, displacement: Array, position_std: Array) -> OutlierFlags:
     """Find points whose displacement or uncertainty stands out among their neighbours, as `ops.find_outliers` does.
 
     A point that stands on a limit, to the rounding of float32, may be judged otherwise than there.
@@ -114,7 +114,7 @@ def find_outliers(neighbours: Neighbours, displacement: Array, position_std: Arr
     x, y, within = (checked("neighbours", one, "float32", (most, stride)) for one in neighbours[1:])
     if number.size and not 0 <= number.min() <= number.max() < count:
         raise ValueError(f"neighbours go from {number.min()} to {number.max()}: there are {count} points")
-    result = Outliers(*(np.empty((frames, count), np.bool_) for _ in range(2)))
+    result = OutlierFlags(*(np.empty((frames, count), np.bool_) for _ in range(2)))
     entry("find_outliers")(
         number=number,
         x=x,

@@ -52,7 +52,7 @@ REST = 2e-7  # of the load, all that is out of balance added up
 
 
 @dataclass(frozen=True)
-class Press:
+class PressedChain:
     """Chains of N elements, leading dimensions (...) those of the parameters, after T times of `follow` before them."""
 
     position: Tensor  # (..., N, 2) m, x along the plate and z above it
@@ -94,7 +94,7 @@ def press(
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
     longest_s: float = 2.0,
-) -> Press:
+) -> PressedChain:
     """A load put on at once and held until all forces balance, to 2e-7 of it.
 
     Friction leaves the rest where the way to it ended: this is the rest after a sudden load. Differentiable in
@@ -138,7 +138,7 @@ def follow(
     slide_m: Tensor | float | None = None,
     elements: int = 501,
     tolerance_m: float = TOLERANCE_M,
-) -> Press:
+) -> PressedChain:
     """The chain at each of the times (T,), under loads that are linear between them, such as a measured force trace.
 
     Args as in `press`, each load (T,) or (T, ...); it begins undeformed. Friction as a function is asked at each time,
@@ -168,7 +168,7 @@ def follow(
                 state = moved(chains, state, coefficient, loads, held, float(steps[k - 1]), tolerance_m, 0.0)
             before = after
             found.append(_measured(chains, state, coefficient, after, held))
-    return Press(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(Press)))
+    return PressedChain(*(torch.stack([getattr(one, field.name) for one in found]) for field in fields(PressedChain)))
 
 
 def _begun(
@@ -226,7 +226,7 @@ def _coefficient(friction: Friction, time: float, x: Tensor, shape: torch.Size) 
     return coefficient
 
 
-def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]) -> Press:
+def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, held: tuple[bool, bool]) -> PressedChain:
     x, z = at.place.unbind(-1)
     reference = chains.reference
     displacement = at.place - reference
@@ -243,7 +243,7 @@ def _measured(chains: Chains, at: Motion, coefficient: Tensor, load: Tensor, hel
     hoop = torch.where(middle, slope, apart / torch.where(middle, 1.0, across))
     on_plate = _share_on_plate(force, touching) * x.diff(dim=-1)
     weight = (torch.nn.functional.pad(on_plate, (1, 0)) + torch.nn.functional.pad(on_plate, (0, 1))) / 2
-    return Press(
+    return PressedChain(
         position=at.place,
         displacement=displacement,
         normal_force=force,

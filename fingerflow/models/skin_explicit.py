@@ -36,13 +36,15 @@ def march(chain: Chain, state: State, mu: Array, load: Load, duration: float, st
         raise ValueError("motions of the bone are not given here: use press or follow")
     count = math.ceil(duration / step * (1 - 1e-12))
     h = duration / count
-    at = Values(state.place, state.bone, state.friction)
+    at = ChainState(state.place, state.bone, state.friction)
     for k in range(count):
         first = rates(chain, mu, at, load.at(k / count))
         second = rates(chain, mu, _after(at, h / 2, first), load.at((k + 0.5) / count))
         third = rates(chain, mu, _after(at, h / 2, second), load.at((k + 0.5) / count))
         fourth = rates(chain, mu, _after(at, h, third), load.at((k + 1) / count))
-        mean = Values(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(first, second, third, fourth, strict=True)))
+        mean = ChainState(
+            *((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(first, second, third, fourth, strict=True))
+        )
         at = _after(at, h, mean)
         limit = mu * chain.contact * np.maximum(-at.place[:, 1], 0)
         at = at._replace(friction=np.clip(at.friction, -limit, limit))
@@ -74,7 +76,7 @@ def largest_step(chain: Chain) -> float:
     return REAL_LIMIT / largest
 
 
-class Values(NamedTuple):
+class ChainState(NamedTuple):
     """Of a state, or its rates."""
 
     place: Array  # (N, 2) m
@@ -82,11 +84,11 @@ class Values(NamedTuple):
     friction: Array  # (N,) N
 
 
-def _after(at: Values, h: float, speeds: Values) -> Values:
-    return Values(*(value + h * rate for value, rate in zip(at, speeds, strict=True)))
+def _after(at: ChainState, h: float, speeds: ChainState) -> ChainState:
+    return ChainState(*(value + h * rate for value, rate in zip(at, speeds, strict=True)))
 
 
-def rates(chain: Chain, mu: Array, at: Values, load: Array) -> Values:
+def rates(chain: Chain, mu: Array, at: ChainState, load: Array) -> ChainState:
     """Of equation 5 with forces from the energy, and of equation 7 without its stray factor."""
     forces, on_bone = elastic_forces(chain, at.place, at.bone)
     limit = mu * chain.contact * np.maximum(-at.place[:, 1], 0)
@@ -96,4 +98,4 @@ def rates(chain: Chain, mu: Array, at: Values, load: Array) -> Values:
     rubs = limit > 0
     left = 1 - np.sign(speed[:, 0]) * held / np.where(rubs, limit, 1.0)
     rate = chain.friction_stiffness * np.abs(left) ** chain.exponent * np.sign(left) * speed[:, 0]
-    return Values(speed, (on_bone + load) / chain.bone_damping, np.where(rubs, rate, 0.0))
+    return ChainState(speed, (on_bone + load) / chain.bone_damping, np.where(rubs, rate, 0.0))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fingerflow.models.skin_chain import Press, weighted_median
+from fingerflow.models.skin_chain import PressedChain, weighted_median
 
 _SYMMETRY = 1e-6  # of the radius of the contact, by which a press of its own symmetry may miss it
 
@@ -36,7 +36,7 @@ class SinceOnset:
         return (ring * self.divergence_field.nan_to_num(0.0)).sum(-1) / ring.sum(-1)
 
 
-def since_onset(press: Press) -> SinceOnset:
+def since_onset(press: PressedChain) -> SinceOnset:
     """Of presses at T times, as `follow` gives them, fine enough that the edge of the contact moves evenly between two.
 
     A median by area is small: divergence falls from the middle outward and is negative at the edge, where most of the

@@ -7,7 +7,7 @@ from fingerflow.schema.equations import EQUATIONS
 from fingerflow.schema.variables import STREAM, Variable
 
 
-class Entry(NamedTuple):
+class DictionaryEntry(NamedTuple):
     """One variable.
 
     Attributes:
@@ -40,7 +40,7 @@ class Entry(NamedTuple):
         return "\n".join(lines)
 
 
-def dictionary() -> tuple[Entry, ...]:
+def dictionary() -> tuple[DictionaryEntry, ...]:
     """All variables, stage by stage in the order in which these run."""
     return tuple(
         _entry(variable, stage, needs)
@@ -52,8 +52,8 @@ def dictionary() -> tuple[Entry, ...]:
     )
 
 
-def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> Entry:
-    return Entry(
+def _entry(variable: Variable, stage: str, needs: tuple[str, ...]) -> DictionaryEntry:
+    return DictionaryEntry(
         variable.name,
         variable.units,
         variable.dims,

@@ -44,7 +44,7 @@ _CODE = (
 _SHOWN = 60  # characters of a setting in a sentence
 
 
-class Key(NamedTuple):
+class StageKey(NamedTuple):
     """What the results of a stage depend on.
 
     Attributes:
@@ -83,14 +83,14 @@ class Reused(NamedTuple):
         return json.dumps({"from": str(self.path), "stages": names, "computed": computed})
 
 
-def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], Key]:
+def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[type[Stage], StageKey]:
     """The key of each stage of a plan, by `Stage.place`.
 
     ``engine`` is the name that the result states, ``recording`` what `identity_of` says of it.
     """
     values = json.loads(inputs.scene.as_json())
     common = [code_version(), kernels.serve(), torch.__version__, engine, inputs.device.type]
-    keys: dict[type[Stage], Key] = {}
+    keys: dict[type[Stage], StageKey] = {}
     known: dict[str, list[tuple[str, Any]]] = {}  # several stages have the same pictures of the empty glass to read
     pictures: set[type[Stage]] = set()  # stages whose results depend on some
     for stage in plan.stages:
@@ -104,11 +104,13 @@ def keys_of(plan: Plan, inputs: Inputs, engine: str, recording: str) -> dict[typ
         seen = recording if stage.place() in pictures else ""
         of_stages = [keys[one].digest for one in before]
         on = stage.depends_on(plan.stages)
-        keys[stage.place()] = Key(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
+        keys[stage.place()] = StageKey(digest_of(stage.name, settings, on, seen, of_stages, common), settings)
     return keys
 
 
-def record(plan: Plan, keys: Mapping[type[Stage], Key], stages: Mapping[type[Stage], Stage], results: Store) -> str:
+def record(
+    plan: Plan, keys: Mapping[type[Stage], StageKey], stages: Mapping[type[Stage], Stage], results: Store
+) -> str:
     """What a result says of its stages, for `reused`: JSON."""
     return json.dumps(
         {
@@ -122,7 +124,7 @@ def record(plan: Plan, keys: Mapping[type[Stage], Key], stages: Mapping[type[Sta
     )
 
 
-def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], Key], inputs: Inputs) -> Reused:
+def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage], StageKey], inputs: Inputs) -> Reused:
     """Which stages of a plan an earlier result makes unnecessary.
 
     Raises FingerflowError where it is of another recording, or of other frames of it.
@@ -154,7 +156,7 @@ def reused(earlier: xr.Dataset, path: Path, plan: Plan, keys: Mapping[type[Stage
 
 
 def _why_not(
-    stage: type[Stage], plan: Plan, key: Key, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
+    stage: type[Stage], plan: Plan, key: StageKey, known: Mapping[str, Any] | None, computed: Mapping[type[Stage], str]
 ) -> str:
     """Why a stage's earlier results do not hold, empty where they do."""
     if known is None:

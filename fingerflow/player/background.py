@@ -9,13 +9,13 @@ import numpy as np
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.scene import View
+from fingerflow.player.scene import ViewRange
 from fingerflow.player.sources import open_recording
 
 _STILLS = 64  # of a recording of the empty glass are averaged: its noise is then an eighth of a frame's
 
 
-def mean_view(path: Path, view: View, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
+def mean_view(path: Path, view: ViewRange, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
     """A view of the mean of the first frames of a file, (H, W) float32; the frames may be of the view alone.
 
     Raises PlayerError where the file has no frame, or frames of another size or depth than the camera's.

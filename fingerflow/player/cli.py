@@ -20,7 +20,7 @@ from fingerflow.errors import FingerflowError, PlayerError, first_line
 from fingerflow.kernels.library import set_threads, threads
 from fingerflow.player.bundle import load_bundle
 from fingerflow.player.handover import Slot
-from fingerflow.player.live import Forces
+from fingerflow.player.live import LiveForces
 from fingerflow.player.played import played_by
 from fingerflow.player.records import RecordLayout
 from fingerflow.player.scene import contradictions, stream_settings
@@ -40,7 +40,7 @@ COORDINATES = (
     "points are (x, y) px with integer pixel centres, x to the right, y down; angles from x towards y; images are "
     "(batch, 1, height, width)"
 )
-ReadForces = Callable[[Path], Forces | None]
+ReadForces = Callable[[Path], LiveForces | None]
 
 
 def main(

@@ -12,7 +12,7 @@ import numpy as np
 from fingerflow.engines.engine import Array
 from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
-from fingerflow.player.scene import Scene, View
+from fingerflow.player.scene import StreamScene, ViewRange
 from fingerflow.tracker.stream import CONTACT_VIEW, TOPOGRAPHY_VIEW, Frame
 
 T = TypeVar("T")
@@ -141,7 +141,7 @@ class Slot(Frame):
         super().__init__({name: np.zeros(shape, bundle.dtype) for name in (CONTACT_VIEW, TOPOGRAPHY_VIEW)})
         self.arrival = 0.0
 
-    def fill(self, frame: Array, scene: Scene, bundle: Bundle, source: str) -> None:
+    def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
         """Copies the views out of a frame; raises PlayerError where its size or depth is another one."""
         needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
@@ -163,5 +163,5 @@ class Slot(Frame):
                 )
 
 
-def _views(scene: Scene) -> dict[str, View]:
+def _views(scene: StreamScene) -> dict[str, ViewRange]:
     return {CONTACT_VIEW: scene.contact, TOPOGRAPHY_VIEW: scene.topography}

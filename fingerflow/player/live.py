@@ -25,7 +25,7 @@ _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_
 Expected = Callable[[int, int], Mapping[str, float]]  # from the numbers of a frame and of the restart
 
 
-class Forces(NamedTuple):
+class LiveForces(NamedTuple):
     """Forces by name, (frames,) N each, of frames from the number ``first`` on."""
 
     first: int
@@ -53,11 +53,11 @@ class LiveData:
         forces: that were recorded with the frames, where they are known.
     """
 
-    def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: Forces | None = None) -> None:
+    def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: LiveForces | None = None) -> None:
         self._every = -(-max(bundle.height, bundle.width) // _PAGE_SIDE)
         self._shift = bundle.bit_depth - 8
         self._expect = expected
-        self._forces = forces or Forces(0, {})
+        self._forces = forces or LiveForces(0, {})
         self._asked = self._drawn = -math.inf
         self._arrays: dict[str, Array] = {}
         self._scalars: dict[str, float] = {}

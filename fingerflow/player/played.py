@@ -13,7 +13,7 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.background import mean_view
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.live import Expected
-from fingerflow.player.scene import Scene, check_scene, load_scene
+from fingerflow.player.scene import StreamScene, check_scene, load_scene
 from fingerflow.player.sources import open_recording
 from fingerflow.player.sources.camera import open_camera
 from fingerflow.player.sources.source import OpenSource
@@ -27,7 +27,7 @@ class Played(NamedTuple):
     ``forces_in`` is the scene file that names the forces of these frames.
     """
 
-    scene: Scene
+    scene: StreamScene
     name: str
     open_source: OpenSource
     glass: Array

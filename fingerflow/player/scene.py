@@ -14,10 +14,10 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.bundle import Bundle
 from fingerflow.schema.region import region_runs
 from fingerflow.schema.scene_file import SceneError, read_scene
-from fingerflow.tracker.stream import StreamSettings
+from fingerflow.tracker.stream import TrackerSettings
 
 
-class View(NamedTuple):
+class ViewRange(NamedTuple):
     """A rectangle of pixels, half-open ranges."""
 
     rows: tuple[int, int]
@@ -34,7 +34,7 @@ class View(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Scene:
+class StreamScene:
     """Where the views lie in a frame, their scale, and what empty glass looks like.
 
     Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
@@ -44,8 +44,8 @@ class Scene:
     ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
     """
 
-    contact: View
-    topography: View
+    contact: ViewRange
+    topography: ViewRange
     mm_per_px: float
     topography_to_contact: Array
     threshold: float | str = "reference_frame"
@@ -56,7 +56,7 @@ class Scene:
     first_frame: int = 0
     last_frame: int | None = None
     output: Path | None = None
-    region: View | None = None
+    region: ViewRange | None = None
     drawn: Mapping[str, Any] | None = None
     rekey_share: float | None = None
     rekey_frames: int | None = None
@@ -69,15 +69,15 @@ class Scene:
         return None if isinstance(self.threshold, str) else self.threshold
 
 
-def stream_settings(scene: Scene, bundle: Bundle) -> StreamSettings:
+def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
     """What the tracker of a stream needs to know of a scene and a bundle."""
     region = np.zeros((bundle.height, bundle.width), dtype=bool)
     if scene.drawn is not None:
         for row, first, end in region_runs(scene.drawn, *region.shape):
             region[row, first:end] = True
     else:
-        (scene.region or View((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
-    return StreamSettings(
+        (scene.region or ViewRange((0, bundle.height), (0, bundle.width))).crop(region)[...] = True
+    return TrackerSettings(
         points=bundle.points,
         bit_depth=bundle.bit_depth,
         mm_per_px=scene.mm_per_px,
@@ -92,7 +92,7 @@ def stream_settings(scene: Scene, bundle: Bundle) -> StreamSettings:
 _DECIDED_BY_RECIPES = ("contact", "tracking", "fields")
 
 
-def load_scene(path: Path) -> Scene:
+def load_scene(path: Path) -> StreamScene:
     """Reads a scene file; raises PlayerError with file, line, key, value and remedy."""
     try:
         checked = read_scene(path, "stream")
@@ -108,7 +108,7 @@ def load_scene(path: Path) -> Scene:
             )
     _check_regions(path, views)
     background = found["background"] or {"frames": None, "dark": None}
-    return Scene(
+    return StreamScene(
         contact=_rectangle(views["contact"]),
         topography=_rectangle(views["topography"]),
         mm_per_px=found["calibration"]["mm_per_px"],
@@ -121,7 +121,7 @@ def load_scene(path: Path) -> Scene:
         first_frame=recording["first_frame"],
         last_frame=recording["last_frame"],
         output=stream["output"],
-        region=None if stream["region"] is None else View(**stream["region"]),
+        region=None if stream["region"] is None else ViewRange(**stream["region"]),
         drawn=views["topography"].get("region"),
         rekey_share=stream["rekey_share"],
         rekey_frames=stream["rekey_frames"],
@@ -135,8 +135,8 @@ def load_scene(path: Path) -> Scene:
     )
 
 
-def _rectangle(view: Mapping[str, Any]) -> View:
-    return View(view["rows"], view["columns"])
+def _rectangle(view: Mapping[str, Any]) -> ViewRange:
+    return ViewRange(view["rows"], view["columns"])
 
 
 def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
@@ -154,7 +154,7 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
         )
 
 
-def check_scene(scene: Scene, bundle: Bundle, path: Path | None) -> None:
+def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
     """Whether a bundle can play the scene of a file, or the drawn one.
 
     Raises PlayerError where the views are not of the bundle's size, or a threshold or a reference is asked for that a
@@ -190,7 +190,7 @@ _PLAYED = {  # what a stream does, whatever a scene says, because later frames a
 }
 
 
-def contradictions(scene: Scene, recipe: Mapping[str, Any]) -> list[str]:
+def contradictions(scene: StreamScene, recipe: Mapping[str, Any]) -> list[str]:
     """One sentence for each setting of the scene that the recipe has decided otherwise."""
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
     return [

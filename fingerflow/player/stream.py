@@ -18,17 +18,17 @@ from fingerflow.player.bundle import Bundle
 from fingerflow.player.findings import Findings
 from fingerflow.player.handover import Channel, InOrder, Slot
 from fingerflow.player.latency import Latencies
-from fingerflow.player.live import Expected, Forces, LiveData, LiveViews
+from fingerflow.player.live import Expected, LiveData, LiveForces, LiveViews
 from fingerflow.player.page import serve_page
 from fingerflow.player.records import RecordLayout
-from fingerflow.player.scene import Scene
+from fingerflow.player.scene import StreamScene
 from fingerflow.player.settings import Settings
 from fingerflow.player.sources.closing import close_within
 from fingerflow.player.sources.source import OpenSource, Source
 from fingerflow.results.stream_folder import Sink
 from fingerflow.schema.variables import FRAME_STATUS
 from fingerflow.tracker.frame_quality import USABLE
-from fingerflow.tracker.stream import Event, Outcome, StreamTracker, Work
+from fingerflow.tracker.stream import Event, FrameOutcome, StreamTracker, Work
 
 log = logging.getLogger("fingerflow.player")
 
@@ -55,7 +55,7 @@ class Player:
         tracker: StreamTracker,
         computed_by: str,
         bundle: Bundle,
-        scene: Scene,
+        scene: StreamScene,
         source: Source,
         open_source: OpenSource,
         sink: Sink,
@@ -63,7 +63,7 @@ class Player:
         settings: Settings,
         source_name: str = "source",
         expected: Expected | None = None,
-        forces: Forces | None = None,
+        forces: LiveForces | None = None,
     ) -> None:
         self.bundle, self.scene, self.settings, self.source_name = bundle, scene, settings, source_name
         self.computed_by = computed_by
@@ -75,7 +75,7 @@ class Player:
         # The slot that was in use last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
-        self._outcomes: Channel[Event | Outcome] = Channel(len(slots))
+        self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
         self._records: Channel[tuple[int, LiveViews | None]] = Channel(_RECORDS_WAITING)
         self._room = np.zeros(_RECORDS_WAITING + 2, layout.dtype)  # one is being filled, one written
         self._fields = {name: self._room[name] for name in self._room.dtype.names or ()}  # looked up once
@@ -338,7 +338,7 @@ class Player:
         """Finishes a frame that was computed; False where the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
-    def _hand_on(self, passed: Iterable[Event | Outcome]) -> bool:
+    def _hand_on(self, passed: Iterable[Event | FrameOutcome]) -> bool:
         """Passes on frames whose outcome is known, and what has happened; False where the stream has failed."""
         return all(self._outcomes.put(one) for one in passed)
 
@@ -355,7 +355,7 @@ class Player:
         self._sink.event(event.name, event.frame, **event.facts)
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
-    def _recorded(self, outcome: Outcome) -> bool:
+    def _recorded(self, outcome: FrameOutcome) -> bool:
         """Passes on the record of a frame; False where the stream has failed."""
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields

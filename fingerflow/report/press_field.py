@@ -8,7 +8,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from fingerflow.plot.axes_style import finished
-from fingerflow.synthetic import Press, Scene
+from fingerflow.synthetic import Press, SyntheticScene
 
 Values = NDArray[np.float64]
 _SPACING_MM = 0.6  # of the points
@@ -26,7 +26,7 @@ class PressField:
     median_curl: Values  # (F,) rad, over the area of the gross contact
 
 
-def press_field(scene: Scene | None = None) -> PressField:
+def press_field(scene: SyntheticScene | None = None) -> PressField:
     """From the truth of a scene that ends in contact, by default the press of `fingerflow demo`.
 
     Raises ValueError for a scene whose last frame has no contact.

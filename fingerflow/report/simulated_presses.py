@@ -16,7 +16,7 @@ from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.models.skin_chain import CONTACT_N, Press, follow
+from fingerflow.models.skin_chain import CONTACT_N, PressedChain, follow
 from fingerflow.ops.fields.strain import green_lagrange, strain_energy_density
 from fingerflow.plot.axes_style import finished
 
@@ -38,7 +38,7 @@ class SimulatedPresses:
     friction: tuple[float, ...]
     time: Values  # (T,) s
     force: Values  # (T,) N
-    chain: Press
+    chain: PressedChain
 
     def index(self, friction: float) -> int:
         """Which of the presses has a friction."""

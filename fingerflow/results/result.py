@@ -60,17 +60,17 @@ def open_result(path: Path) -> xr.Dataset:
     return open_own(path)
 
 
-class Values(NamedTuple):
+class StoredValues(NamedTuple):
     """A variable: values, and attributes where they were asked for."""
 
     values: NDArray[Any]
     attrs: Mapping[str, Any]
 
 
-class Own(dict[str, Values]):
+class Own(dict[str, StoredValues]):
     """Some variables of a result by their names, and the attributes of the whole."""
 
-    def __init__(self, variables: Mapping[str, Values], attrs: Mapping[str, Any]) -> None:
+    def __init__(self, variables: Mapping[str, StoredValues], attrs: Mapping[str, Any]) -> None:
         super().__init__(variables)
         self.attrs = attrs
 
@@ -85,7 +85,7 @@ def read_own(path: Path, names: Iterable[str], described: Iterable[str]) -> Own:
     described = set(described)
     with h5py.File(path) as file:
         found = [(name, file[name]) for name in dict.fromkeys((*names, "time", "frame")) if name in file]
-        variables = {name: Values(one[()], _attributes(one) if name in described else {}) for name, one in found}
+        variables = {name: StoredValues(one[()], _attributes(one) if name in described else {}) for name, one in found}
         return Own(variables, _attributes(file))
 
 

@@ -11,7 +11,7 @@ from fingerflow.schema.scene_check import Checked, check_scene
 from fingerflow.schema.scene_file import SceneError, parse_scene, read_scene
 from fingerflow.schema.scene_kinds import KINDS, default_kind
 from fingerflow.schema.toml_string import toml_string
-from fingerflow.schema.views import Ellipse, Region, View
+from fingerflow.schema.views import DrawnEllipse, Region, View
 
 Row = tuple[float, float, float]
 
@@ -316,7 +316,7 @@ def _view(found: Mapping[str, Any]) -> View:
     region = found.get("region")
     if region is None:
         return View(found["rows"], found["columns"])
-    ellipse = None if region["ellipse"] is None else Ellipse(**region["ellipse"])
+    ellipse = None if region["ellipse"] is None else DrawnEllipse(**region["ellipse"])
     return View(found["rows"], found["columns"], Region(region["polygon"], ellipse, region["mask"]))
 
 

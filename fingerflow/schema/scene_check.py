@@ -14,14 +14,14 @@ from fingerflow.schema.scene_keys import (
     FitsTheViews,
     InPlaceOf,
     Inside,
-    Key,
     NotBefore,
     NotBoth,
     OneEach,
     OneOf,
     Reader,
     Rule,
-    Table,
+    SceneKey,
+    SceneTable,
     Together,
     optional,
     views_of,
@@ -99,7 +99,7 @@ class _Check:
         tables = {"recording": SCENE["recording"], "views": views_of(kind), **SCENE}
         tables |= {name: optional(tables[name]) for name in kind.optional}
         rest = {name: value for name, value in self._written.items() if name != "kind"}
-        self.values = self._table((), Table(tables), rest, ("kind",))
+        self.values = self._table((), SceneTable(tables), rest, ("kind",))
         for role, view in KINDS[self.kind].roles.items() if self.values.get("views") else ():
             self.values["views"][role] = self._at(f"views.{view}")
         for rule in RULES:
@@ -111,7 +111,7 @@ class _Check:
     def _refuse(self, keys: Keys, said: str) -> None:
         self._said.setdefault(keys, said)
 
-    def _table(self, place: Keys, table: Table, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
+    def _table(self, place: Keys, table: SceneTable, written: Mapping[str, Any], besides: Keys = ()) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for name, key in table.keys.items():
             keys = (*place, name)
@@ -120,7 +120,7 @@ class _Check:
                 continue
             self.given.add(".".join(keys))
             value = written[name]
-            if isinstance(key, Key):
+            if isinstance(key, SceneKey):
                 found[name] = self._value(keys, key, value)
             elif isinstance(value, dict):
                 found[name] = self._table(keys, key, value)
@@ -131,10 +131,10 @@ class _Check:
                 self._unknown((*place, name), sorted((*table.keys, *besides)))
         return found
 
-    def _left_out(self, keys: Keys, key: Key | Table) -> Any:
+    def _left_out(self, keys: Keys, key: SceneKey | SceneTable) -> Any:
         if self._reader in key.needed_by:
             self._lacks(keys)
-        if isinstance(key, Key):
+        if isinstance(key, SceneKey):
             return key.default
         needed = any(self._reader in one.needed_by for one in key.keys.values())
         return None if needed else self._table(keys, key, {})
@@ -143,7 +143,7 @@ class _Check:
         self._missing.add(keys)
         self._refuse(keys, MISSING)
 
-    def _value(self, keys: Keys, key: Key, value: Any) -> Any:
+    def _value(self, keys: Keys, key: SceneKey, value: Any) -> Any:
         try:
             return self._path(key.type, value) if isinstance(key.type, File) else value_of(key.type, value)
         except WrongValue as wrong:
@@ -240,14 +240,14 @@ class _Check:
             self._blame(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
             return
         found, table = self._calibration, SCENE[place]
-        if found is None or not isinstance(table, Table):
+        if found is None or not isinstance(table, SceneTable):
             return
         said = {rule.needed: found.mm_per_px, **({rule.transform: found.matrix()} if found.affine else {})}
         for other, value in said.items():
             name = other.rpartition(".")[2]
             self.given.add(other)
             key = table.keys[name]
-            assert isinstance(key, Key)
+            assert isinstance(key, SceneKey)
             self.values[place][name] = self._value(tuple(other.split(".")), key, value)
 
     def _inside(self, rule: Inside) -> None:

@@ -16,7 +16,7 @@ NOBODY = frozenset[Reader]()
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberType:
     """A finite number; a whole one is one too, true is none."""
 
     above: float | None = None
@@ -26,7 +26,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Whole(Number):
+class Whole(NumberType):
     """A whole number, written as one; ``odd`` where it is a side with a middle pixel."""
 
     odd: bool = False
@@ -47,7 +47,7 @@ class Choice:
     """One of some words, or a number."""
 
     words: tuple[str, ...]
-    number: Number | None = None
+    number: NumberType | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Column:
 class Each:
     """A number for all forces, or a list of one each, normal first; ``among`` these, where not empty."""
 
-    number: Number = Number()
+    number: NumberType = NumberType()
     among: tuple[float, ...] = ()
 
 
@@ -96,7 +96,7 @@ class PixelRange:
 
 
 @dataclass(frozen=True)
-class Corners:
+class CornersType:
     """[[x, y], ...], three or more px of a view."""
 
 
@@ -104,16 +104,16 @@ class Corners:
 class Pair:
     """[x, y], two numbers."""
 
-    each: Number = Number()
+    each: NumberType = NumberType()
 
 
 @dataclass(frozen=True)
-class Transform:
+class TransformType:
     """[[a, b, x], [c, d, y]] that can be undone."""
 
 
 Type = (
-    Number
+    NumberType
     | Switch
     | Text
     | Choice
@@ -123,14 +123,14 @@ Type = (
     | Moment
     | File
     | PixelRange
-    | Corners
+    | CornersType
     | Pair
-    | Transform
+    | TransformType
 )
 
 
 @dataclass(frozen=True)
-class Key:
+class SceneKey:
     """One setting: its type, its default, and who cannot do without."""
 
     type: Type
@@ -139,136 +139,136 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Table:
+class SceneTable:
     """A table of settings. One that is left out has its defaults, or is none where a key of it is needed."""
 
-    keys: Mapping[str, "Key | Table"]
+    keys: Mapping[str, "SceneKey | SceneTable"]
     needed_by: frozenset[Reader] = NOBODY
 
 
-POSITIVE, FROM_0 = Number(above=0), Whole(least=0)
-RECTANGLE = {"rows": Key(PixelRange(), needed_by=BOTH), "columns": Key(PixelRange(), needed_by=BOTH)}
+POSITIVE, FROM_0 = NumberType(above=0), Whole(least=0)
+RECTANGLE = {"rows": SceneKey(PixelRange(), needed_by=BOTH), "columns": SceneKey(PixelRange(), needed_by=BOTH)}
 #: A part of a view, px of the view with whole numbers at pixel centres: one of these.
-REGION = Table(
+REGION = SceneTable(
     {
-        "polygon": Key(Corners()),
-        "ellipse": Table(
+        "polygon": SceneKey(CornersType()),
+        "ellipse": SceneTable(
             {
-                "center": Key(Pair(), needed_by=BOTH),
-                "semi_axes": Key(Pair(POSITIVE), needed_by=BOTH),
-                "angle": Key(Number(), default=0.0),
+                "center": SceneKey(Pair(), needed_by=BOTH),
+                "semi_axes": SceneKey(Pair(POSITIVE), needed_by=BOTH),
+                "angle": SceneKey(NumberType(), default=0.0),
             }
         ),
-        "mask": Key(File(there_for=PROCESS)),
+        "mask": SceneKey(File(there_for=PROCESS)),
     }
 )
 
-SCENE: dict[str, Key | Table] = {
-    "recording": Table(
+SCENE: dict[str, SceneKey | SceneTable] = {
+    "recording": SceneTable(
         {
-            "frames": Key(File(there_for=PROCESS), needed_by=PROCESS),
-            "frame_rate": Key(Number(above=1e-6)),
-            "trigger_frame": Key(FROM_0),
-            "first_frame": Key(FROM_0, default=0),
-            "last_frame": Key(FROM_0),
+            "frames": SceneKey(File(there_for=PROCESS), needed_by=PROCESS),
+            "frame_rate": SceneKey(NumberType(above=1e-6)),
+            "trigger_frame": SceneKey(FROM_0),
+            "first_frame": SceneKey(FROM_0, default=0),
+            "last_frame": SceneKey(FROM_0),
         },
         needed_by=PROCESS,
     ),
-    "background": Table(
+    "background": SceneTable(
         {
-            "frames": Key(File(there_for=PROCESS), needed_by=BOTH),
-            "dark": Key(File(there_for=PROCESS)),
+            "frames": SceneKey(File(there_for=PROCESS), needed_by=BOTH),
+            "dark": SceneKey(File(there_for=PROCESS)),
         },
         needed_by=PROCESS,
     ),
-    "calibration": Table(
+    "calibration": SceneTable(
         {
-            "file": Key(File(calibration=True)),
-            "mm_per_px": Key(Number(above=0, most=1)),
+            "file": SceneKey(File(calibration=True)),
+            "mm_per_px": SceneKey(NumberType(above=0, most=1)),
             # It matters only where there is a topography view.
-            "topography_to_contact": Key(Transform(), default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+            "topography_to_contact": SceneKey(TransformType(), default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
         },
         needed_by=BOTH,
     ),
-    "forces": Table(
+    "forces": SceneTable(
         {
-            "file": Key(File(there_for=PROCESS), needed_by=BOTH),
-            "normal": Key(Column(), needed_by=BOTH),
-            "tangential": Key(Column(several=2)),
-            "units": Key(Choice(("N", "mN", "g", "kgf", "V"))),
-            "gain": Key(Each()),
-            "sign": Key(Each(among=(1, -1)), default=1.0),
-            "offset": Key(Each()),
-            "tare": Key(TimeRange()),
-            "trigger": Key(Column()),
-            "trigger_level": Key(Number()),
-            "time": Key(Column()),
-            "sample_rate": Key(POSITIVE),
+            "file": SceneKey(File(there_for=PROCESS), needed_by=BOTH),
+            "normal": SceneKey(Column(), needed_by=BOTH),
+            "tangential": SceneKey(Column(several=2)),
+            "units": SceneKey(Choice(("N", "mN", "g", "kgf", "V"))),
+            "gain": SceneKey(Each()),
+            "sign": SceneKey(Each(among=(1, -1)), default=1.0),
+            "offset": SceneKey(Each()),
+            "tare": SceneKey(TimeRange()),
+            "trigger": SceneKey(Column()),
+            "trigger_level": SceneKey(NumberType()),
+            "time": SceneKey(Column()),
+            "sample_rate": SceneKey(POSITIVE),
         },
     ),
-    "contact": Table(
+    "contact": SceneTable(
         {
-            "median_px": Key(Whole(least=3, most=63, odd=True), default=3),
-            "threshold": Key(
-                Choice(("reference_frame", "per_frame"), Number(above=0, below=1)), default="reference_frame"
+            "median_px": SceneKey(Whole(least=3, most=63, odd=True), default=3),
+            "threshold": SceneKey(
+                Choice(("reference_frame", "per_frame"), NumberType(above=0, below=1)), default="reference_frame"
             ),
-            "gross_radius_px": Key(Whole(least=1, most=255), default=8),
+            "gross_radius_px": SceneKey(Whole(least=1, most=255), default=8),
         },
     ),
-    "tracking": Table(
+    "tracking": SceneTable(
         {
-            "points": Key(Whole(least=3), default=700),
-            "window_px": Key(Whole(least=5, most=255, odd=True), default=25),
-            "min_distance_px": Key(POSITIVE, default=6.0),
-            "points_from": Key(Choice(("recorded", "enhanced")), default="recorded"),
-            "direction": Key(Choice(("forward", "backward")), default="forward"),
-            "template": Key(Choice(("keyframe", "previous")), default="keyframe"),
-            "forward_backward_limit_px": Key(POSITIVE, default=1.0),
-            "search_px": Key(FROM_0, default=8),
-            "gain_offset": Key(Switch(), default=True),
+            "points": SceneKey(Whole(least=3), default=700),
+            "window_px": SceneKey(Whole(least=5, most=255, odd=True), default=25),
+            "min_distance_px": SceneKey(POSITIVE, default=6.0),
+            "points_from": SceneKey(Choice(("recorded", "enhanced")), default="recorded"),
+            "direction": SceneKey(Choice(("forward", "backward")), default="forward"),
+            "template": SceneKey(Choice(("keyframe", "previous")), default="keyframe"),
+            "forward_backward_limit_px": SceneKey(POSITIVE, default=1.0),
+            "search_px": SceneKey(FROM_0, default=8),
+            "gain_offset": SceneKey(Switch(), default=True),
         },
     ),
-    "fields": Table(
+    "fields": SceneTable(
         {
-            "reference": Key(Moment(("onset", "first_frame")), default="onset"),
-            "gauge_length_mm": Key(Number(above=0, most=100), default=1.6),
-            "strain": Key(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
-            "young_modulus_mpa": Key(POSITIVE, default=1.0),
-            "poisson_ratio": Key(Number(above=-1, below=0.5), default=0.4),
-            "depth_mm": Key(POSITIVE, default=2.0),
-            "rate_window_s": Key(POSITIVE, default=0.05),
+            "reference": SceneKey(Moment(("onset", "first_frame")), default="onset"),
+            "gauge_length_mm": SceneKey(NumberType(above=0, most=100), default=1.6),
+            "strain": SceneKey(Choice(("green_lagrange", "as_printed", "infinitesimal")), default="green_lagrange"),
+            "young_modulus_mpa": SceneKey(POSITIVE, default=1.0),
+            "poisson_ratio": SceneKey(NumberType(above=-1, below=0.5), default=0.4),
+            "depth_mm": SceneKey(POSITIVE, default=2.0),
+            "rate_window_s": SceneKey(POSITIVE, default=0.05),
         },
     ),
-    "slip": Table(
+    "slip": SceneTable(
         {
-            "criterion": Key(Choice(("border", "displacement", "relative")), default="border"),
-            "stuck_mm": Key(POSITIVE, default=0.04),
-            "displacement": Key(Choice(("points", "dense_flow")), default="points"),
+            "criterion": SceneKey(Choice(("border", "displacement", "relative")), default="border"),
+            "stuck_mm": SceneKey(POSITIVE, default=0.04),
+            "displacement": SceneKey(Choice(("points", "dense_flow")), default="points"),
         }
     ),
-    "stream": Table(
+    "stream": SceneTable(
         {
-            "output": Key(File(there_for=NOBODY)),
-            "region": Table(RECTANGLE),
-            "rekey_share": Key(Number(above=0, most=1)),
-            "rekey_frames": Key(Whole(least=1)),
+            "output": SceneKey(File(there_for=NOBODY)),
+            "region": SceneTable(RECTANGLE),
+            "rekey_share": SceneKey(NumberType(above=0, most=1)),
+            "rekey_frames": SceneKey(Whole(least=1)),
         },
     ),
 }
 
 
-def views_of(kind: Kind) -> Table:
+def views_of(kind: Kind) -> SceneTable:
     """[views] of a scene of this kind: a rectangle each, and a region in it."""
-    keys: dict[str, Key | Table] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
-    tables: dict[str, Key | Table] = {name: Table(keys, needed_by=BOTH) for name in kind.views}
-    tables |= {name: Table(keys, needed_by=STREAM) for name in kind.optional_views}
-    return Table(tables, needed_by=BOTH)
+    keys: dict[str, SceneKey | SceneTable] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
+    tables: dict[str, SceneKey | SceneTable] = {name: SceneTable(keys, needed_by=BOTH) for name in kind.views}
+    tables |= {name: SceneTable(keys, needed_by=STREAM) for name in kind.optional_views}
+    return SceneTable(tables, needed_by=BOTH)
 
 
-def optional(table: Key | Table) -> Table:
+def optional(table: SceneKey | SceneTable) -> SceneTable:
     """The same table, whose keys nobody needs."""
-    assert isinstance(table, Table)
-    return Table({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
+    assert isinstance(table, SceneTable)
+    return SceneTable({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
 
 
 # Rules between keys, all named by their dotted paths. The first key of each is the one that is blamed.

@@ -9,16 +9,16 @@ from fingerflow.schema.calibration_file import can_be_undone
 from fingerflow.schema.scene_keys import (
     Choice,
     Column,
-    Corners,
+    CornersType,
     Each,
     Moment,
-    Number,
+    NumberType,
     Pair,
     PixelRange,
     Switch,
     Text,
     TimeRange,
-    Transform,
+    TransformType,
     Type,
     Whole,
 )
@@ -39,7 +39,7 @@ def value_of(kind: Type, value: Any) -> Any:
     match kind:
         case Whole():
             return _whole(kind, value)
-        case Number():
+        case NumberType():
             return _number(kind, value)
         case Choice():
             return _choice(kind, value)
@@ -53,11 +53,11 @@ def value_of(kind: Type, value: Any) -> Any:
             return _moment(kind, value)
         case PixelRange():
             return _pixel_range(value)
-        case Corners():
+        case CornersType():
             return _corners(value)
         case Pair():
             return _pair(kind.each, value)
-        case Transform():
+        case TransformType():
             return _transform(value)
         case Switch():
             if not isinstance(value, bool):
@@ -83,7 +83,7 @@ def _whole(kind: Whole, value: Any) -> int:
     return value
 
 
-def _number(kind: Number, value: Any) -> float:
+def _number(kind: NumberType, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise WrongValue("it should be a valid number")
     try:
@@ -96,7 +96,7 @@ def _number(kind: Number, value: Any) -> float:
     return number
 
 
-def _within(kind: Number, value: float) -> None:
+def _within(kind: NumberType, value: float) -> None:
     if kind.above is not None and value <= kind.above:
         raise WrongValue(f"it should be greater than {kind.above:g}")
     if kind.least is not None and value < kind.least:
@@ -163,7 +163,7 @@ def _time_range(value: Any) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
         raise WrongValue(needed)
     try:
-        first, last = (_number(Number(), item) for item in value)
+        first, last = (_number(NumberType(), item) for item in value)
     except WrongValue as wrong:
         raise WrongValue(f"of its items {wrong}; {needed}") from None
     if first >= last:
@@ -185,7 +185,7 @@ def _pixel_range(value: Any) -> tuple[int, int]:
     return first, end
 
 
-def _pair(each: Number, value: Any) -> tuple[float, float]:
+def _pair(each: NumberType, value: Any) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
         raise WrongValue("it should be a list of two numbers, [x, y]")
     x, y = (_number(each, item) for item in value)
@@ -197,7 +197,7 @@ def _corners(value: Any) -> tuple[tuple[float, float], ...]:
     if not isinstance(value, list) or len(value) < 3:
         raise WrongValue(needed)
     try:
-        corners = tuple(_pair(Number(), corner) for corner in value)
+        corners = tuple(_pair(NumberType(), corner) for corner in value)
     except WrongValue as wrong:
         raise WrongValue(f"of a corner {wrong}; {needed}") from None
     twice = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True))
@@ -212,7 +212,7 @@ def _transform(value: Any) -> tuple[tuple[float, ...], ...]:
     if [len(row) if isinstance(row, list) else 0 for row in rows] != [3, 3]:
         raise WrongValue(f"it should be a list of 2 lists of 3 numbers; {needed}")
     try:
-        matrix = tuple(tuple(_number(Number(), item) for item in row) for row in rows)
+        matrix = tuple(tuple(_number(NumberType(), item) for item in row) for row in rows)
     except WrongValue as wrong:
         raise WrongValue(f"of its items {wrong}; {needed}") from None
     if not can_be_undone(matrix, _LEAST_DETERMINANT):

@@ -9,7 +9,7 @@ from fingerflow.schema.calibration_file import pixel_range
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class DrawnEllipse:
     """Px of the view; `angle` of the first axis, rad from x towards y."""
 
     center: tuple[float, float]
@@ -22,7 +22,7 @@ class Region:
     """A part of a view, px of the view with whole numbers at pixel centres: one of these, the others are None."""
 
     polygon: tuple[tuple[float, float], ...] | None
-    ellipse: Ellipse | None
+    ellipse: DrawnEllipse | None
     mask: Path | None
 
 

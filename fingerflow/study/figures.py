@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from fingerflow.plot.axes_style import finished
-from fingerflow.report.supplement import FIGURES, Panel, Sheet, Sources
+from fingerflow.report.supplement import FIGURES, Sheet, SheetPanel, Sources
 from fingerflow.report.trial_metrics import AMPLITUDE, METRICS, finished_beside
 from fingerflow.study.statistics import Sample
 
@@ -93,8 +93,8 @@ def _named(condition: object) -> str:
     return f"{condition:g}" if isinstance(condition, float) else str(condition)
 
 
-def _curve_panel(letter: str, curves: Any, metric: str) -> Panel:
-    return Panel(letter, lambda part: draw_curves(part.subplots(), curves, metric))
+def _curve_panel(letter: str, curves: Any, metric: str) -> SheetPanel:
+    return SheetPanel(letter, lambda part: draw_curves(part.subplots(), curves, metric))
 
 
 def _about(said: str, drawn: Mapping[str, str]) -> bool:

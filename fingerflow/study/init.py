@@ -14,7 +14,7 @@ from fingerflow.recordings.forces.opening import READER_OF
 from fingerflow.recordings.frames.opening import READERS
 from fingerflow.results.atomic_write import write_atomically
 from fingerflow.schema.scene import scene_text
-from fingerflow.schema.scene_keys import SCENE, File, Key, Table
+from fingerflow.schema.scene_keys import SCENE, File, SceneKey, SceneTable
 from fingerflow.schema.toml_string import toml_string
 from fingerflow.study.manifest import ANSWER, CONDITION, FORCES, PARTICIPANT, RECORDING, TRIAL, matching, read_rows
 
@@ -28,7 +28,7 @@ _GUESSES = {
 }
 
 
-class Found(NamedTuple):
+class FoundFiles(NamedTuple):
     """What was written: the manifest, its table, trials, and what is still to be filled in."""
 
     manifest: Path
@@ -37,7 +37,7 @@ class Found(NamedTuple):
     to_fill_in: tuple[str, ...]
 
 
-def init_study(folder: Path, answers: Path | None = None) -> Found:
+def init_study(folder: Path, answers: Path | None = None) -> FoundFiles:
     """Write `study.toml` and `trials.csv` into a folder of recordings.
 
     Where there are scene files in it, each is a trial: what they share becomes the shared scene, what differs becomes
@@ -81,7 +81,7 @@ def init_study(folder: Path, answers: Path | None = None) -> Found:
     empty = {name: sum(not row.get(name) for row in rows) for name in (PARTICIPANT, CONDITION)}
     lacking = [f"{name} of {count} trials in {table.name}" for name, count in empty.items() if count]
     lacking += [f"[scene] in {manifest.name}"] if not scenes else []
-    return Found(manifest, table, len(rows), tuple(lacking))
+    return FoundFiles(manifest, table, len(rows), tuple(lacking))
 
 
 def _is_scene(file: Path) -> bool:
@@ -182,8 +182,8 @@ def _key(dotted: str) -> Any:
         found = known.get(part)
         if found is None:
             return None
-        known = found.keys if isinstance(found, Table) else {}
-    return found.type if isinstance(found, Key) else None
+        known = found.keys if isinstance(found, SceneTable) else {}
+    return found.type if isinstance(found, SceneKey) else None
 
 
 def _relative(file: Path, folder: Path) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 from fingerflow.errors import FingerflowError
 from fingerflow.schema.scene import Scene, scene_from
-from fingerflow.schema.scene_keys import SCENE, Table
+from fingerflow.schema.scene_keys import SCENE, SceneTable
 from fingerflow.study.columns import OF_RESULTS
 
 #: Columns of a table of trials that the study itself reads; one with a dot is a key of the scene.
@@ -271,7 +271,7 @@ def _check_key(dotted: str, place: str) -> None:
         if part not in known:
             raise FingerflowError(f"{place}: the column {dotted!r} is no key of a scene; {_known_here(part, known)}")
         table = known[part]
-        known = table.keys if isinstance(table, Table) else {}
+        known = table.keys if isinstance(table, SceneTable) else {}
 
 
 def _value(cell: str) -> Any:

@@ -7,7 +7,7 @@ from fingerflow.synthetic.motion import Bump, Ellipse
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.picture import PictureTexture, scene_of_print
 from fingerflow.synthetic.press import Press
-from fingerflow.synthetic.scenes import Forces, Scene
+from fingerflow.synthetic.scenes import SyntheticForces, SyntheticScene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture, texture_image
 from fingerflow.synthetic.truth import Medians, Truth
@@ -19,14 +19,14 @@ __all__ = [
     "ChainPress",
     "Ellipse",
     "FingerprintTexture",
-    "Forces",
     "Medians",
     "PartialSlip",
     "PictureTexture",
     "Press",
     "RidgeTexture",
-    "Scene",
     "Slide",
+    "SyntheticForces",
+    "SyntheticScene",
     "Truth",
     "rebuild_scene",
     "scene_of_print",

@@ -10,12 +10,12 @@ from scipy.interpolate import CubicSpline, make_lsq_spline
 from scipy.ndimage import spline_filter
 from torch import Tensor
 
-from fingerflow.models.skin_chain import Press as Chain
+from fingerflow.models.skin_chain import PressedChain as Chain
 from fingerflow.models.skin_chain import follow
 from fingerflow.models.skin_onset import SinceOnset, since_onset
 from fingerflow.models.skin_parameters import named
 from fingerflow.synthetic.motion import Ellipse
-from fingerflow.synthetic.scenes import Array, Scene
+from fingerflow.synthetic.scenes import Array, SyntheticScene
 from fingerflow.synthetic.spline import cubic_weights
 
 _TIMES = 257  # of the chain during the rise
@@ -25,11 +25,11 @@ _SIDE = 0.95  # of the finger's radius: beyond, skin stands upright and is not s
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChainPress(Scene):
+class ChainPress(SyntheticScene):
     """A press whose skin moves as a skin chain turned about its axis, under a force that rises as sin² and is held.
 
     Contact is a disc, displacement is radial, and both are those of the chain; what the chain gave up to the end of the
-    rise stays. Settings that all scenes share are those of `Scene`.
+    rise stays. Settings that all scenes share are those of `SyntheticScene`.
 
     Args:
         friction: coefficient between skin and glass.

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fingerflow.ops.tracking.track_points import TrackStatus
-from fingerflow.synthetic import Scene
+from fingerflow.synthetic import SyntheticScene
 
 
 class Comparison(NamedTuple):
@@ -22,7 +22,7 @@ class Comparison(NamedTuple):
     error: str
 
 
-def compare(result: xr.Dataset, scene: Scene) -> list[Comparison]:
+def compare(result: xr.Dataset, scene: SyntheticScene) -> list[Comparison]:
     """What was measured beside what is true, for every quantity of a synthetic recording that was processed whole.
 
     Early contact is smaller than the structures it is made of: errors of areas are given from 10 mm^2 on.

@@ -13,11 +13,11 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from torch import Tensor
 
 from fingerflow.errors import FingerflowError
-from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.scenes import SyntheticScene
 from fingerflow.synthetic.spline import cubic_weights
 
 Plane = NDArray[np.float64]
-Kind = TypeVar("Kind", bound=Scene)
+Kind = TypeVar("Kind", bound=SyntheticScene)
 
 MM_PER_INCH = 25.4
 #: Resolution (dots an inch) of most sensors of fingerprints.
@@ -132,7 +132,7 @@ def scene_of_print(kind: type[Kind], picture: Path, dpi: float = DPI) -> Kind:
     return replace(plain, texture=replace(texture, centre=(right, down)))
 
 
-def _skin_under_edge(scene: Scene, frame: int) -> Plane:
+def _skin_under_edge(scene: SyntheticScene, frame: int) -> Plane:
     """Material positions (64, 2) in mm under the edge of the gross contact; none (0, 2) before it."""
     ellipse = scene.truth.ellipse(frame)
     if ellipse is None:

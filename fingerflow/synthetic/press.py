@@ -7,17 +7,17 @@ from functools import cached_property
 import numpy as np
 
 from fingerflow.synthetic.motion import Bump, Ellipse, PressMotion
-from fingerflow.synthetic.scenes import Array, Scene
+from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Press(Scene):
+class Press(SyntheticScene):
     """A press with a force that rises as sin² to its maximum and stays there.
 
     The area of the contact grows with the square root of the force, the displacement of the skin with the force, so
     that late loading spreads skin that touches already. The default settings give a divergence of about 12 % at the
-    centre and a global displacement of a few pixels. Settings that all scenes share are those of `Scene`; lengths in
-    mm, angles in rad, times in s, forces in N.
+    centre and a global displacement of a few pixels. Settings that all scenes share are those of `SyntheticScene`;
+    lengths in mm, angles in rad, times in s, forces in N.
 
     Args:
         force: at the end.

@@ -24,7 +24,7 @@ FORCE_RATE = 10_000.0
 EMPTY_PICTURES, DARK_PICTURES = -1_000_000, -2_000_000
 
 
-class Forces(NamedTuple):
+class SyntheticForces(NamedTuple):
     """Samples at 10 kHz of one clock with the frames: s, N, N and the trigger in V, which rises at 0 s."""
 
     time: Array
@@ -34,7 +34,7 @@ class Forces(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class SyntheticScene:
     """A movement in front of the camera. Lengths are in mm, angles in rad, times in s from the trigger, forces in N.
 
     A frame has the topography view on its left half and the contact view on its right half. Positions are in mm on
@@ -121,13 +121,13 @@ class Scene:
         """A frame without light; each number has its own noise."""
         return self.camera.read_out(self.camera.expose(torch.zeros(self.frame_shape)), DARK_PICTURES + picture)
 
-    def forces(self) -> Forces:
+    def forces(self) -> SyntheticForces:
         """The force sensors from the first frame to the last, with their noise."""
         first, last = self.times[[0, -1]]
         time = np.arange(math.floor(first * FORCE_RATE), math.ceil(last * FORCE_RATE) + 1) / FORCE_RATE
         noise = np.random.default_rng(self.camera.seed).normal(scale=self.force_noise, size=(2, time.size))
         noise += self.force_drift * np.maximum(time, 0)
-        return Forces(
+        return SyntheticForces(
             time=time,
             normal_force=self.normal_force(time) + noise[0],
             tangential_force=self.tangential_force(time) + noise[1],
@@ -213,7 +213,7 @@ class Scene:
 
 
 @lru_cache(maxsize=4)
-def _fixed_planes(scene: Scene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+def _fixed_planes(scene: SyntheticScene, dtype: torch.dtype) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """What no frame changes, (H, W) each: x, y, grazing and stray light of the topography; x, y, light of the contact.
 
     They are worked out in float64 and rounded once.

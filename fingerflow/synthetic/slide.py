@@ -8,16 +8,16 @@ import numpy as np
 import torch
 
 from fingerflow.synthetic.motion import Ellipse, SlideMotion
-from fingerflow.synthetic.scenes import Array, Scene
+from fingerflow.synthetic.scenes import Array, SyntheticScene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slide(Scene):
+class Slide(SyntheticScene):
     """A slide: the stuck part shrinks from the rim to nothing, then skin and contact travel together.
 
     The contact is there from the first frame; the pull begins at the trigger. The tangential force is the one of
     Terekhov & Hayward (2011), T/N = 2 mu_s d² (1 - d²) + mu_k (1 - d²)², for the relative stuck area d² of the moment.
-    Settings that all scenes share are those of `Scene`; lengths in mm, angles in rad, times in s, forces in N.
+    Settings that all scenes share are those of `SyntheticScene`; lengths in mm, angles in rad, times in s, forces in N.
 
     Args:
         force: normal force.

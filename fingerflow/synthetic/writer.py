@@ -24,7 +24,7 @@ from fingerflow.synthetic.motion import Bump
 from fingerflow.synthetic.partial_slip import PartialSlip
 from fingerflow.synthetic.picture import PictureTexture
 from fingerflow.synthetic.press import Press
-from fingerflow.synthetic.scenes import Scene
+from fingerflow.synthetic.scenes import SyntheticScene
 from fingerflow.synthetic.slide import Slide
 from fingerflow.synthetic.texture import RidgeTexture
 
@@ -39,7 +39,7 @@ _LOOKS = 12  # frames whose contact is looked at
 FORCE_COLUMNS = "time (s),normal_force (N),tangential_force (N),trigger (V)"
 
 
-def write_recording(folder: Path, scene: Scene) -> None:
+def write_recording(folder: Path, scene: SyntheticScene) -> None:
     """Write a scene as a folder that appears only when it is complete.
 
     frames.npy (frames, H, W) in the camera's integers; empty.npy and dark.npy (H, W) float32, each the mean of eight
@@ -73,7 +73,7 @@ def write_recording(folder: Path, scene: Scene) -> None:
         raise
 
 
-def rebuild_scene(folder: Path) -> Scene:
+def rebuild_scene(folder: Path) -> SyntheticScene:
     """The scene that `write_recording` wrote into a folder, frame for frame, with its truth.
 
     Raises FingerflowError where truth.json is missing or is not the description of a scene.
@@ -85,7 +85,7 @@ def rebuild_scene(folder: Path) -> Scene:
         raise FingerflowError(f"{path} does not exist; only a synthetic recording has a truth to rebuild") from None
     except (ValueError, TypeError, KeyError) as error:
         raise FingerflowError(f"{path} does not describe a synthetic scene of this version ({error!r})") from error
-    if not isinstance(scene, Scene):
+    if not isinstance(scene, SyntheticScene):
         raise FingerflowError(
             f"{path} describes a {type(scene).__name__}, where a Press, a ChainPress, a Slide or a PartialSlip is "
             "needed"
@@ -102,7 +102,7 @@ def _make(folder: Path) -> None:
         ) from error
 
 
-def _write_frames(path: Path, scene: Scene) -> None:
+def _write_frames(path: Path, scene: SyntheticScene) -> None:
     first = scene.render(0)
     frames = np.lib.format.open_memmap(path, mode="w+", dtype=first.dtype, shape=(scene.n_frames, *first.shape))
     if hasattr(os, "posix_fallocate"):
@@ -129,7 +129,7 @@ def _write_frames(path: Path, scene: Scene) -> None:
     frames.flush()
 
 
-def _scene_file(scene: Scene) -> str:
+def _scene_file(scene: SyntheticScene) -> str:
     matrix = [list(row) for row in scene.topography_to_contact]
     return scene_text(
         frames="frames.npy",
@@ -146,7 +146,7 @@ def _scene_file(scene: Scene) -> str:
     )
 
 
-def _region(scene: Scene) -> View | None:
+def _region(scene: SyntheticScene) -> View | None:
     """Where the skin that will touch lies in the first frame of the topography view: a stream cannot know."""
     truth, turns = scene.truth, np.linspace(0, 2 * np.pi, 64)
     edges = []
@@ -165,7 +165,7 @@ def _region(scene: Scene) -> View | None:
     return View((int(top), int(bottom)), (int(left), int(right))) if left < right and top < bottom else None
 
 
-def _truth_file(scene: Scene, folder: Path) -> str:
+def _truth_file(scene: SyntheticScene, folder: Path) -> str:
     """The settings of a scene. A file that is one of them is copied into the folder: the truth goes where it goes."""
 
     def settings(part: Any) -> dict[str, Any]:

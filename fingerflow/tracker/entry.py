@@ -29,7 +29,7 @@ _VOTERS = 3  # neighbours that a point is compared with
 _FRAMES = 64  # read at a time
 
 
-class Values(Protocol):
+class FrameValues(Protocol):
     """Values of frames that may lie in a file."""
 
     @property
@@ -38,7 +38,9 @@ class Values(Protocol):
     def __getitem__(self, frames: Any) -> Array: ...
 
 
-def advected(position: Values, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border) -> Array:
+def advected(
+    position: FrameValues, places: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+) -> Array:
     """Which points (N,) were advected into the contact: they moved into it over its border.
 
     Those that have an onset after the first one, and before it moved over the glass by more than half of what border
@@ -71,7 +73,7 @@ def advected(position: Values, places: Array, onset: Array, reference: Array, ga
 
 
 def _by_own_way(
-    position: Values, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
+    position: FrameValues, here: Array, onset: Array, reference: Array, gauge_mm: float, border: Border
 ) -> Array:
     """(E,) bool, which of the points of these columns (E,) of positions moved into the contact, by their own ways."""
     way, inside, then = np.full((3, len(here)), np.nan)

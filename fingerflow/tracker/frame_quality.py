@@ -77,7 +77,7 @@ class FrameCheck:
         self._top = 2**bit_depth - 1.5
         self._tells_saturated = float((empty > self._top).mean()) < SATURATED_SHARE
         self._last: Blocks | None = None
-        self._doubtful: _Doubtful | None = None
+        self._doubtful: _DoubtfulStep | None = None
         self._returned: deque[bool] = deque(maxlen=_RECENT)  # whether frames were there and back
         self._number = self._tracked = self._jumped = 0
         self._lacks_lines = False
@@ -134,7 +134,7 @@ class FrameCheck:
                 self._jumped += 1
                 return _JUMPS
             if far and not self._jumped:
-                self._doubtful = _Doubtful(number, blocks, tracked, step / gap, usual)
+                self._doubtful = _DoubtfulStep(number, blocks, tracked, step / gap, usual)
                 return None
             if not self._jumped:
                 self._before.append(step / gap)
@@ -169,7 +169,7 @@ def _blocks(view: Array) -> tuple[Array, Array]:
     return blocks[0], lines[0]
 
 
-class _Doubtful(NamedTuple):
+class _DoubtfulStep(NamedTuple):
     """A frame of which the next one says whether it counts, its step a frame, and what is usual."""
 
     number: int

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Contact, Ellipse, Engine, Entered, Found
+from fingerflow.engines.engine import Engine, EnteredPoints, FoundPoints, FrameContact, FrameEllipse
 from fingerflow.tracker.border import Border
 from fingerflow.tracker.entry import Entries
 from fingerflow.tracker.onset import Touches
@@ -60,7 +60,7 @@ class FrameResults:
         """Whether skin in contact slips, as the last frame that counts said."""
         return self._slip.slipping
 
-    def of(self, seeding: Seeding, contact: Contact, found: Found) -> dict[str, Any]:
+    def of(self, seeding: Seeding, contact: FrameContact, found: FoundPoints) -> dict[str, Any]:
         """Results of the next frame by the names of `RESULTS`, from what is found of the points of a seeding."""
         if seeding is not self._seeding:
             self._begin(seeding)
@@ -69,7 +69,7 @@ class FrameResults:
         covered = self._engine.covered(contact.density_margin, found.estimate, self._to_contact)
         deviation = np.sqrt(found.variance)
         center, semi_axes = (one.astype(np.float64) * size for one in (contact.center, contact.semi_axes))
-        ellipse = Ellipse(center, semi_axes, contact.angle.astype(np.float64))
+        ellipse = FrameEllipse(center, semi_axes, contact.angle.astype(np.float64))
         slip = self._slip.see(found.points[0], deviation[0], covered[0])
         return {
             "real_contact_area": float(contact.real_area_px[0]) * size**2,
@@ -105,7 +105,7 @@ class FrameResults:
             result[..., axis] = by_x * x + by_y * y + shift
         return result
 
-    def _since_onset(self, found: Found, covered: Array, ellipse: Ellipse) -> dict[str, Any]:
+    def _since_onset(self, found: FoundPoints, covered: Array, ellipse: FrameEllipse) -> dict[str, Any]:
         """Fields of the displacement since each point's own onset of contact."""
         position = self._on_glass(found.points)
         border = Border(*ellipse)
@@ -114,9 +114,11 @@ class FrameResults:
         among = self._entries.entered[None] & touch.touching
         entered = None
         if since is not None and among.any():
-            entered = Entered(among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None)
+            entered = EnteredPoints(
+                among, np.where(among[0, :, None, None], since, np.nan).astype(np.float32)[None], None
+            )
         moved = (position - touch.place).astype(np.float32)
-        around = Ellipse(*(one.astype(np.float32) for one in ellipse))
+        around = FrameEllipse(*(one.astype(np.float32) for one in ellipse))
         fields = self._engine.fields(touch.place[0].astype(np.float32), moved, around, None, entered)
         return {
             "divergence": fields.divergence[0],

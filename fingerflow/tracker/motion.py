@@ -16,7 +16,7 @@ _NEVER = 10**6  # frames: a point that there is not
 _AROUND = 8  # points from which new ones take their speed
 
 
-class Motion(NamedTuple):
+class PointMotion(NamedTuple):
     """Where N points were seen last, or where their neighbours say that they are, and their speed.
 
     A speed is the mean of the displacements seen, the last one with half the weight: that of two positions alone would
@@ -37,17 +37,17 @@ class Motion(NamedTuple):
     jolted: Array
 
     @classmethod
-    def at_rest(cls, points: Array) -> Motion:
+    def at_rest(cls, points: Array) -> PointMotion:
         """Points (N, 2) px that nothing is known of but where they are."""
         known = known_of(points)
         return cls(points, np.zeros_like(points), np.where(known, 0, _NEVER), known, np.zeros_like(known))
 
-    def seeded(self, points: Array) -> Motion:
+    def seeded(self, points: Array) -> PointMotion:
         """New points (N, 2) px of the same frame, with the speed of those around them.
 
         It is the median of the eight nearest that are found, of each component; where fewer are known, 0.
         """
-        others = Motion.at_rest(points)
+        others = PointMotion.at_rest(points)
         seen, given = np.flatnonzero(self.missing == 0), np.flatnonzero(others.known)
         if len(seen) >= _AROUND:
             apart = np.square(points[given, None] - self.place[None, seen]).sum(-1)
@@ -62,7 +62,7 @@ class Motion(NamedTuple):
 
     def see(
         self, points: Array, frames: int = 1, by_neighbours: Array | None = None, jolted: Array | None = None
-    ) -> Motion:
+    ) -> PointMotion:
         """After a frame so many frames later.
 
         Args:
@@ -91,9 +91,9 @@ class Motion(NamedTuple):
         if len(lost) and len(gone := lost[~known[lost]]):
             points[gone] = self.expect(frames)[gone]
             change[gone] = self.speed[gone] * np.float32(1 - 1 / SPEED_FRAMES)
-        return Motion(points, change, missing, known, jolted)
+        return PointMotion(points, change, missing, known, jolted)
 
-    def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> Motion:
+    def followed(self, place: Array, speed: Array, points: Array, frames: int, by_neighbours: Array) -> PointMotion:
         """After frames that were followed in one call, to `place` with `speed` (N, 2): what neighbours say of points
         that are lost in the last one (`points`). Arguments as for `see`.
         """

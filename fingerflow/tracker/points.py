@@ -9,11 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import ROWS, Corrected, Engine, Followed, Found, Images, Templates, nothing_found
+from fingerflow.engines.engine import (
+    ROWS,
+    Corrected,
+    Engine,
+    Followed,
+    FoundPoints,
+    Images,
+    TemplateBuffers,
+    nothing_found,
+)
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.kernels.arrays import inverse_2x2
 from fingerflow.kernels.tracking_limits import REACH, UPDATE_PX, Number, TrackStatus
-from fingerflow.tracker.motion import TRUSTED, Motion, known_of
+from fingerflow.tracker.motion import TRUSTED, PointMotion, known_of
 from fingerflow.tracker.recovery import lost_points, recover
 from fingerflow.tracker.template_update import MOST_FRAMES, update_interval
 from fingerflow.tracker.verification import Verification
@@ -53,7 +62,7 @@ class _Pending(NamedTuple):
     due: int
     rows: Array
     warp: Array
-    prepared: list[Templates]  # of the first rows, in pieces, ahead of time
+    prepared: list[TemplateBuffers]  # of the first rows, in pieces, ahead of time
 
 
 class Resolved(NamedTuple):
@@ -91,7 +100,7 @@ class Points:
         points: Array,
         around: Array | None = None,
         *,
-        motion: Motion | None = None,
+        motion: PointMotion | None = None,
         template: str = "keyframe",
         knowledge: Knowledge = RECORDING,
         again: bool = False,
@@ -103,7 +112,7 @@ class Points:
         points = np.ascontiguousarray(points, np.float32)
         around = np.zeros((0, 2), np.float32) if around is None else around
         self._every = np.concatenate((points, around)).astype(np.float32)
-        self.motion = motion or Motion.at_rest(points)
+        self.motion = motion or PointMotion.at_rest(points)
         self._verification = Verification(engine, image, points)
         unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (len(points), 2, 2))
         # Of the skin at the last check, and as templates have it.
@@ -130,14 +139,14 @@ class Points:
         return len(self.motion.place)
 
     @property
-    def as_seeded(self) -> Found:
+    def as_seeded(self) -> FoundPoints:
         """What is found (1, N) of the points in their own key frame."""
         points = self.start[None]
         exact = np.zeros(points.shape[:2], np.float32)
         status = np.where(known_of(points), TrackStatus.TRACKED, TrackStatus.NOT_FINITE).astype(np.uint8)
         unknown = np.where(known_of(points), exact, np.float32(np.nan))
         covariance = np.repeat(unknown, 4).reshape(*points.shape, 2)
-        return Found(points.copy(), unknown, covariance, status, points.copy())
+        return FoundPoints(points.copy(), unknown, covariance, status, points.copy())
 
     def pass_over(self, frames: int) -> None:
         """Frames that tell nothing: points are expected on where their speed leads."""
@@ -147,14 +156,14 @@ class Points:
         """(N, 2) px so many frames after the last one that was followed or passed over."""
         return self.motion.expect(self._gap + ahead)
 
-    def follow(self, images: Images, around: Found | None = None) -> Steps[Found]:
+    def follow(self, images: Images, around: FoundPoints | None = None) -> Steps[FoundPoints]:
         """Finds the points in the next images (n, 1, h, w): (n, N). What was found of the points around is (n, A).
 
         Estimates are where points are or were last. Points of several recordings may be followed together
         (`engines.together`).
         """
         around = nothing_found(len(images)) if around is None else around
-        steps: list[Found] = []
+        steps: list[FoundPoints] = []
         done = 0
         while done < len(images):
             until_check = MOST_FRAMES - self._followed % MOST_FRAMES
@@ -165,22 +174,22 @@ class Points:
                 step = yield from self._verified(images[now], step)
             steps.append(step)
             done += count
-        found = steps[0] if len(steps) == 1 else Found(*map(np.concatenate, zip(*steps, strict=True)))
+        found = steps[0] if len(steps) == 1 else FoundPoints(*map(np.concatenate, zip(*steps, strict=True)))
         return (yield from self._verified(images, found)) if self._knowledge.ahead else found
 
-    def look(self, image: Images, guess: Array) -> Found:
+    def look(self, image: Images, guess: Array) -> FoundPoints:
         """What one image shows near guesses (N, 2); in any thread, while other frames are looked at."""
         return self._engine.follow(self._templates, image, guess, np.zeros_like(guess)).found
 
     def resolve(
-        self, image: Images, guess: Array, found: Found, frames: int = 1, around: Found | None = None
+        self, image: Images, guess: Array, found: FoundPoints, frames: int = 1, around: FoundPoints | None = None
     ) -> Resolved:
         """What is found (1, N) of a frame after `look`, so many frames after the last one that was accepted: lost
         points recovered, positions corrected. Frame after frame in their order; nothing is learnt yet.
         """
         return run_alone(self._resolved(image, guess, found, frames, nothing_found(1) if around is None else around))
 
-    def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> Found:
+    def accept(self, image: Images, resolved: Resolved, frames: int = 1, index: int | None = None) -> FoundPoints:
         """Update motion and templates from a frame (1, N) that counts, and verify its points.
 
         `index` is the number, in a stream, of the last frame that was computed: up to `lag` - 1 later frames may have
@@ -229,7 +238,7 @@ class Points:
             start = self.start[pending.rows[some]]
             pending.prepared.append((yield Call(self._engine.prepare, (self._key, start, pending.warp[some]))))
 
-    def _step(self, images: Images, around: Found) -> Steps[Found]:
+    def _step(self, images: Images, around: FoundPoints) -> Steps[FoundPoints]:
         yield from self._updated(self._index)
         guess = self.expect()
         if len(images) == 1:
@@ -248,15 +257,17 @@ class Points:
         )
         return followed
 
-    def _resolved(self, image: Images, guess: Array, found: Found, frames: int, around: Found) -> Steps[Resolved]:
+    def _resolved(
+        self, image: Images, guess: Array, found: FoundPoints, frames: int, around: FoundPoints
+    ) -> Steps[Resolved]:
         found, jolted, elsewhere = yield from self._recovered(image, guess, found, frames)
         return Resolved((yield from self._corrected(found, around)), jolted, elsewhere)
 
-    def _learnt(self, image: Images, resolved: Resolved, frames: int) -> Steps[Found]:
+    def _learnt(self, image: Images, resolved: Resolved, frames: int) -> Steps[FoundPoints]:
         found = yield from self._accepted(resolved, frames, image)
         return (yield from self._verified(image, found))
 
-    def _finished_all(self, images: Images, followed: Followed, around: Found) -> Steps[Found]:
+    def _finished_all(self, images: Images, followed: Followed, around: FoundPoints) -> Steps[FoundPoints]:
         """The same of several images that were followed in one call."""
         lost = lost_points(followed.found.status).any(0)
         if self._engine.settings.search_px and lost.any():
@@ -269,7 +280,7 @@ class Points:
 
     def _recover_all(self, images: Images, followed: Followed, rows: Array) -> Steps[Followed]:
         """The points that get lost on the way, followed once more, one frame after the other, with a search."""
-        motion, every, gap = Motion(*(one[rows] for one in self.motion)), [], self._gap
+        motion, every, gap = PointMotion(*(one[rows] for one in self.motion)), [], self._gap
         for k in range(len(images)):
             image = images[k : k + 1]
             guess = motion.expect(gap + 1)
@@ -286,21 +297,21 @@ class Points:
             motion = motion.see(one.points[0], gap + 1, jolted=known.searched[rows])
             every.append(one)
             gap = 0
-        found = Found(*(one.copy() for one in followed.found))
+        found = FoundPoints(*(one.copy() for one in followed.found))
         for whole_, part in zip(found, map(np.concatenate, zip(*every, strict=True)), strict=True):
             whole_[:, rows] = part
         place, speed = followed.place.copy(), followed.speed.copy()
         place[rows], speed[rows] = motion.place, motion.speed
         return Followed(found, place, speed)
 
-    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> Steps[Found]:
+    def _accepted(self, resolved: Resolved, frames: int, image: Images) -> Steps[FoundPoints]:
         before, corrected = self.motion, resolved.corrected
         self.motion = before.see(corrected.found.points[0], frames, corrected.expected[0], resolved.jolted)
         return (yield from self._checked_templates(corrected, before.place, 1, image))
 
     def _recovered(
-        self, image: Images, guess: Array, found: Found, frames: int
-    ) -> Steps[tuple[Found, Array | None, bool]]:
+        self, image: Images, guess: Array, found: FoundPoints, frames: int
+    ) -> Steps[tuple[FoundPoints, Array | None, bool]]:
         """A frame with the points that a search has found, which these are, and whether many of the points that are not
         where their motion leads were found elsewhere, by a search or where a look has led.
         """
@@ -314,7 +325,7 @@ class Points:
             guess = self.motion.expect(frames)
             rows = np.flatnonzero(lost)
             nearer = yield from self._looked(image, guess[rows], rows)
-            found = Found(*(one.copy() for one in found))
+            found = FoundPoints(*(one.copy() for one in found))
             for whole, part in zip(found, nearer.found, strict=True):
                 whole[:, rows] = part
             lost &= lost_points(found.status[0])
@@ -331,12 +342,12 @@ class Points:
         back = missing - int((lost & lost_points(found.status[0])).sum())
         return found, searched, back > max(_ELSEWHERE * missing, _FEWEST)
 
-    def _by_neighbours(self, found: Found) -> Steps[Array]:
+    def _by_neighbours(self, found: FoundPoints) -> Steps[Array]:
         """(N, 2) px where neighbours expect points in a frame of which so much is found."""
         places: Array = (yield from self._corrected(found, nothing_found(1))).expected[0]
         return places
 
-    def _corrected(self, found: Found, around: Found) -> Steps[Corrected]:
+    def _corrected(self, found: FoundPoints, around: FoundPoints) -> Steps[Corrected]:
         """Corrected for the deformation, points that are off their neighbours marked."""
         if not self._by_key:
             unchanged = np.broadcast_to(np.eye(2, dtype=np.float32), (*found.status.shape, 2, 2))
@@ -344,7 +355,7 @@ class Points:
             return Corrected(found, unchanged, nothing, np.full_like(found.points, np.nan))
         count, others = len(self), around.status.shape[1]
         if others:
-            found = Found(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
+            found = FoundPoints(*(np.concatenate(pair, axis=1) for pair in zip(found, around, strict=True)))
         numbers, inverse_warp = self._known_of_templates(others)
         judged = yield from self._judged(found)
         corrected: Corrected = yield Call(self._engine.correct, (self._every, judged, numbers, inverse_warp))
@@ -353,7 +364,7 @@ class Points:
         own = slice(count)
         return Corrected(corrected.found.of(slice(None), own), *(one[:, own] for one in corrected[1:]))
 
-    def _judged(self, found: Found) -> Steps[Found]:
+    def _judged(self, found: FoundPoints) -> Steps[FoundPoints]:
         """Points that were found but not where their neighbours say, or far more uncertain than they, marked."""
         if len(self._every) < 2:  # no point has a neighbour
             return found
@@ -384,7 +395,7 @@ class Points:
 
     def _checked_templates(
         self, corrected: Corrected, before: Array, frames: int, image: Images | None = None
-    ) -> Steps[Found]:
+    ) -> Steps[FoundPoints]:
         """What was found, estimates being the last places; templates that need an update are noted, or made from the
         last image with template "previous".
         """
@@ -421,7 +432,7 @@ class Points:
             later = max(MOST_FRAMES, begun) if self._interval == MOST_FRAMES else begun
             self._pending.append(_Pending(self._index + later, rows, warp[rows], []))
 
-    def _verified(self, images: Images, found: Found) -> Steps[Found]:
+    def _verified(self, images: Images, found: FoundPoints) -> Steps[FoundPoints]:
         """The same after the verification, with the variance since the key frame; all NaN of points that fail."""
         if self._knowledge.ahead:
             failed = yield from self._verification.check(images, found.points, found.status, self._last_warp())
@@ -455,10 +466,10 @@ class Points:
         return result
 
 
-def beside(parts: list[Found]) -> Found:
+def beside(parts: list[FoundPoints]) -> FoundPoints:
     """What was found of other points in the same frames, side by side."""
     some = [one for one in parts if one.status.shape[1]] or parts[:1]
-    return some[0] if len(some) == 1 else Found(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
+    return some[0] if len(some) == 1 else FoundPoints(*(np.concatenate(one, axis=1) for one in zip(*some, strict=True)))
 
 
 def _last_seen(points: Array, before: Array) -> Array:
@@ -472,7 +483,7 @@ def _last_seen(points: Array, before: Array) -> Array:
     return places
 
 
-def _scattered(found: Found, rows: Array, count: int) -> Found:
+def _scattered(found: FoundPoints, rows: Array, count: int) -> FoundPoints:
     """What was found (1, L) of some rows, as of all points (1, N); the others are not given."""
     whole = []
     for one in found:
@@ -480,4 +491,4 @@ def _scattered(found: Found, rows: Array, count: int) -> Found:
         every = np.full((1, count, *one.shape[2:]), filler, one.dtype)
         every[:, rows] = one
         whole.append(every)
-    return Found(*whole)
+    return FoundPoints(*whole)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Engine, Followed, Found, Images, Key, Templates
+from fingerflow.engines.engine import Engine, Followed, FoundPoints, Images, KeyFrame, TemplateBuffers
 from fingerflow.engines.together import Call, Steps
 from fingerflow.kernels.tracking_limits import TrackStatus
 
@@ -27,7 +27,7 @@ class Recovered(NamedTuple):
         searched: (N,) points that nothing but a search, or their neighbours after one, has found.
     """
 
-    found: Found
+    found: FoundPoints
     searched: Array
 
 
@@ -39,15 +39,15 @@ def lost_points(status: Array) -> Array:
 
 def recover(
     engine: Engine,
-    templates: Templates,
-    key: Key,
+    templates: TemplateBuffers,
+    key: KeyFrame,
     start: Array,
     image: Images,
-    found: Found,
+    found: FoundPoints,
     guess: Array,
     wanted: Array,
     most: int | None = None,
-    by_neighbours: Callable[[Found], Steps[Array]] | None = None,
+    by_neighbours: Callable[[FoundPoints], Steps[Array]] | None = None,
 ) -> Steps[Recovered]:
     """Searches for the points of a frame (1, N) that are lost, around their guesses (N, 2).
 
@@ -88,15 +88,22 @@ def recover(
     return Recovered(found, searched)
 
 
-def _look(engine: Engine, templates: Templates, image: Images, places: Array, rows: Array) -> Steps[Found]:
+def _look(engine: Engine, templates: TemplateBuffers, image: Images, places: Array, rows: Array) -> Steps[FoundPoints]:
     at_rest = np.zeros((len(rows), 2), np.float32)
     followed: Followed = yield Call(engine.follow, (templates, image, places.astype(np.float32), at_rest, rows))
     return followed.found
 
 
 def _searched(
-    engine: Engine, templates: Templates, key: Key, start: Array, image: Images, found: Found, guess: Array, rows: Array
-) -> Steps[Found]:
+    engine: Engine,
+    templates: TemplateBuffers,
+    key: KeyFrame,
+    start: Array,
+    image: Images,
+    found: FoundPoints,
+    guess: Array,
+    rows: Array,
+) -> Steps[FoundPoints]:
     """The same, some rows searched for within `search_px` of their guesses.
 
     Searched for backward too, without knowing the way there: one that leads elsewhere by more than the limit, and the
@@ -113,9 +120,9 @@ def _searched(
     return _replaced(found, rows, again)
 
 
-def _replaced(found: Found, rows: Array, again: Found) -> Found:
+def _replaced(found: FoundPoints, rows: Array, again: FoundPoints) -> FoundPoints:
     """What was found of (1, N) points, with what was found again of some rows."""
-    result = Found(*(one.copy() for one in found))
+    result = FoundPoints(*(one.copy() for one in found))
     for whole, part in zip(result, again, strict=True):
         whole[:, rows] = part
     return result

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fingerflow.engines.engine import Contact, Engine, Found, Images
+from fingerflow.engines.engine import Engine, FoundPoints, FrameContact, Images
 from fingerflow.kernels.tracking_limits import TrackStatus
 from fingerflow.tracker.frame_quality import MEASURED, USABLE, Blocks, FrameCheck
 from fingerflow.tracker.frame_results import FrameResults, Seeding
-from fingerflow.tracker.motion import Motion, known_of
+from fingerflow.tracker.motion import PointMotion, known_of
 from fingerflow.tracker.points import STREAM, Points, Resolved
 from fingerflow.tracker.upkeep import REKEY, ThresholdSearch, Upkeep
 
@@ -32,7 +32,7 @@ _PIXELS = 20_000  # that are read to find that out
 
 
 @dataclass(frozen=True)
-class StreamSettings:
+class TrackerSettings:
     """What a stream needs to know of its scene.
 
     Attributes:
@@ -91,9 +91,9 @@ class Work:
     guess: Array | None
     threshold: float
     measure: bool
-    found: Found | None = None
+    found: FoundPoints | None = None
     measured: float | None = None
-    contact: Contact | None = None
+    contact: FrameContact | None = None
     computing: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -105,7 +105,7 @@ class Event(NamedTuple):
     facts: dict[str, Any]
 
 
-class Outcome(NamedTuple):
+class FrameOutcome(NamedTuple):
     """What became of a frame.
 
     Attributes:
@@ -121,7 +121,7 @@ class Outcome(NamedTuple):
 
     work: Work
     status: int
-    found: Found | None
+    found: FoundPoints | None
     seeding: Seeding | None
     tracked: int
     threshold: float
@@ -132,7 +132,7 @@ class Outcome(NamedTuple):
 class _Known(NamedTuple):
     """The motion of points after a frame, by its number."""
 
-    motion: Motion
+    motion: PointMotion
     number: int
 
 
@@ -190,7 +190,7 @@ class StreamTracker:
         restarts, keys: how often points were seeded, and key frames were taken beside.
     """
 
-    def __init__(self, engine: Engine, settings: StreamSettings, glass: Array, dark: Array, lag: int = 1) -> None:
+    def __init__(self, engine: Engine, settings: TrackerSettings, glass: Array, dark: Array, lag: int = 1) -> None:
         self._engine, self._settings, self.lag = engine, settings, lag
         self._knowledge = replace(STREAM, lag=lag)
         self._light = engine.light(glass, dark)
@@ -223,7 +223,7 @@ class StreamTracker:
             work, _ = other.begin(frame)
             other.compute(work)
             for one in other.finish(work):
-                if isinstance(one, Outcome):
+                if isinstance(one, FrameOutcome):
                     other.results_of(one)
 
     def inspect(self, frame: Frame) -> None:
@@ -248,11 +248,11 @@ class StreamTracker:
             or (self._points is not None and self._points.changes(self._begun))
         )
 
-    def begin(self, frame: Frame) -> tuple[Work, list[Event | Outcome]]:
+    def begin(self, frame: Frame) -> tuple[Work, list[Event | FrameOutcome]]:
         """Prepare a frame for computing and return its work, with the events (seeding, key frame) before it and the
         outcome of a deferred frame.
         """
-        passed: list[Event | Outcome] = []
+        passed: list[Event | FrameOutcome] = []
         if self.must_wait(frame):
             assert not self.under_way
             outcomes = self.settle(frame)
@@ -273,11 +273,11 @@ class StreamTracker:
             physical = 0 < found < 1 and self._touching(work.frame, found) < _EVERYTHING
             work.measured = found if physical else math.nan
 
-    def finish(self, work: Work) -> list[Event | Outcome]:
+    def finish(self, work: Work) -> list[Event | FrameOutcome]:
         """Return the outcomes that are known once a frame was computed, and events: the outcome of a deferred frame
         before it, and its own unless it is deferred too.
         """
-        passed: list[Event | Outcome] = [*self.settle(work.frame)]
+        passed: list[Event | FrameOutcome] = [*self.settle(work.frame)]
         frame, points = work.frame, self._points
         if points is None:  # no usable frame has come yet
             passed.append(self._skipped(work, frame.status))
@@ -290,7 +290,7 @@ class StreamTracker:
         self._finished += 1
         return passed
 
-    def _judged(self, work: Work, points: Points) -> list[Outcome]:
+    def _judged(self, work: Work, points: Points) -> list[FrameOutcome]:
         """Return the outcome of a frame; none while it is deferred until its successor has arrived."""
         frame, resolved = work.frame, None
         tracked, elsewhere = 0, False
@@ -308,7 +308,7 @@ class StreamTracker:
             return []
         return [self._accepted(work, resolved)]
 
-    def results_of(self, outcome: Outcome) -> dict[str, Any] | None:
+    def results_of(self, outcome: FrameOutcome) -> dict[str, Any] | None:
         """The results of a frame by the names of variables, without the axis of frames; None where it does not count.
 
         Frame after frame in their order, in any thread: none is tracked by them.
@@ -325,7 +325,7 @@ class StreamTracker:
         """Whether skin in contact slips, as the last frame that has results said."""
         return self._results.slipping
 
-    def settle(self, following: Frame | None = None) -> list[Outcome]:
+    def settle(self, following: Frame | None = None) -> list[FrameOutcome]:
         """What became of the frame that was in doubt, now that the next one has come, None for none.
 
         Nothing else is learnt from it: frames behind it may have begun, and what they are given is not to depend on how
@@ -425,12 +425,12 @@ class StreamTracker:
 
     # What becomes of a frame.
 
-    def _skipped(self, work: Work, status: int) -> Outcome:
+    def _skipped(self, work: Work, status: int) -> FrameOutcome:
         """A frame that is no picture of the trial: nothing is learnt from it."""
         self._unlearnt.append(_Unlearnt(work.frame.number, work, False))
         return self._outcome(work, status, None, 0)
 
-    def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> Outcome:
+    def _accepted(self, work: Work, resolved: Resolved, late: bool = False) -> FrameOutcome:
         assert self._points is not None
         frame, index = work.frame, work.index
         # One that was in doubt is accepted as the next one ends, and by then another may have begun.
@@ -451,12 +451,12 @@ class StreamTracker:
                 self._change = _Change(index, frame.number, image, found.points[0].copy(), cause)
         return self._outcome(work, USABLE, found, tracked)
 
-    def _outcome(self, work: Work, status: int, found: Found | None, tracked: int) -> Outcome:
+    def _outcome(self, work: Work, status: int, found: FoundPoints | None, tracked: int) -> FrameOutcome:
         threshold = work.threshold if status == USABLE else math.nan
         of_points = (self._seeding, tracked, threshold, self._upkeep.key_frame, self.restarts)
-        return Outcome(work, status, found, *of_points)
+        return FrameOutcome(work, status, found, *of_points)
 
-    def _contact_of(self, work: Work) -> Contact:
+    def _contact_of(self, work: Work) -> FrameContact:
         """Contact of a frame, by whichever thread needs it first."""
         with work.computing:
             if work.contact is None:
@@ -477,5 +477,5 @@ class StreamTracker:
         return []
 
 
-def _tracked(found: Found) -> int:
+def _tracked(found: FoundPoints) -> int:
     return int((found.status[0] == TrackStatus.TRACKED).sum())

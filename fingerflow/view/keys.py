@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fingerflow.schema.scene_keys import SCENE, Choice, File, Key, Number, Switch, Table, Text, Whole
+from fingerflow.schema.scene_keys import SCENE, Choice, File, NumberType, SceneKey, SceneTable, Switch, Text, Whole
 from fingerflow.schema.scene_kinds import KINDS
 
 
@@ -14,19 +14,19 @@ def kinds() -> list[str]:
 def forms() -> dict[str, list[dict[str, Any]]]:
     """By table, its keys: name, kind of input, limits, default. Views are drawn, not typed."""
     return {
-        name: [_form(key, one) for key, one in table.keys.items() if isinstance(one, Key)]
+        name: [_form(key, one) for key, one in table.keys.items() if isinstance(one, SceneKey)]
         for name, table in SCENE.items()
-        if isinstance(table, Table)
+        if isinstance(table, SceneTable)
     }
 
 
-def _form(name: str, key: Key) -> dict[str, Any]:
+def _form(name: str, key: SceneKey) -> dict[str, Any]:
     kind = key.type
     said: dict[str, Any] = {"name": name, "default": key.default, "needed": "process" in key.needed_by}
     match kind:
         case Whole():
             return {**said, "input": "whole", **_limits(kind), "odd": kind.odd}
-        case Number():
+        case NumberType():
             return {**said, "input": "number", **_limits(kind)}
         case Choice():
             return {**said, "input": "choice", "words": kind.words, "number": kind.number and _limits(kind.number)}
@@ -40,7 +40,7 @@ def _form(name: str, key: Key) -> dict[str, Any]:
             return {**said, "input": "toml"}  # a matrix, a polygon: as it stands in the file
 
 
-def _limits(number: Number) -> dict[str, float | None]:
+def _limits(number: NumberType) -> dict[str, float | None]:
     return {
         "least": number.above if number.least is None else number.least,
         "most": number.below if number.most is None else number.most,

@@ -22,7 +22,7 @@ from fingerflow.engines.check import check_engine
 from fingerflow.engines.names import GRAPHS
 from fingerflow.engines.onnx import OnnxEngine
 from fingerflow.engines.providers import installed_providers
-from fingerflow.engines.sessions import Session
+from fingerflow.engines.sessions import GraphSession
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.errors import FingerflowError
 from fingerflow.export import recipe
@@ -31,7 +31,7 @@ from fingerflow.player.bundle import Bundle, load_bundle
 from tests.small_trials import HEIGHT, POINTS, TRIALS, WIDTH
 
 Array = np.ndarray[Any, Any]
-Found = arrays.Found
+Found = arrays.FoundPoints
 
 PRESS = TRIALS["press"]
 KEY, FRAME = 60, 63
@@ -205,8 +205,8 @@ def test_templates_are_updated_in_the_memory_of_a_provider(
 ) -> None:
     """Of its own, which here is a copy."""
     engine = OnnxEngine(bundle.files, bundle.engine_settings, "cpu")
-    of_array = Session.kept
-    monkeypatch.setattr(Session, "kept", lambda session, name, array: of_array(session, name, array.copy()))
+    of_array = GraphSession.kept
+    monkeypatch.setattr(GraphSession, "kept", lambda session, name, array: of_array(session, name, array.copy()))
     engine._sessions["track"].shares_memory = False
     key, templates = keyed(engine, points)
     image = engine.images(view("topography", FRAME))
@@ -270,13 +270,13 @@ def test_fields(engines: Both, points: Array, contact: bool) -> None:
     moved = 0.05 * (reference - reference[1]) + 0.01 * np.sin(reference[:, ::-1])
     moved[4] = np.nan
     middle = np.array([[MM * WIDTH / 2, MM * HEIGHT / 2]], np.float32)
-    ellipse = arrays.Ellipse(middle, middle * np.float32(0.5), np.array([0.1], np.float32))
+    ellipse = arrays.FrameEllipse(middle, middle * np.float32(0.5), np.array([0.1], np.float32))
     if not contact:
-        ellipse = arrays.Ellipse(*(one * np.float32(np.nan) for one in ellipse))
+        ellipse = arrays.FrameEllipse(*(one * np.float32(np.nan) for one in ellipse))
     among = np.zeros((1, len(points)), bool)
     among[0, ::5] = True
     own = np.where(among[..., None, None], np.float32(0.02), np.float32(np.nan)).repeat(2, 2).repeat(2, 3)
-    for entered in (None, arrays.Entered(among, own, None)):
+    for entered in (None, arrays.EnteredPoints(among, own, None)):
         given = (reference, moved[None].astype(np.float32), ellipse, None, entered)
         ours, theirs = (engine.fields(*given) for engine in engines)
         for one, other in zip(ours, theirs, strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.engines.engine import EngineSettings, Found
+from fingerflow.engines.engine import EngineSettings, FoundPoints
 from fingerflow.engines.torch import TorchEngine
 from fingerflow.graphs import ContactGraph
 from fingerflow.kernels import tensors as kernels
@@ -59,7 +59,7 @@ def warps(recording: int) -> Array:
     return np.eye(2, dtype=np.float32) + random.normal(0, 0.02, (COUNTS[recording], 2, 2)).astype(np.float32)
 
 
-def found_of(engine: TorchEngine, recording: int) -> Found:
+def found_of(engine: TorchEngine, recording: int) -> FoundPoints:
     """Points near where they started, with two that are not there."""
     start, random = points(recording), np.random.default_rng(20 + recording)
     count = FRAMES[recording], COUNTS[recording]
@@ -69,7 +69,7 @@ def found_of(engine: TorchEngine, recording: int) -> Found:
     lost = np.isnan(places[..., 0])
     spread = np.where(lost, np.nan, random.uniform(1e-4, 4e-4, count)).astype(np.float32)
     covariance = spread[..., None, None] * np.eye(2, dtype=np.float32)
-    return Found(places, spread, covariance, lost.astype(np.uint8), places)
+    return FoundPoints(places, spread, covariance, lost.astype(np.uint8), places)
 
 
 def contact_of(engine: TorchEngine) -> Many:

@@ -7,7 +7,7 @@ import torch
 from kernel_images import SHAPES, images
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.ops.contact.apparent_contact import Region, apparent_contact
+from fingerflow.ops.contact.apparent_contact import ApparentRegion, apparent_contact
 from fingerflow.ops.contact.components import fill_holes, largest_component
 from fingerflow.ops.contact.ellipse import fit_ellipse, mask_moments
 
@@ -23,8 +23,8 @@ def blobs(shape: tuple[int, int, int], share: float) -> torch.Tensor:
     return coarse.repeat_interleave(4, 2).repeat_interleave(4, 3)[..., 1 : 1 + height, 2 : 2 + width]
 
 
-def same(found: Region, expected: Region) -> None:
-    for name, ours, theirs in zip(Region._fields, found, expected, strict=True):
+def same(found: ApparentRegion, expected: ApparentRegion) -> None:
+    for name, ours, theirs in zip(ApparentRegion._fields, found, expected, strict=True):
         assert ours.shape == theirs.shape, name
         tolerance = {"density_margin": 2e-5, "angle": 1e-2}.get(name, 2e-3)
         torch.testing.assert_close(

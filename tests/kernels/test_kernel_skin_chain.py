@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from fingerflow.kernels import tensors as kernels
-from fingerflow.models.skin_chain import Press, press
+from fingerflow.models.skin_chain import PressedChain, press
 from fingerflow.models.skin_parameters import PARAMETERS
 
 Portable = Callable[[Callable[[], object]], Any]
@@ -24,9 +24,9 @@ def once(portable: Portable, case: object, call: Callable[[], object]) -> Any:
     return PORTABLE[case]
 
 
-def same(found: Press, expected: Press) -> None:
+def same(found: PressedChain, expected: PressedChain) -> None:
     assert torch.equal(found.steps, expected.steps)
-    for field in fields(Press):
+    for field in fields(PressedChain):
         one, other = getattr(found, field.name), getattr(expected, field.name)
         size = other.nan_to_num(0.0).abs().max().item()
         limit = {"balance": 1e-7}.get(field.name, 1e-7 * size)
@@ -56,7 +56,7 @@ def test_same_laws_and_motions(
 ) -> None:
     skin = replace(PARAMETERS["lab"], friction_exponent=exponent)
 
-    def call() -> Press:
+    def call() -> PressedChain:
         return press(torch.tensor([0.2, 0.6]), skin, elements=21, **given)
 
     same(call(), once(portable, (exponent, *given), call))

@@ -131,7 +131,7 @@ def test_wrong_arrays_of_corrections_are_named() -> None:
         deformation.correct_points(**given, window=25, gauge_px=0)
 
 
-def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.Outliers:
+def judged(points: torch.Tensor, moved: torch.Tensor, deviation: torch.Tensor, gauge: float) -> native.OutlierFlags:
     neighbours = native.find_neighbours(points[0].numpy(), gauge)
     return native.find_outliers(neighbours, moved.numpy(), deviation.contiguous().numpy())
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.engines.engine import Ellipse, Entered, Fields
+from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.engines.native_fields import fields_of_frames
 from fingerflow.graphs import fields as graphs
 from fingerflow.kernels import tensors as kernels
@@ -34,7 +34,7 @@ class Case:
         moved[2, 1::7, 0] = np.nan
         place[:, 3:4] = np.nan
         self.reference, self.displacement = place.astype(np.float32), moved.astype(np.float32)
-        self.ellipse = Ellipse(
+        self.ellipse = FrameEllipse(
             random.uniform(-0.5, 0.5, (FRAMES, 2)).astype(np.float32),
             np.array([[4.5, 3.0], [2.0, 1.0], [0.3, 0.2], [0.0, 1.0], [30.0, 20.0]], np.float32),
             random.uniform(-3, 3, FRAMES).astype(np.float32),
@@ -48,9 +48,9 @@ class Case:
             gradient[random.random((FRAMES, points)) < 0.2] = np.nan
             root = 0.02 * random.standard_normal((FRAMES, points, 4, 4))
             spread = (root @ root.swapaxes(2, 3)).reshape(FRAMES, points, 2, 2, 2, 2).astype(np.float32)
-            self.entered = Entered(among, gradient, spread if noisy else None)
+            self.entered = EnteredPoints(among, gradient, spread if noisy else None)
 
-    def found(self, measure: str) -> Fields:
+    def found(self, measure: str) -> FrameFields:
         return fields_of_frames(
             self.reference,
             self.displacement,
@@ -74,8 +74,8 @@ class Case:
         return result
 
 
-def same(found: Fields, expected: graphs.Fields, atol: dict[str, float], rtol: float) -> None:
-    for name, one, other in zip(Fields._fields, found, expected, strict=True):
+def same(found: FrameFields, expected: graphs.Fields, atol: dict[str, float], rtol: float) -> None:
+    for name, one, other in zip(FrameFields._fields, found, expected, strict=True):
         assert (one is None) == (other is None), name
         if one is not None and other is not None:
             assert one.dtype == np.float32
@@ -117,7 +117,7 @@ def test_views(torch_threads: Callable[[int], None]) -> None:
         wide.setflags(write=False)
         setattr(views, name, wide[..., 0])
     assert case.entered is not None
-    views.entered = Entered(*(np.moveaxis(np.moveaxis(one, 0, -1).copy(), -1, 0) for one in case.entered))  # type: ignore[arg-type,type-var]
+    views.entered = EnteredPoints(*(np.moveaxis(np.moveaxis(one, 0, -1).copy(), -1, 0) for one in case.entered))  # type: ignore[arg-type,type-var]
     for threads in (1, 3):
         torch_threads(threads)
         for one, other in zip(views.found("green_lagrange"), whole, strict=True):

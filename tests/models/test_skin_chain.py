@@ -12,8 +12,8 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 from fingerflow.models import skin_implicit
 from fingerflow.models.half_space import stress
-from fingerflow.models.skin_chain import Press, follow, press
-from fingerflow.models.skin_explicit import REAL_LIMIT, Values, largest_step, march, rates
+from fingerflow.models.skin_chain import PressedChain, follow, press
+from fingerflow.models.skin_explicit import REAL_LIMIT, ChainState, largest_step, march, rates
 from fingerflow.models.skin_forces import elastic_forces, energy
 from fingerflow.models.skin_parameters import PARAMETERS, SkinParameters
 
@@ -22,17 +22,17 @@ FRICTIONS = torch.tensor([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 1.0, 1.5], dtype=
 
 
 @pytest.fixture(scope="module", params=["lab", "paper"])
-def pressed(request: pytest.FixtureRequest) -> Press:
+def pressed(request: pytest.FixtureRequest) -> PressedChain:
     return press(FRICTIONS, request.param, elements=201)
 
 
-def test_forces_balance_to_a_millionth_of_the_load(pressed: Press) -> None:
+def test_forces_balance_to_a_millionth_of_the_load(pressed: PressedChain) -> None:
     assert pressed.balance.max() < 1e-6 * 3
     torch.testing.assert_close(pressed.normal_force.sum(-1), torch.full((9,), 3.0).double(), rtol=1e-6, atol=0)
     assert pressed.friction_force.sum(-1).abs().max() < 1e-12
 
 
-def test_a_mirrored_press_to_rounding(pressed: Press) -> None:
+def test_a_mirrored_press_to_rounding(pressed: PressedChain) -> None:
     x, z = pressed.position.unbind(-1)
     assert (x + x.flip(-1)).abs().max() < 1e-16
     assert (z - z.flip(-1)).abs().max() < 1e-16
@@ -40,7 +40,7 @@ def test_a_mirrored_press_to_rounding(pressed: Press) -> None:
     assert pressed.bone[:, 0].abs().max() < 1e-17
 
 
-def test_both_halves_are_one_skin(pressed: Press) -> None:
+def test_both_halves_are_one_skin(pressed: PressedChain) -> None:
     """The published term in nu pushes them apart as blocks: all of the way in one step at the middle element."""
     along = pressed.displacement[..., 0].diff(dim=-1)
     middle = along.shape[-1] // 2
@@ -50,14 +50,14 @@ def test_both_halves_are_one_skin(pressed: Press) -> None:
     torch.testing.assert_close(along[:, middle], along[:, middle + 1], rtol=0.3, atol=0)
 
 
-def test_more_friction_less_divergence(pressed: Press) -> None:
+def test_more_friction_less_divergence(pressed: PressedChain) -> None:
     assert bool((pressed.divergence.diff() < 0).all())
     assert pressed.divergence[0] > 2 * pressed.divergence[-1] > 0
     furthest = pressed.displacement[..., 0].amax(-1)
     assert bool((furthest.diff() < 0).all())
 
 
-def test_friction_points_against_the_motion(pressed: Press) -> None:
+def test_friction_points_against_the_motion(pressed: PressedChain) -> None:
     """The published script's pushes each element further on its way: the edge of the contact moves more, not less."""
     away = pressed.displacement[1:, :, 0]
     force = pressed.friction_force[1:]
@@ -68,7 +68,7 @@ def test_friction_points_against_the_motion(pressed: Press) -> None:
     assert pressed.friction_force[0].abs().max() == 0
 
 
-def test_pressure_is_force_over_area(pressed: Press) -> None:
+def test_pressure_is_force_over_area(pressed: PressedChain) -> None:
     edges, pressure, traction = pressed.strips()
     width = 8e-3 if pressed.position[0, 0, 0] > -9e-3 else 10e-3
     carried = (pressure * edges.diff(dim=-1)).sum(-1) * width
@@ -179,7 +179,8 @@ def test_the_published_integrator_keeps_the_limit_where_it_falls() -> None:
     assert (np.abs(state.friction) <= limit * (1 + 1e-12)).all()
     assert (limit == 0).any()
     none, left = (
-        rates(chain, mu, Values(state.place, state.bone, np.full(41, force)), np.zeros(2)).place for force in (0.0, 1.0)
+        rates(chain, mu, ChainState(state.place, state.bone, np.full(41, force)), np.zeros(2)).place
+        for force in (0.0, 1.0)
     )
     np.testing.assert_array_equal(left[limit == 0], none[limit == 0])
 

@@ -5,13 +5,13 @@ import math
 import pytest
 import torch
 
-from fingerflow.models.skin_chain import Press, follow
+from fingerflow.models.skin_chain import PressedChain, follow
 from fingerflow.models.skin_onset import since_onset
 
 TIMES = 201
 
 
-def stretching(elements: int) -> Press:
+def stretching(elements: int) -> PressedChain:
     """An undeformed row of skin that is laid down from the middle at 1 mm a unit of time while what is down stretches:
     x(t) = xi (1 + c (t - xi)) for t > xi, so u = c xi (t - xi), and du/dxi + u/xi = c (2 t - 3 xi)."""
     c = 0.02
@@ -23,7 +23,7 @@ def stretching(elements: int) -> Press:
     pressed = follow(0.0, time[:2], 1.0, elements=5)
     parts = dict(vars(pressed))
     parts |= {"position": torch.stack((x, z), -1), "contact_length": 2 * time * 1.0}
-    return Press(**parts)
+    return PressedChain(**parts)
 
 
 @pytest.mark.parametrize("elements", [240, 241])

@@ -15,8 +15,8 @@ from fingerflow import player
 from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.player.background import mean_view
 from fingerflow.player.bundle import load_bundle
-from fingerflow.player.scene import View
-from fingerflow.schema.views import View as RigView
+from fingerflow.player.scene import ViewRange
+from fingerflow.schema.views import ViewRange as RigView
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 
@@ -118,7 +118,7 @@ def test_the_background_is_the_mean_of_its_first_frames(stream: Stream) -> None:
     assert event == WIDTH / 4
     mean = mean_view(
         stream.bundle / "empty.npy",
-        View((0, HEIGHT), (WIDTH, 2 * WIDTH)),
+        ViewRange((0, HEIGHT), (WIDTH, 2 * WIDTH)),
         load_bundle(stream.bundle),
         None,
         "",

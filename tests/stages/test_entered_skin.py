@@ -11,7 +11,7 @@ import xarray as xr
 from bench.contact_grid import energies, skin_in_contact
 from fingerflow import load_scene, process
 from fingerflow.engines.choice import engine_for
-from fingerflow.engines.engine import Ellipse, EngineSettings, Entered
+from fingerflow.engines.engine import EngineSettings, EnteredPoints, FrameEllipse
 from fingerflow.ops.fields.area_medians import Apart, area_medians
 from fingerflow.ops.fields.local_fit import local_gradients
 from fingerflow.schema.variables import ENTRY
@@ -59,9 +59,9 @@ def streamed(result: xr.Dataset) -> list[Streamed]:
         gradient = (
             np.full((1, len(onset), 2, 2), np.nan) if since is None else np.where(among[..., None, None], since, np.nan)
         )
-        ellipse = Ellipse(*(one.astype(np.float32) for one in border.at(now)))
+        ellipse = FrameEllipse(*(one.astype(np.float32) for one in border.at(now)))
         moved = (position[now] - touch.place).astype(np.float32)
-        entered = Entered(among, gradient.astype(np.float32), None)
+        entered = EnteredPoints(among, gradient.astype(np.float32), None)
         fields = engine.fields(touch.place[0].astype(np.float32), moved, ellipse, None, entered)
         found.append(Streamed(among[0], fields.divergence[0], float(fields.median[0, 0])))
     return found

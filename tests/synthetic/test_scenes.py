@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from fingerflow.synthetic import Camera, Press, Scene, Slide
+from fingerflow.synthetic import Camera, Press, Slide, SyntheticScene
 
 ANY_SCENE = pytest.mark.parametrize("kind", [Press, Slide])
 
 
 @ANY_SCENE
-def test_frames_are_the_same_in_any_order(kind: type[Scene]) -> None:
+def test_frames_are_the_same_in_any_order(kind: type[SyntheticScene]) -> None:
     scene, again = kind(), kind()
     first = scene.render(200)
     assert first.shape == (512, 1280)
@@ -22,7 +22,7 @@ def test_frames_are_the_same_in_any_order(kind: type[Scene]) -> None:
 
 
 @ANY_SCENE
-def test_single_precision_is_far_below_the_noise(kind: type[Scene]) -> None:
+def test_single_precision_is_far_below_the_noise(kind: type[SyntheticScene]) -> None:
     scene = kind()
     exact, fast = scene.render_clean(250, dtype=torch.float64), scene.render_clean(250)
     assert fast.dtype == np.float32
@@ -31,7 +31,7 @@ def test_single_precision_is_far_below_the_noise(kind: type[Scene]) -> None:
 
 
 @ANY_SCENE
-def test_noise_is_the_cameras(kind: type[Scene]) -> None:
+def test_noise_is_the_cameras(kind: type[SyntheticScene]) -> None:
     scene = kind(camera=Camera(salt_and_pepper=0.0, bit_depth=12))
     clean, frame = scene.render_clean(150), scene.render(150)
     assert frame.dtype == np.uint16
@@ -43,7 +43,7 @@ def test_noise_is_the_cameras(kind: type[Scene]) -> None:
 
 @ANY_SCENE
 @pytest.mark.parametrize("bit_depth", [8, 10, 12])
-def test_grey_levels_use_the_range_without_saturation(kind: type[Scene], bit_depth: int) -> None:
+def test_grey_levels_use_the_range_without_saturation(kind: type[SyntheticScene], bit_depth: int) -> None:
     scene = kind(camera=Camera(bit_depth=bit_depth))
     frame = scene.render(299)
     levels = scene.camera.levels
@@ -61,7 +61,7 @@ def test_grey_levels_use_the_range_without_saturation(kind: type[Scene], bit_dep
 
 
 @ANY_SCENE
-def test_ridges_in_contact_halve_the_bright_field(kind: type[Scene]) -> None:
+def test_ridges_in_contact_halve_the_bright_field(kind: type[SyntheticScene]) -> None:
     scene = kind(camera=Camera(salt_and_pepper=0.0, dark=0.0))
     view = scene.views["contact"]
     quotient = view.crop(scene.render(299)) / np.maximum(view.crop(scene.empty()).astype(float), 1)
@@ -103,7 +103,7 @@ def test_empty_and_dark_pictures_differ_in_their_noise_only() -> None:
 
 
 @ANY_SCENE
-def test_times_count_from_the_trigger(kind: type[Scene]) -> None:
+def test_times_count_from_the_trigger(kind: type[SyntheticScene]) -> None:
     scene = kind(n_frames=40, frame_rate=100.0, frames_before_trigger=5)
     assert scene.times[[0, 5, 39]] == pytest.approx([-0.05, 0.0, 0.34])
     forces = scene.forces()
@@ -131,7 +131,7 @@ def test_press_force_rises_smoothly_and_area_follows_it() -> None:
 
 
 @ANY_SCENE
-def test_time_of_inverts_progress(kind: type[Scene]) -> None:
+def test_time_of_inverts_progress(kind: type[SyntheticScene]) -> None:
     scene = kind()
     progress = np.linspace(0.05, 0.99, 50)
     np.testing.assert_allclose(scene.progress(scene.time_of(progress)), progress, rtol=1e-12)
@@ -157,6 +157,6 @@ def test_slide_peels_until_it_slips_as_a_whole() -> None:
 
 @ANY_SCENE
 @pytest.mark.parametrize("frame", [-1, 300])
-def test_frames_outside_the_recording_are_refused(kind: type[Scene], frame: int) -> None:
+def test_frames_outside_the_recording_are_refused(kind: type[SyntheticScene], frame: int) -> None:
     with pytest.raises(IndexError, match=f"frame {frame} is not in this scene: its frames are 0 to 299"):
         kind().render(frame)

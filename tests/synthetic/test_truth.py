@@ -7,7 +7,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from fingerflow.synthetic import Bump, Ellipse, PartialSlip, Press, Scene, Slide
+from fingerflow.synthetic import Bump, Ellipse, PartialSlip, Press, Slide, SyntheticScene
 from fingerflow.synthetic.optics import OUTLINE_WIDTH, RIDGE_LEVEL, SKIN_LEVEL, Lights
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ ANY_SCENE = pytest.mark.parametrize("scene", SCENES, ids=["press", "slide", "par
 LAST = 299
 
 
-def inside(scene: Scene, frame: int, count: int, share: float = 1.0) -> Array:
+def inside(scene: SyntheticScene, frame: int, count: int, share: float = 1.0) -> Array:
     """Random positions (count, 2) in mm, even over `share` of the length of the gross contact."""
     ellipse = scene.truth.ellipse(frame)
     assert ellipse is not None
@@ -28,7 +28,7 @@ def inside(scene: Scene, frame: int, count: int, share: float = 1.0) -> Array:
     return np.stack((cosine * along - sine * across, sine * along + cosine * across), axis=-1) + ellipse.centre
 
 
-def field_of_view(scene: Scene) -> Array:
+def field_of_view(scene: SyntheticScene) -> Array:
     rows, columns = scene.views["contact"].shape
     y, x = np.meshgrid(np.linspace(-10, rows + 10, 60), np.linspace(-10, columns + 20, 70), indexing="ij")
     return np.stack((x, y), axis=-1) * scene.mm_per_px
@@ -36,7 +36,7 @@ def field_of_view(scene: Scene) -> Array:
 
 @ANY_SCENE
 @pytest.mark.parametrize("frame", [0, 150, LAST])
-def test_forward_map_inverts_the_inverse_map(scene: Scene, frame: int) -> None:
+def test_forward_map_inverts_the_inverse_map(scene: SyntheticScene, frame: int) -> None:
     positions = field_of_view(scene)
     found = scene.truth.positions(scene.truth.material(positions, frame), frame)
     # Newton ends at 1e-13 mm; det F is under 2.
@@ -44,7 +44,7 @@ def test_forward_map_inverts_the_inverse_map(scene: Scene, frame: int) -> None:
 
 
 @ANY_SCENE
-def test_skin_never_folds_in_view(scene: Scene) -> None:
+def test_skin_never_folds_in_view(scene: SyntheticScene) -> None:
     positions = field_of_view(scene)
     for frame in range(0, scene.n_frames, 13):
         material = scene.truth.material(positions, frame)
@@ -55,7 +55,7 @@ def test_skin_never_folds_in_view(scene: Scene) -> None:
 
 
 @ANY_SCENE
-def test_onset_lies_on_the_edge_of_the_contact(scene: Scene) -> None:
+def test_onset_lies_on_the_edge_of_the_contact(scene: SyntheticScene) -> None:
     truth = scene.truth
     material = truth.material(inside(scene, LAST, 300), LAST)
     time, frames = truth.onset_time(material), truth.onset_frame(material)
@@ -72,7 +72,7 @@ def test_onset_lies_on_the_edge_of_the_contact(scene: Scene) -> None:
 
 
 @ANY_SCENE
-def test_onset_frame_is_the_first_inside(scene: Scene) -> None:
+def test_onset_frame_is_the_first_inside(scene: SyntheticScene) -> None:
     truth = scene.truth
     for frame in (60, 140, LAST):
         material = truth.material(inside(scene, frame, 40), frame)
@@ -94,7 +94,7 @@ def relative_radius(ellipse: Ellipse, position: Array) -> float:
 
 
 @pytest.mark.parametrize(("scene", "frame"), [(SCENES[0], 90), (SCENES[0], LAST), (SCENES[1], 120), (SCENES[1], LAST)])
-def test_gradient_equals_finite_differences(scene: Scene, frame: int) -> None:
+def test_gradient_equals_finite_differences(scene: SyntheticScene, frame: int) -> None:
     truth = scene.truth
     material = truth.material(inside(scene, frame, 200, share=0.97), frame)
     step = 1e-4
@@ -126,7 +126,7 @@ def test_press_spreads_the_skin_by_twelve_percent() -> None:
 
 
 @ANY_SCENE
-def test_medians_are_those_of_any_dense_sample(scene: Scene) -> None:
+def test_medians_are_those_of_any_dense_sample(scene: SyntheticScene) -> None:
     truth, frame = scene.truth, 200
     material = truth.material(inside(scene, frame, 6000), frame)
     gradient, displacement = truth.gradient(material, frame), truth.displacement(material, frame)
@@ -198,7 +198,7 @@ def test_a_folding_press_is_refused() -> None:
 
 
 @ANY_SCENE
-def test_areas_equal_pixel_counts(scene: Scene) -> None:
+def test_areas_equal_pixel_counts(scene: SyntheticScene) -> None:
     truth, pixel = scene.truth, scene.mm_per_px**2
     for frame in (100, LAST):
         ellipse = truth.ellipse(frame)
@@ -223,7 +223,7 @@ def test_contact_fraction_is_a_setting() -> None:
 
 
 @ANY_SCENE
-def test_picture_shows_the_material_where_the_truth_says(scene: Scene) -> None:
+def test_picture_shows_the_material_where_the_truth_says(scene: SyntheticScene) -> None:
     """The topography, freed from light and outline, is the texture at the truth's material under each pixel."""
     frame = 220
     picture = scene.views["topography"].crop(scene.render_clean(frame, dtype=torch.float64))
@@ -242,7 +242,7 @@ def test_picture_shows_the_material_where_the_truth_says(scene: Scene) -> None:
 
 
 @ANY_SCENE
-def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: Scene) -> None:
+def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: SyntheticScene) -> None:
     frame = 180
     view = scene.views["contact"]
     quotient = view.crop(scene.render_clean(frame, dtype=torch.float64) - scene.camera.dark) / view.crop(
@@ -259,7 +259,7 @@ def test_half_level_of_the_picture_is_the_edge_of_the_contact(scene: Scene) -> N
 
 
 @ANY_SCENE
-def test_views_are_related_by_the_affine_map(scene: Scene) -> None:
+def test_views_are_related_by_the_affine_map(scene: SyntheticScene) -> None:
     truth = scene.truth
     pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.5, 255.25], [0.0, 511.0]])
     np.testing.assert_allclose(truth.topography_pixels(truth.topography_positions(pixels)), pixels, atol=1e-10)
@@ -272,7 +272,7 @@ def test_views_are_related_by_the_affine_map(scene: Scene) -> None:
 
 
 @ANY_SCENE
-def test_followed_points_stay_on_their_skin(scene: Scene) -> None:
+def test_followed_points_stay_on_their_skin(scene: SyntheticScene) -> None:
     truth = scene.truth
     pixels = truth.topography_pixels(inside(scene, 100, 50))
     later = truth.follow(pixels, 100, LAST)

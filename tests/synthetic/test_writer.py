@@ -16,8 +16,8 @@ from fingerflow.synthetic import (
     PartialSlip,
     Press,
     RidgeTexture,
-    Scene,
     Slide,
+    SyntheticScene,
     rebuild_scene,
     write_recording,
 )
@@ -53,7 +53,7 @@ def test_a_full_disk_is_said(where: tuple[Any, str], tmp_path: Path, monkeypatch
     ],
     ids=["press 8 bit", "slide 12 bit", "partial slip"],
 )
-def test_folder_holds_the_scene(scene: Scene, tmp_path: Path) -> None:
+def test_folder_holds_the_scene(scene: SyntheticScene, tmp_path: Path) -> None:
     folder = tmp_path / "trials" / "one"
     write_recording(folder, scene)
     assert [path.name for path in folder.parent.iterdir()] == ["one"]
@@ -88,10 +88,10 @@ def test_an_existing_folder_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_light(self: Scene, picture: int = 0) -> None:
+    def no_light(self: SyntheticScene, picture: int = 0) -> None:
         raise KeyboardInterrupt
 
-    def broken(self: Scene, frame: int) -> None:
+    def broken(self: SyntheticScene, frame: int) -> None:
         raise OSError("no space left")
 
     for name, failure, error in (("dark", no_light, KeyboardInterrupt), ("render", broken, FingerflowError)):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.engines.engine import Corrected, EngineSettings, Followed, Found, Key
+from fingerflow.engines.engine import Corrected, EngineSettings, Followed, FoundPoints, KeyFrame
 from fingerflow.kernels.tracking_limits import NUMBERS, REACH, ROUNDS, TrackStatus
 
 Array = np.ndarray[Any, Any]
@@ -53,10 +53,10 @@ class KnownSkin:
     def noise(self, image: Array) -> float:
         return 0.0
 
-    def key(self, image: Array) -> Key:
-        return Key(image, 0.0)
+    def key(self, image: Array) -> KeyFrame:
+        return KeyFrame(image, 0.0)
 
-    def prepare(self, key: Key, points: Array, warp: Array | None = None) -> Templates:
+    def prepare(self, key: KeyFrame, points: Array, warp: Array | None = None) -> Templates:
         if warp is not None:
             self.prepared.append(len(points))
         return Templates(len(points))
@@ -80,10 +80,10 @@ class KnownSkin:
         points = (there + nothing[:, None]).astype(np.float32)
         covariance = 1e-4 * np.eye(2, dtype=np.float32) + nothing[:, None, None]
         status = np.where(found, TrackStatus.TRACKED, TrackStatus.NOT_CONVERGED).astype(np.uint8)
-        one = Found(points, nothing, covariance, status, np.where(found[:, None], there, near).astype(np.float32))
-        return Followed(Found(*(each[None] for each in one)), one.estimate, speed)
+        one = FoundPoints(points, nothing, covariance, status, np.where(found[:, None], there, near).astype(np.float32))
+        return Followed(FoundPoints(*(each[None] for each in one)), one.estimate, speed)
 
-    def correct(self, start: Array, found: Found, numbers: Array, inverse_warp: Array) -> Corrected:
+    def correct(self, start: Array, found: FoundPoints, numbers: Array, inverse_warp: Array) -> Corrected:
         self.inverse = inverse_warp
         points = found.points[0]
         expected = self._by_neighbours(points) if self._by_neighbours else np.full_like(points, np.nan)
@@ -94,11 +94,11 @@ class KnownSkin:
     def neighbours(self, start: Array) -> None:
         return None
 
-    def outliers(self, neighbours: None, start: Array, found: Found) -> tuple[Array, Array]:
+    def outliers(self, neighbours: None, start: Array, found: FoundPoints) -> tuple[Array, Array]:
         nobody = np.zeros(found.status.shape, bool)
         return nobody, nobody
 
-    def search(self, key: Key, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+    def search(self, key: KeyFrame, image: Array, points: Array, guess: Array) -> tuple[Array, Array]:
         """Places within the reach of a search, to 0.7 px; others are not moved."""
         self.searches.append(len(points))
         rows = [int(np.flatnonzero((self.start == point).all(1))[0]) for point in points]

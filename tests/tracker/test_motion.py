@@ -4,17 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from fingerflow.tracker.motion import Motion
+from fingerflow.tracker.motion import PointMotion
 
 Array = np.ndarray[Any, Any]
 START = (300 * np.random.default_rng(4).random((200, 2))).astype(np.float32)
 
 
-def _moving() -> tuple[Motion, Array, Array]:
+def _moving() -> tuple[PointMotion, Array, Array]:
     """Four points that have moved for 60 frames, of which every third was seen, and one that is none."""
     start = np.array([[10, 20], [30, 40], [50, 60], [70, 80], [np.nan, np.nan]], np.float32)
     speed = np.array([[1, 0], [2, -1], [0.5, -3], [0, 0], [0, 0]], np.float32)
-    motion = Motion.at_rest(start)
+    motion = PointMotion.at_rest(start)
     np.testing.assert_array_equal(motion.expect(2), start)
     for frames in range(3, 61, 3):
         motion = motion.see(start + frames * speed, 3)
@@ -49,7 +49,7 @@ def test_noise_is_not_taken_for_motion() -> None:
     the last two positions alone it would have weights 5 and -4, and 6.4 times."""
     generator = np.random.default_rng(3)
     start = np.full((5000, 2), 100.0)
-    motion = Motion.at_rest(start)
+    motion = PointMotion.at_rest(start)
     for _ in range(12):
         motion = motion.see(start + 0.05 * generator.standard_normal(start.shape))
     assert np.std(motion.expect(100) - start) < 3.5 * 0.05
@@ -58,7 +58,7 @@ def test_noise_is_not_taken_for_motion() -> None:
 def test_one_jolt_is_no_motion_and_a_second_one_is() -> None:
     half = START[:, :1] > 150
     jumped = START + np.where(half, np.float32(8), np.float32(0))
-    motion, jolted = Motion.at_rest(START), half[:, 0]
+    motion, jolted = PointMotion.at_rest(START), half[:, 0]
     after = motion.see(jumped, jolted=jolted)
     assert not after.speed.any()
     again = after.see(jumped + np.float32(8), jolted=np.ones(len(START), bool))
@@ -68,7 +68,7 @@ def test_one_jolt_is_no_motion_and_a_second_one_is() -> None:
 
 def test_lost_points_move_with_their_neighbours() -> None:
     """Not at the speed that they had: skin at rest begins to move by 1.5 px a frame, a fourth of it unseen."""
-    motion, lost = Motion.at_rest(START), np.arange(200) % 4 == 0
+    motion, lost = PointMotion.at_rest(START), np.arange(200) % 4 == 0
     for number in range(1, 20):
         place = START + np.float32(1.5 * number)
         motion = motion.see(np.where(lost[:, None], np.nan, place).astype(np.float32), 1, place)
@@ -77,7 +77,7 @@ def test_lost_points_move_with_their_neighbours() -> None:
 
 
 def test_new_points_have_the_speed_of_those_around_them() -> None:
-    motion = Motion.at_rest(START)
+    motion = PointMotion.at_rest(START)
     speed = np.where(START[:, :1] > 150, np.float32(1.2), np.float32(0)) * np.array([1, -1], np.float32)
     for number in range(1, 30):
         motion = motion.see(START + number * speed)
@@ -85,12 +85,12 @@ def test_new_points_have_the_speed_of_those_around_them() -> None:
     seeded = motion.seeded(new)
     np.testing.assert_allclose(seeded.speed[:2], [[0, 0], [1.2, -1.2]], atol=1e-4)
     np.testing.assert_array_equal(seeded.place, new)
-    assert not Motion.at_rest(START[:7]).seeded(new).speed.any()  # of too few
+    assert not PointMotion.at_rest(START[:7]).seeded(new).speed.any()  # of too few
 
 
 def test_frames_followed_in_one_call_lead_where_neighbours_say() -> None:
     """Of points that are lost in the last one; place and speed of the others are those of the engine."""
-    motion, place = Motion.at_rest(START), START + np.float32(3)
+    motion, place = PointMotion.at_rest(START), START + np.float32(3)
     points = place.copy()
     points[::3] = np.nan
     speed = np.full_like(START, 0.5)

@@ -14,9 +14,9 @@ from fingerflow.tracker.stream import (
     TOPOGRAPHY_VIEW,
     Event,
     Frame,
-    Outcome,
-    StreamSettings,
+    FrameOutcome,
     StreamTracker,
+    TrackerSettings,
 )
 
 Array = np.ndarray[Any, Any]
@@ -44,7 +44,7 @@ def frames() -> list[Array]:
 def tracker_of(engine: Engine, lag: int = 1) -> StreamTracker:
     region = np.zeros((HEIGHT, WIDTH), bool)
     region[24:-24, 24:-24] = True
-    settings = StreamSettings(
+    settings = TrackerSettings(
         points=80, bit_depth=8, mm_per_px=0.05, topography_to_contact=np.eye(2, 3), region=region, threshold=0.3
     )
     return StreamTracker(engine, settings, np.full((HEIGHT, WIDTH), 200.0), np.zeros((HEIGHT, WIDTH)), lag)
@@ -58,10 +58,10 @@ def frame_of(tracker: StreamTracker, topography: Array, number: int, lines_lost:
     return frame
 
 
-def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[Outcome], list[Event]]:
+def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[list[FrameOutcome], list[Event]]:
     """Outcomes and events where up to `beside` frames, at most the lag, have begun before the first of them ends."""
     tracker = tracker_of(engine, lag)
-    passed: list[Event | Outcome] = []
+    passed: list[Event | FrameOutcome] = []
     works = []
     for number, topography in enumerate(frames):
         frame = frame_of(tracker, topography, number)
@@ -74,7 +74,7 @@ def played(engine: Engine, frames: list[Array], lag: int, beside: int) -> tuple[
     for work in works:
         passed += tracker.finish(work)
     passed += tracker.settle()
-    return [one for one in passed if isinstance(one, Outcome)], [one for one in passed if isinstance(one, Event)]
+    return [one for one in passed if isinstance(one, FrameOutcome)], [one for one in passed if isinstance(one, Event)]
 
 
 @pytest.mark.parametrize("lag", [2, 3])
@@ -100,6 +100,6 @@ def test_frames_before_the_first_usable_one_are_not_called_usable(make_engine: M
         work, passed = tracker.begin(frame_of(tracker, frames[place], number, lost))
         tracker.compute(work)
         found += [*passed, *tracker.finish(work)]
-    told = [FRAME_STATUS[one.status] for one in found if isinstance(one, Outcome)]
+    told = [FRAME_STATUS[one.status] for one in found if isinstance(one, FrameOutcome)]
     assert told == ["jumps_and_returns"] * 4 + ["usable"] * 2
     assert [one for one in found if isinstance(one, Event)] == [Event("restart", 4, {"cause": "start", "points": 80})]

@@ -9,7 +9,7 @@ import pytest
 from known_skin import Array, KnownSkin
 from scipy import ndimage
 
-from fingerflow.engines.engine import Engine, EngineSettings, Found
+from fingerflow.engines.engine import Engine, EngineSettings, FoundPoints
 from fingerflow.engines.together import run_alone
 from fingerflow.kernels.tracking_limits import UPDATE_PX, TrackStatus
 from fingerflow.tracker.motion import TRUSTED
@@ -27,7 +27,7 @@ def _points(engine: KnownSkin, lag: int = 1) -> Points:
     return points
 
 
-def _see(points: Points, late: Array | None = None) -> tuple[Resolved, Found]:
+def _see(points: Points, late: Array | None = None) -> tuple[Resolved, FoundPoints]:
     """A frame, from where points are expected, or were some frames before."""
     guess = points.expect() if late is None else late
     resolved = points.resolve(IMAGE, guess, points.look(IMAGE, guess))

@@ -10,7 +10,7 @@ import pytest
 
 from fingerflow import load_scene
 from fingerflow.results.result import load_result
-from fingerflow.synthetic import Scene
+from fingerflow.synthetic import SyntheticScene
 from fingerflow.view.server import Served
 from tests.own_press import VIEWS, press_of, write_raw_press
 from tests.view.walk import LAST, walk
@@ -21,13 +21,13 @@ _BLOCK = re.compile(r"^```{code-block} python\n(.*?)^```", re.MULTILINE | re.DOT
 
 
 @pytest.fixture(scope="module")
-def finger(shared_data: Path) -> Scene:
+def finger(shared_data: Path) -> SyntheticScene:
     """The press whose files are walked with, and whose truth is known."""
     return press_of(shared_data / "fingers" / "101_1.tif")
 
 
 @pytest.fixture(scope="module")
-def raw(finger: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def raw(finger: SyntheticScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its raw files; not to be written to."""
     folder = tmp_path_factory.mktemp("own") / "trial"
     write_raw_press(folder, finger)
@@ -44,7 +44,7 @@ def files(raw: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def is_as_true(folder: Path, finger: Scene) -> None:
+def is_as_true(folder: Path, finger: SyntheticScene) -> None:
     """What the files that were written say of scale, transform and the last frame."""
     scene, result, truth = load_scene(folder / "scene.toml"), load_result(folder / "result.h5"), finger.truth
     calibration = scene.calibration
@@ -67,7 +67,7 @@ def is_as_true(folder: Path, finger: Scene) -> None:
     assert float(result["tracked_share"][LAST]) > 0.95
 
 
-def test_by_the_page_alone(browser: Any, files: Path, finger: Scene) -> None:
+def test_by_the_page_alone(browser: Any, files: Path, finger: SyntheticScene) -> None:
     seen: list[str] = []
     pictures: dict[str, bytes] = {}
     with Served(files / "press.tif") as served:
@@ -108,7 +108,7 @@ def _middle_of_contact(picture: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.asarray(grey[int(0.40 * rows) : int(0.60 * rows), int(0.70 * columns) : int(0.80 * columns)])
 
 
-def test_in_a_few_lines_of_python(files: Path, finger: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_a_few_lines_of_python(files: Path, finger: SyntheticScene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the page of the documentation."""
     (block,) = _BLOCK.findall((DOCS / "own_recording.md").read_text(encoding="utf-8"))
     assert len([line for line in block.splitlines() if line.strip()]) < 15

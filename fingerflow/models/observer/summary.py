@@ -11,7 +11,7 @@ from fingerflow.models.observer.printed import PrintedObserver, printed_observer
 from fingerflow.models.observer.trials_table import Trials
 
 
-class Settings(TypedDict):
+class ObserverSettings(TypedDict):
     """How an interval was found: its level, and the resamples that a seed has drawn."""
 
     level: float
@@ -54,7 +54,7 @@ def observe(
     found = {}
     for name in trials.metrics if metrics is None else metrics:
         correct, incorrect = trials.split(name)
-        settings: Settings = {"level": level, "resamples": resamples, "seed": seed}
+        settings: ObserverSettings = {"level": level, "resamples": resamples, "seed": seed}
         found[name] = MetricSummary(
             d_prime=d_prime(correct, incorrect, participants=who, **settings),
             auc=auc(correct, incorrect, participants=who, **settings),

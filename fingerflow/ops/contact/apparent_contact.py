@@ -18,7 +18,7 @@ _PART = 32  # cells of a line that are smoothed by one product
 _BLOCK = 8  # cells, a side of a block in which a component is followed
 
 
-class Region(NamedTuple):
+class ApparentRegion(NamedTuple):
     """The regions of B frames.
 
     Attributes:
@@ -39,7 +39,7 @@ class Region(NamedTuple):
 
 def apparent_contact(
     mask: Tensor, radius: int, cell: int | None = None, precision: torch.dtype = torch.float32
-) -> Region:
+) -> ApparentRegion:
     """The part of a frame around its densest place, without holes, where the mask is about half as dense as inside.
 
     The density is the mean of the mask over about two periods (three box means). At a straight border it has fallen to
@@ -74,11 +74,13 @@ def apparent_contact(
         raise ValueError(f"cells of {side} px: the boxes of a radius of {radius} px hold 1 to {2 * radius + 1}")
     if precision == torch.float32 and side in kernels.CELLS and kernels.serve(mask):
         density_margin, numbers = kernels.apparent_contact(mask, radius, side)
-        return Region(density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6])
+        return ApparentRegion(
+            density_margin, numbers[:, 0], numbers[:, 1], numbers[:, 2:4], numbers[:, 4:6], numbers[:, 6]
+        )
     return _region(cell_means(mask, side, precision), radius, side)
 
 
-def _region(cells: Tensor, radius: int, side: int) -> Region:
+def _region(cells: Tensor, radius: int, side: int) -> ApparentRegion:
     """Of the shares (B, 1, h, w) of each cell that the mask covers."""
     width = (2 * radius + 1) / side
     density = _smooth(cells, width)
@@ -113,7 +115,7 @@ def _region(cells: Tensor, radius: int, side: int) -> Region:
     # exceed the limit, elsewhere it is not negative.
     coverage = torch.maximum(part * near, hole)
     density_margin = torch.maximum(density * near - limit, (2 * hole - 1) * limit)
-    return Region(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
+    return ApparentRegion(density_margin, cells.sum((1, 2, 3)) * side**2, *_moments(coverage, side))
 
 
 def _smooth(cells: Tensor, width: float) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor
 from fingerflow.kernels import tensors as kernels
 
 
-class Ellipse(NamedTuple):
+class FittedEllipse(NamedTuple):
     """`center` (B, 2) as (x, y) px; `semi_axes` (B, 2) px, major first; `angle` (B,) rad; `area_px` (B,); float64.
 
     `angle` is that of the major axis, from the x axis towards y (down the frame), in (-pi/2, pi/2]; 0 for a circle.
@@ -20,7 +20,7 @@ class Ellipse(NamedTuple):
     area_px: Tensor
 
 
-def fit_ellipse(mask: Tensor) -> Ellipse:
+def fit_ellipse(mask: Tensor) -> FittedEllipse:
     """Fit by moments: a uniformly filled ellipse has the variance (semi axis)^2 / 4 along each axis.
 
     A pixel belongs to a mask when its centre does, so the pixel centres are a regular sample of the area and their
@@ -31,7 +31,7 @@ def fit_ellipse(mask: Tensor) -> Ellipse:
         mask: (B, 1, H, W) bool.
 
     Returns:
-        `Ellipse`; centre, axes and angle of an empty mask are NaN, its area 0.
+        `FittedEllipse`; centre, axes and angle of an empty mask are NaN, its area 0.
 
     Raises:
         TypeError: `mask` is not bool.
@@ -40,7 +40,7 @@ def fit_ellipse(mask: Tensor) -> Ellipse:
     _check(mask)
     if _compiled(mask):
         numbers = kernels.fit_ellipse(mask)
-        return Ellipse(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5])
+        return FittedEllipse(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], numbers[:, 5])
     number, x, y, xx, xy, yy = mask_moments(mask).unbind(1)
     area = number.double()
     center_x, center_y = x / area, y / area
@@ -54,7 +54,7 @@ def fit_ellipse(mask: Tensor) -> Ellipse:
     middle, spread = (xx + yy) / 2, torch.hypot((xx - yy) / 2, xy)
     variances = torch.stack([middle + spread, (middle - spread).clamp(min=0)], 1)
     angle = torch.atan2(2 * xy, xx - yy) / 2
-    return Ellipse(torch.stack([center_x, center_y], 1), 2 * variances.sqrt(), angle, area)
+    return FittedEllipse(torch.stack([center_x, center_y], 1), 2 * variances.sqrt(), angle, area)
 
 
 def mask_moments(mask: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ from torch.nn import functional
 
 from fingerflow.kernels import tensors as kernels
 from fingerflow.kernels import tracking_limits as limits
-from fingerflow.kernels.flow import Fields, Left
+from fingerflow.kernels.flow import FlowFields, Left
 from fingerflow.kernels.tensors.torch_op import torch_op
 from fingerflow.ops.filters.halving import halved_image
 from fingerflow.ops.filters.noise import estimate_noise
@@ -243,7 +243,7 @@ def _smoothing(variance: Tensor, roughness: float) -> Tensor:
     return (2 * variance / roughness**2)[:, None, None, None]
 
 
-def _fields(coefficients: Tensor, mask: Tensor) -> Fields[Tensor]:
+def _fields(coefficients: Tensor, mask: Tensor) -> FlowFields[Tensor]:
     """What the spline of a first image and its mask (B, 1, H, W), 1 or 0, tell beside the windows."""
     if coefficients.dtype == torch.float32 and kernels.serve(coefficients, mask):
         return kernels.flow_template(coefficients, mask, _MARGIN)
@@ -257,7 +257,7 @@ def _fields(coefficients: Tensor, mask: Tensor) -> Fields[Tensor]:
     x, y = gradient[:, :1], gradient[:, 1:]
     tensor = halved(torch.cat((x * x, x * y, y * y), dim=1))
     known = (halved(inside) > 0).to(inside.dtype)
-    return Fields(value, gradient, inside, tensor, known, *halved_edges(*edges(inside)))
+    return FlowFields(value, gradient, inside, tensor, known, *halved_edges(*edges(inside)))
 
 
 def find_flow(

@@ -15,7 +15,7 @@ from fingerflow.errors import PlayerError
 from fingerflow.player.sources.source import Source
 
 
-class Camera:
+class CameraSource:
     """Any callable that gives the next frame, or (ok, frame) as OpenCV does; `close` is called where it has one.
 
     Args:
@@ -68,4 +68,4 @@ def open_camera(name: str) -> Source:
     grab = make()
     if not callable(grab):
         raise PlayerError(f"camera {name!r}: its factory gave {type(grab).__name__}; it must return a callable")
-    return Camera(grab, name)
+    return CameraSource(grab, name)

@@ -33,10 +33,10 @@ def open_frames(asked: Asked) -> Source:
     found = [path for path in asked.path.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()]
     if not found:
         raise PlayerError(f"{asked.path}: has no picture; of its files those that end in {', '.join(_SUFFIXES)} count")
-    return Pictures(sorted(found, key=_by_numbers), asked.first)
+    return ImageFiles(sorted(found, key=_by_numbers), asked.first)
 
 
-class Pictures:
+class ImageFiles:
     """Pictures one after another, of 8 or 16 bits; colours are made grey."""
 
     live = False

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fingerflow.errors import PlayerError
-from fingerflow.player.sources.source import Asked, Recording, Source
+from fingerflow.player.sources.source import Asked, RecordedFrames, Source
 
 READS = "a raw file"
 
@@ -29,4 +29,4 @@ def open_frames(asked: Asked) -> Source:
             f"{asked.path}: its array is {frames.shape}; frames are (N, H, W) and at least one is needed: it has "
             f"{len(pixels)} pixels, fewer than a frame of {asked.shape[0]} x {asked.shape[1]}: correct it"
         )
-    return Recording(frames, asked.first)
+    return RecordedFrames(frames, asked.first)

@@ -38,7 +38,7 @@ class Asked(NamedTuple):
     dtype: str
 
 
-class Recording:
+class RecordedFrames:
     """Frames (N, H, W) that can be read by number."""
 
     live = False

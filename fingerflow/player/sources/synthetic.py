@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from fingerflow.engines.engine import Array
-from fingerflow.player.scene import Scene, View
+from fingerflow.player.scene import StreamScene, ViewRange
 from fingerflow.player.sources.synthetic_truth import Pose, expected, median_divergence
 
 
-def side_by_side(height: int, width: int) -> Scene:
+def side_by_side(height: int, width: int) -> StreamScene:
     """The scene of the synthetic source: topography on the left, contact on the right, one scale."""
-    return Scene(
-        contact=View((0, height), (width, 2 * width)),
-        topography=View((0, height), (0, width)),
+    return StreamScene(
+        contact=ViewRange((0, height), (width, 2 * width)),
+        topography=ViewRange((0, height), (0, width)),
         mm_per_px=0.025,
         topography_to_contact=np.array([[1.0, 0, 0], [0, 1, 0]]),
         threshold=0.35,
@@ -37,7 +37,7 @@ class Synthetic:
     live = False
     half_period = 60  # frames
 
-    def __init__(self, scene: Scene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
+    def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
         """`gauge_mm` is the gauge length of the divergence that is expected; without one, none is."""
         self._next = 0
         views = (scene.topography, scene.contact)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.forces.preamble import separator_of, without_preamble
-from fingerflow.recordings.forces.table import Table, split_unit
+from fingerflow.recordings.forces.table import ForceTable, split_unit
 
 COMMENTS = ("#", "%", "//")
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ForceTable:
     """Read all columns. The heading is the first line that is no comment and no preamble; a line of units may follow.
 
     A semicolon in the heading separates columns before a tab, a tab before a comma, a comma before blanks; a comma that
@@ -27,7 +27,7 @@ def read_table(path: Path) -> Table:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    table = Table(path, {})
+    table = ForceTable(path, {})
     text, table.sample_rate, table.start = without_preamble(path, text)
     lines = (line for line in re.finditer(r"[^\r\n]+", text) if _is_read(line.group()))
     first = next(lines, None)

@@ -8,16 +8,16 @@ import h5py
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.table import Table
+from fingerflow.recordings.forces.table import ForceTable
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ForceTable:
     """Columns are named by their path in the file without the leading slash. `sample_rate` (Hz) is an attribute of the
     file or of a data set; two different ones are an error.
     """
-    table = Table(path, {})
+    table = ForceTable(path, {})
     rates: set[float] = set()
     with open_hdf5(path) as file, reading(path, "HDF5"):
         _take_rate(path, file, rates)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.table import Table
+from fingerflow.recordings.forces.table import ForceTable
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.walker import read_matlab_apart
 
@@ -17,7 +17,7 @@ RATE_NAMES = ("sample_rate", "fs")
 UNITS = "units"
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ForceTable:
     """A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` has the unit of each column by its name."""
     try:
         import pymatreader  # noqa: F401  which another process imports
@@ -25,13 +25,13 @@ def read_table(path: Path) -> Table:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'
         ) from None
-    table = Table(path, {})
+    table = ForceTable(path, {})
     with reading(path, "a MATLAB file"):
         _take(table, read_matlab_apart(path), "")
     return table
 
 
-def _take(table: Table, content: Mapping[str, Any], prefix: str) -> None:
+def _take(table: ForceTable, content: Mapping[str, Any], prefix: str) -> None:
     for key, value in content.items():
         if key.startswith("__") or key == "#refs#":
             continue

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
-from fingerflow.recordings.forces.table import Table
+from fingerflow.recordings.forces.table import ForceTable
 from fingerflow.recordings.guard.files import check_file, reading
 
 READER_OF = {
@@ -95,7 +95,7 @@ def open_forces(
     return Forces(location, times, values, canonical, _name_of(wanted, trigger), scales=scales, warnings=table.warnings)
 
 
-def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
+def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
     """Times in s and the column that they are from; empty if a sample rate gives them."""
     if sample_rate is not None:
         if time is not None:
@@ -130,7 +130,7 @@ def _times(table: Table, time: str | None, sample_rate: float | None) -> tuple[N
     return times, time
 
 
-def _contradicted(table: Table, sample_rate: float) -> None:
+def _contradicted(table: ForceTable, sample_rate: float) -> None:
     """Raises FingerflowError where a column of times, of one clear rate, has another one."""
     for name in filter(_is_time, table.columns):
         unit = table.units.get(name, "s")
@@ -150,7 +150,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 
 
 def _wanted(
-    table: Table,
+    table: ForceTable,
     channels: Sequence[Any] | Mapping[str, Any] | None,
     trigger: str | None,
     time_column: str | None,
@@ -188,7 +188,7 @@ def force_columns(path: str | PathLike[str]) -> list[str]:
     return list(_read_table(Path(path)).columns)
 
 
-def _read_table(location: Path) -> Table:
+def _read_table(location: Path) -> ForceTable:
     check_file(location)
     reader = READER_OF.get(location.suffix.lower())
     if reader is None:
@@ -197,13 +197,13 @@ def _read_table(location: Path) -> Table:
             f"{', '.join(READER_OF)}"
         )
     with reading(location, f"forces ({reader})"):
-        table: Table = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
+        table: ForceTable = import_module(f"fingerflow.recordings.forces.{reader}").read_table(location)
     if not table.columns:
         raise FingerflowError(f"{location}: has no column of numbers")
     return table
 
 
-def _name(table: Table, column: Column) -> str:
+def _name(table: ForceTable, column: Column) -> str:
     """The name of a column that is named or numbered. Raises FingerflowError where there is none."""
     names = list(table.columns)
     if isinstance(column, int):
@@ -216,13 +216,13 @@ def _name(table: Table, column: Column) -> str:
     return column
 
 
-def _column(table: Table, name: str) -> NDArray[np.float64]:
+def _column(table: ForceTable, name: str) -> NDArray[np.float64]:
     if name not in table.columns:
         raise FingerflowError(f"{table.path}: has no column {name!r}; its columns are {_names(table)}")
     return table.columns[name]
 
 
-def _unit(table: Table, column: str, may_be_missing: bool, is_length: bool) -> tuple[float, str]:
+def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool) -> tuple[float, str]:
     unit = table.units.get(column)
     if unit is None and may_be_missing:
         return 1.0, ""
@@ -243,5 +243,5 @@ def _name_of(wanted: Mapping[str, str], trigger: str | None) -> str | None:
     return next((name for name, column in wanted.items() if column == trigger), None)
 
 
-def _names(table: Table) -> str:
+def _names(table: ForceTable) -> str:
     return ", ".join(repr(name) for name in table.columns)

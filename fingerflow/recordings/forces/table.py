@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 @dataclass
-class Table:
+class ForceTable:
     """`units` by column, where the file states them; `sample_rate` (Hz) and `start` (s) where it states a rate;
     `warnings`: what a user should read.
     """

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from fingerflow.errors import FingerflowError
-from fingerflow.recordings.forces.table import Table
+from fingerflow.recordings.forces.table import ForceTable
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.walker import check_by_walking
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ForceTable:
     """Columns have the name of their channel, group/channel where two groups share one. The rate is 1 / `wf_increment`,
     the first sample is at `wf_start_offset`; channels with different ones have to be told apart by the user.
     """
@@ -41,11 +41,11 @@ def read_table(path: Path) -> Table:
     return table
 
 
-def _columns(path: Path, file: Any) -> tuple[Table, set[tuple[float, float]]]:
+def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
     """The channels of numbers, and the (step, start) of their clocks in s."""
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
-    table = Table(path, {})
+    table = ForceTable(path, {})
     clocks: set[tuple[float, float]] = set()
     size = path.stat().st_size
     for channel in channels:

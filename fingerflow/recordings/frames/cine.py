@@ -101,7 +101,7 @@ class CineRecording(FileRecording):
     """Frames are found by their offset in the file, so its size does not matter."""
 
     def __init__(
-        self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _Layout
+        self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _CineLayout
     ) -> None:
         super().__init__(description, frame_rate)
         self._offsets = offsets
@@ -124,7 +124,7 @@ class CineRecording(FileRecording):
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _CineLayout:
     """How the bytes of one image become grey values."""
 
     shape: tuple[int, int]
@@ -167,7 +167,7 @@ class _Setup:
         return value.split(b"\0")[0].decode("latin-1") if isinstance(value, bytes) else value
 
 
-def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _Layout:
+def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _CineLayout:
     _, width, signed_height, _, bits, packing, image_bytes, *_ = bitmap
     height = abs(signed_height)
     # Compression says what the pixels are, whatever filter the sensor carries: 2 is uninterpolated colour, 1 is JPEG;
@@ -197,7 +197,7 @@ def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup
             f"{path}: biSizeImage is {image_bytes} bytes, which is not a frame of {width} x {height} pixels of {bits} "
             f"bits (biCompression {packing})"
         )
-    return _Layout(
+    return _CineLayout(
         shape=(height, width),
         dtype=np.dtype(np.uint8 if packing == UNCOMPRESSED and bits == 8 else np.uint16),
         bit_depth=depth,
@@ -287,7 +287,7 @@ def _times(
     return stamps, rate, warnings
 
 
-def _metadata(setup: _Setup, layout: _Layout, first_number: int, exposures: memoryview | None) -> dict[str, Any]:
+def _metadata(setup: _Setup, layout: _CineLayout, first_number: int, exposures: memoryview | None) -> dict[str, Any]:
     exposure = np.frombuffer(exposures, "<u4", 1)[0] / 2.0**32 if exposures else (setup["ShutterNs"] or 0) * 1e-9
     levels = {"black_level": setup["BlackLevel"], "white_level": setup["WhiteLevel"]}
     if layout.compression == PACKED_10:

@@ -90,7 +90,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _MrawLayout:
     """How the bytes of one frame become grey values."""
 
     shape: tuple[int, int]
@@ -105,7 +105,7 @@ class _Layout:
 class MrawRecording(FileRecording):
     """Frames lie one behind the other without any gap."""
 
-    def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _Layout) -> None:
+    def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _MrawLayout) -> None:
         self._layout = layout
         self._bytes: NDArray[np.uint8] = np.memmap(pixels, np.uint8, "r")
         super().__init__(description, frame_rate, self._as_frames(description.count))
@@ -201,7 +201,7 @@ def _xml_entries(path: Path, data: bytes) -> dict[str, str]:
     return {name: root.findtext(place, "").strip() for name, place in XML_PLACES.items()}
 
 
-def _layout(header: _Header) -> _Layout:
+def _layout(header: _Header) -> _MrawLayout:
     path = header.path
     colour = header.text("Color Type", "Mono")
     bits = header.integer("Color Bit")
@@ -233,7 +233,7 @@ def _layout(header: _Header) -> _Layout:
     # With side "Higher", 12 bits in 16 are stored times 16. Shifted down they are the sensor's grey values again.
     # An 8-bit file of a 12-bit sensor has lost the other four bits already.
     shift = bits - depth if side == "higher" and bits == 16 else 0
-    return _Layout(
+    return _MrawLayout(
         shape=(height, width),
         dtype=np.dtype(np.uint8 if bits == 8 else np.uint16),
         stored_bits=bits,

@@ -16,11 +16,11 @@ from fingerflow.report.supplement.of_trials import (
     strain_energy,
     surface_strain,
 )
-from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import Sources
 from fingerflow.results.atomic_write import is_marked, keep_others
 
-__all__ = ["FIGURES", "Panel", "Sheet", "Sources", "Written", "write_supplement"]
+__all__ = ["FIGURES", "Sheet", "SheetPanel", "Sources", "Written", "write_supplement"]
 
 #: From their sources to figures; S2 is photographs of the setup, S3 frames of a recording being processed.
 FIGURES: dict[str, Callable[[Sources], Sheet]] = {

@@ -10,7 +10,7 @@ from fingerflow.report.strains_at_depth import (
     draw_stress_map,
     draw_surface,
 )
-from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import Sources
 
 
@@ -19,9 +19,9 @@ def half_sphere(_: Sources) -> Sheet:
     return Sheet(
         "S4",
         (
-            Panel("A", lambda part: draw_half_sphere(part.subplots())),
-            Panel("B", lambda part: draw_lengths(part.subplots())),
-            Panel("C", lambda part: draw_radial_strain(part.subplots())),
+            SheetPanel("A", lambda part: draw_half_sphere(part.subplots())),
+            SheetPanel("B", lambda part: draw_lengths(part.subplots())),
+            SheetPanel("C", lambda part: draw_radial_strain(part.subplots())),
         ),
     )
 
@@ -30,7 +30,7 @@ def decomposition(sources: Sources) -> Sheet:
     """Figure S6, of the simulated press."""
     found = decompose(sources.field.reference, sources.field.displacement)
 
-    return Sheet("S6", (Panel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
+    return Sheet("S6", (SheetPanel("", lambda part: draw_decomposition(part, found), columns=3, rows=1.8),))
 
 
 def strains_at_depth(sources: Sources) -> Sheet:
@@ -39,11 +39,11 @@ def strains_at_depth(sources: Sources) -> Sheet:
     return Sheet(
         "S10",
         (
-            Panel("A", lambda part: draw_evolution(part, presses)),
-            Panel("B", lambda part: draw_surface(part, presses)),
-            Panel("C", lambda part: draw_stress_map(part, presses, depth)),
-            Panel("D", lambda part: draw_receptor_stress(part, presses, depth)),
-            Panel("E", lambda part: draw_strain_in_time(part, presses, depth)),
-            Panel("F", lambda part: draw_compression(part.subplots(), presses, depth)),
+            SheetPanel("A", lambda part: draw_evolution(part, presses)),
+            SheetPanel("B", lambda part: draw_surface(part, presses)),
+            SheetPanel("C", lambda part: draw_stress_map(part, presses, depth)),
+            SheetPanel("D", lambda part: draw_receptor_stress(part, presses, depth)),
+            SheetPanel("E", lambda part: draw_strain_in_time(part, presses, depth)),
+            SheetPanel("F", lambda part: draw_compression(part.subplots(), presses, depth)),
         ),
     )

@@ -24,7 +24,7 @@ from fingerflow.report.observer import (
     draw_roc,
 )
 from fingerflow.report.press_field import draw_curl_map
-from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import NO_TRIALS, Sources
 from fingerflow.report.trial_metrics import AMPLITUDE, draw_share_against, named
 
@@ -48,13 +48,15 @@ def ideal_observer(sources: Sources) -> Sheet:
     named = {name.replace("_", " "): of for name, of in found.items()}
     first = next(iter(named))
     panels = (
-        Panel("A", lambda part: draw_counts(part.subplots(), named[first].printed, first)),
-        Panel("B", lambda part: draw_roc(part.subplots(), {name: of.printed for name, of in named.items()}), columns=2),
-        Panel(
+        SheetPanel("A", lambda part: draw_counts(part.subplots(), named[first].printed, first)),
+        SheetPanel(
+            "B", lambda part: draw_roc(part.subplots(), {name: of.printed for name, of in named.items()}), columns=2
+        ),
+        SheetPanel(
             "C, d'",
             lambda part: draw_estimates(part.subplots(), {name: of.d_prime for name, of in named.items()}, "d'", 0),
         ),
-        Panel(
+        SheetPanel(
             "C, AUC",
             lambda part: draw_estimates(
                 part.subplots(), {name: of.auc for name, of in named.items()}, "area under the ROC", 0.5
@@ -82,7 +84,9 @@ def individual_performance(sources: Sources) -> Sheet:
     else:
         parts = {"all": trials}
     panels = [
-        Panel("A", lambda part: draw_groups(part.subplots(), 1e3 * medians, groups, f"median {named(metric).label}"))
+        SheetPanel(
+            "A", lambda part: draw_groups(part.subplots(), 1e3 * medians, groups, f"median {named(metric).label}")
+        )
     ]
     panels += [_scatter(f"B, {name}" if len(parts) > 1 else "B", own, metric) for name, own in parts.items()]
     left_out = [] if not groups.reason else [f"A has no groups: {groups.reason}"]
@@ -93,7 +97,7 @@ def individual_performance(sources: Sources) -> Sheet:
     elif np.unique(trials.condition).size < _FEWEST_AMPLITUDES:
         left_out.append(f"C needs {_FEWEST_AMPLITUDES} amplitudes in the column condition or more")
     else:
-        panels.append(Panel("C", lambda part: _draw_curves(part, parts)))
+        panels.append(SheetPanel("C", lambda part: _draw_curves(part, parts)))
     return Sheet("S12", tuple(panels), tuple(left_out))
 
 
@@ -101,8 +105,8 @@ def curl(sources: Sources) -> Sheet:
     """Figure S13; A and B of the simulated press."""
     trials = sources.trials
     panels = [
-        Panel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
-        Panel(
+        SheetPanel("A (simulated press)", lambda part: draw_curl_map(part, sources.field)),
+        SheetPanel(
             "B (simulated press)",
             lambda part: draw_median_curl(part.subplots(), [sources.field.force], [sources.field.median_curl]),
         ),
@@ -112,7 +116,7 @@ def curl(sources: Sources) -> Sheet:
         return Sheet("S13", tuple(panels), (f"C needs {lacks}",))
     both = trials.metrics["divergence"], trials.metrics["curl"]
     panels.append(
-        Panel(
+        SheetPanel(
             "C",
             lambda part: draw_curl_against_divergence(part.subplots(), *both, trials.participant, pearson(*both)),
         )
@@ -120,8 +124,8 @@ def curl(sources: Sources) -> Sheet:
     return Sheet("S13", tuple(panels))
 
 
-def _scatter(letter: str, trials: Trials, metric: str) -> Panel:
-    return Panel(letter, lambda part: draw_share_against(part.subplots(), trials, metric))
+def _scatter(letter: str, trials: Trials, metric: str) -> SheetPanel:
+    return SheetPanel(letter, lambda part: draw_share_against(part.subplots(), trials, metric))
 
 
 def _draw_curves(part: SubFigure, parts: dict[str, Trials]) -> None:

@@ -16,7 +16,7 @@ from fingerflow.report.simulated_presses import (
     draw_strain_maps,
     draw_strain_series,
 )
-from fingerflow.report.supplement.sheet import Panel, Sheet
+from fingerflow.report.supplement.sheet import Sheet, SheetPanel
 from fingerflow.report.supplement.sources import Sources
 from fingerflow.report.trial_metrics import (
     draw_by_condition,
@@ -37,16 +37,18 @@ _Wanted = tuple[str, Callable[..., Any], tuple[str, ...], dict[str, Any]]
 
 def friction_and_area(sources: Sources) -> Sheet:
     """Figure S1."""
-    panels: list[Panel] = []
+    panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     trace, epochs = sources.tribometer, sources.epochs
     if trace is None or epochs is None:
         left_out += [(letter, _NO_TRACE) for letter in "AB"]
     else:
         panels.append(
-            Panel("A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), columns=2, rows=1.4)
+            SheetPanel(
+                "A", lambda part: draw_trace(part.subplots(4, 1, sharex=True), trace, epochs), columns=2, rows=1.4
+            )
         )
-        panels.append(Panel("B", lambda part: draw_friction(part.subplots(), epochs)))
+        panels.append(SheetPanel("B", lambda part: draw_friction(part.subplots(), epochs)))
     left_out += [(letter, _RECORDING) for letter in "CE"]
     found, lacking = _from_table(
         sources,
@@ -75,8 +77,8 @@ def kinematics(sources: Sources) -> Sheet:
         ),
     )
     chain = (
-        Panel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
-        Panel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
+        SheetPanel("J (skin chain)", lambda part: draw_largest_displacement(part.subplots(), sources.presses)),
+        SheetPanel("K (skin chain)", lambda part: draw_fastest_point(part.subplots(), sources.presses)),
     )
     return Sheet("S5", (*found, *chain), Sheet.sentences([("A", _RECORDING), *lacking]))
 
@@ -99,11 +101,11 @@ def displacement_and_angle(sources: Sources) -> Sheet:
 def surface_strain(sources: Sources) -> Sheet:
     """Figure S8; B, D, E and F by the skin chain, H against differences where the table has them."""
     chain = (
-        Panel(
+        SheetPanel(
             "B and D (skin chain)", lambda part: draw_strain_maps(part, sources.presses, (LOW, HIGH)), columns=3, rows=2
         ),
-        Panel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
-        Panel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
+        SheetPanel("E (skin chain)", lambda part: draw_strain_series(part, sources.presses), columns=3),
+        SheetPanel("F (skin chain)", lambda part: draw_strain_series(part, sources.presses, rate=True), columns=3),
     )
     found, lacking = _from_table(
         sources,
@@ -119,9 +121,9 @@ def surface_strain(sources: Sources) -> Sheet:
 def strain_energy(sources: Sources) -> Sheet:
     """Figure S9; A, B and C by the skin chain, E against differences where the table has them."""
     chain = (
-        Panel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses, (LOW, HIGH)), columns=2),
-        Panel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
-        Panel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses, rate=True)),
+        SheetPanel("A (skin chain)", lambda part: draw_energy_maps(part, sources.presses, (LOW, HIGH)), columns=2),
+        SheetPanel("B (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses)),
+        SheetPanel("C (skin chain)", lambda part: draw_energy_series(part.subplots(), sources.presses, rate=True)),
     )
     found, lacking = _from_table(
         sources,
@@ -133,16 +135,16 @@ def strain_energy(sources: Sources) -> Sheet:
     return Sheet("S9", (*chain, *found), Sheet.sentences(lacking))
 
 
-def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[Panel], list[tuple[str, str]]]:
+def _from_table(sources: Sources, wanted: tuple[_Wanted, ...]) -> tuple[list[SheetPanel], list[tuple[str, str]]]:
     """Panels whose metrics the table has, and of the others the letter and what they need."""
-    panels: list[Panel] = []
+    panels: list[SheetPanel] = []
     left_out: list[tuple[str, str]] = []
     for letter, draw, metrics, settings in wanted:
         lacks = sources.lacks(*metrics)
         if lacks or sources.trials is None:
             left_out.append((letter, lacks))
         else:
-            panels.append(Panel(letter, _drawing(draw, sources.trials, metrics, settings)))
+            panels.append(SheetPanel(letter, _drawing(draw, sources.trials, metrics, settings)))
     return panels, left_out
 
 

@@ -14,7 +14,7 @@ _PANEL_INCHES = (4.6, 3.8)
 
 
 @dataclass(frozen=True)
-class Panel:
+class SheetPanel:
     """A letter of the caption, what draws it, over how many of three columns it goes, and its height in panels."""
 
     letter: str
@@ -28,7 +28,7 @@ class Sheet:
     """A figure by its name in the supplement; `left_out` says which panels lack what."""
 
     name: str
-    panels: tuple[Panel, ...]
+    panels: tuple[SheetPanel, ...]
     left_out: tuple[str, ...] = ()
 
     @staticmethod
@@ -41,7 +41,7 @@ class Sheet:
 
     def figure(self) -> Figure:
         """Panels in rows of three columns, each with its letter."""
-        rows: list[list[Panel]] = []
+        rows: list[list[SheetPanel]] = []
         for panel in self.panels:
             if not rows or sum(other.columns for other in rows[-1]) + panel.columns > _COLUMNS:
                 rows.append([])

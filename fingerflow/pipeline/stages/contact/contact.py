@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fingerflow.engines.engine import Contact
+from fingerflow.engines.engine import FrameContact
 from fingerflow.engines.together import Call, Steps, run_alone
 from fingerflow.errors import FingerflowError
 from fingerflow.ops.contact.cells import mask_of
@@ -79,7 +79,7 @@ class ContactStage(Stage):
             self.results.create("gross_contact_region", self.cells(), cell_row=rows, cell_column=columns)
 
     def step(self, batch: Batch) -> Any:
-        """`Contact` of these frames."""
+        """`FrameContact` of these frames."""
         assert batch.frames is not None
         contact, threshold = yield from self._contact(batch.frames)
         size, indices = self.inputs.mm_per_px, batch.indices
@@ -153,7 +153,7 @@ class ContactStage(Stage):
             return torch.zeros((1, 1, *self._view.shape), dtype=torch.bool)
         return mask_of(torch.from_numpy(contact.density_margin), self.cell_px, *self._view.shape)
 
-    def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[Contact, NDArray[np.floating]]]:
+    def _contact(self, frames: NDArray[np.generic]) -> Steps[tuple[FrameContact, NDArray[np.floating]]]:
         images = self._engine.images(self._view.crop(frames))
         if self._threshold is None:
             threshold = yield Call(self._engine.threshold, (images, self._light))

@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 
 from fingerflow import graphs
-from fingerflow.engines.engine import Ellipse, Entered, Fields
+from fingerflow.engines.engine import EnteredPoints, FrameEllipse, FrameFields
 from fingerflow.ops.fields.rigid_motion import rigid_residual
 from fingerflow.pipeline.stages.contact.contact import ContactStage
 from fingerflow.pipeline.stages.displacement.displacement import DisplacementStage, Moved
@@ -24,7 +24,7 @@ _MEDIANS = (  # columns of `FieldsGraph`'s medians: name, which, whether it has 
 )
 
 
-def _tensors_of(found: Fields) -> graphs.Fields:
+def _tensors_of(found: FrameFields) -> graphs.Fields:
     """The same fields as tensors of torch."""
     known = {name: None if one is None else torch.from_numpy(one) for name, one in found._asdict().items()}
     return graphs.Fields(**known)  # type: ignore[arg-type]  # which are None depends on the arguments
@@ -72,11 +72,11 @@ class FieldsStage(Stage):
     def step(self, batch: Batch) -> None:
         contact, displacement = self.trial.stage(ContactStage).series, self.trial.stage(DisplacementStage)
         moved: Moved = batch.of(DisplacementStage)
-        ellipse = Ellipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
+        ellipse = FrameEllipse(*(one.astype(np.float32) for one in Border.of(contact).at(batch.indices)))
         covariance = displacement.covariance(moved)
         entered = None if self._entry is None else self._entered(self._entry, batch.indices)
         shift = moved.displacement.astype(np.float32)
-        found: Fields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
+        found: FrameFields = self._engine.fields(self._reference, shift, ellipse, covariance, entered)
         for name in self._given:
             self.results[name][batch.indices] = getattr(found, name)
         residual = rigid_residual(*(self.inputs.tensor(one) for one in (self._reference[None], shift))).cpu().numpy()
@@ -95,7 +95,7 @@ class FieldsStage(Stage):
             None if entered is None else torch.from_numpy(entered.among),
         )
 
-    def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> Entered:
+    def _entered(self, entry: EntryGradients, frames: NDArray[np.intp]) -> EnteredPoints:
         """Of these frames."""
         displacement = self.trial.stage(DisplacementStage)
         since = entry.at(frames, self.results["position"][frames], displacement.tracked_variance(frames))
@@ -107,7 +107,7 @@ class FieldsStage(Stage):
         )
         gradient[:, displacement.entered] = since.gradient
         covariance[:, displacement.entered] = since.covariance
-        return Entered(among, gradient, covariance)
+        return EnteredPoints(among, gradient, covariance)
 
     def finish(self) -> None:
         self.results.put("rigid_residual_median", self._residual)

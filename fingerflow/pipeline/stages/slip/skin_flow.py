@@ -21,7 +21,7 @@ _LEFT = 0.35  # of the texture's deviation that may be left unexplained: 0.8 px 
 _FEWEST = 0.5  # of what may be left unexplained is left on average, before another start is tried
 
 
-class SkinMotion(NamedTuple):
+class FlowMotion(NamedTuple):
     """Of a picture, against the first one.
 
     Attributes:
@@ -68,10 +68,10 @@ class SkinFlow:
         self._last = image.new_zeros((1, 2, *mask.shape), dtype=self.template.value.dtype)
         self._speed = torch.zeros_like(self._last)
         self._unsure = False  # whether skin of the last picture is not known, and begins from what is expected
-        self._known = SkinMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
+        self._known = FlowMotion(np.zeros((*mask.shape, 2), np.float32), self._walked, 1.0)
         self._picture: Tensor | None = None  # the last one that was known, if it is another than that compared with
 
-    def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> SkinMotion:
+    def follow(self, image: Tensor, places: Field, moved: Field, expected: Callable[[], Field]) -> FlowMotion:
         """The motion in the next picture.
 
         Args:
@@ -112,7 +112,7 @@ class SkinFlow:
         self._texture = np.sqrt(np.maximum(squares - mean * mean, 0))
         self._compared = mask
 
-    def _found(self, image: Tensor, start: Tensor, warps: int, beside: "_Nearest") -> tuple[Flow, SkinMotion]:
+    def _found(self, image: Tensor, start: Tensor, warps: int, beside: "_Nearest") -> tuple[Flow, FlowMotion]:
         flow = find_flow(self.template, image, start, warps)
         displacement, residual = (one[0].permute(1, 2, 0).cpu().numpy() for one in (flow.displacement, flow.residual))
         variance = (flow.covariance[0, 0, 0] + flow.covariance[0, 1, 1]).cpu().numpy() / 2
@@ -121,7 +121,7 @@ class SkinFlow:
         believed = np.isfinite(variance) & (left < 1) & beside.agrees(displacement)
         shown = np.where(believed[..., None], displacement, np.float32(np.nan)).astype(np.float32, copy=False)
         explained = float(np.where(believed, 1 - left, 0)[self._compared].mean())
-        return flow, SkinMotion(
+        return flow, FlowMotion(
             shown, np.where(believed, variance + self._walked, np.nan).astype(np.float32), explained
         )
 
@@ -137,7 +137,7 @@ class SkinFlow:
         self.renewed, self._picture = self.renewed + 1, None
 
 
-def _better(one: tuple[Flow, SkinMotion], other: tuple[Flow, SkinMotion]) -> tuple[Flow, SkinMotion]:
+def _better(one: tuple[Flow, FlowMotion], other: tuple[Flow, FlowMotion]) -> tuple[Flow, FlowMotion]:
     return max(one, other, key=lambda found: found[1].explained)
 
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fingerflow.engines.engine import Found, Images, nothing_found
+from fingerflow.engines.engine import FoundPoints, Images, nothing_found
 from fingerflow.engines.together import Steps
 from fingerflow.errors import FingerflowError, NoRoomError
 from fingerflow.kernels.tracking_limits import WARP_GAUGE_PX, TrackStatus
@@ -22,7 +22,7 @@ from fingerflow.pipeline.stages.trial.regions import region_mask
 from fingerflow.pipeline.stages.trial.series import nanmedian
 from fingerflow.results.free_space import size_of_results
 from fingerflow.schema.variables import TRACKING
-from fingerflow.tracker.motion import Motion
+from fingerflow.tracker.motion import PointMotion
 from fingerflow.tracker.points import Points, beside
 
 _SHARPEN_PX = 1.0  # radius of the sharpening, that of the function the lab's code calls
@@ -117,13 +117,13 @@ class TrackingStage(Stage):
             points.pass_over(len(indices))
 
     def _step_through(self, images: Images, indices: NDArray[np.intp], margin: NDArray[np.floating]) -> Steps[None]:
-        every: list[Found] = []
+        every: list[FoundPoints] = []
         if not self._chosen:
             first = self._choose(images[:1], margin[:1])
             for skipped in self._skipped:
                 self.results["status"][[skipped]] = TrackStatus.FRAME_NOT_USABLE
             rest = [(yield from self._chosen[0].follow(images[1:]))] if len(images) > 1 else []
-            every.append(Found(*map(np.concatenate, zip(first, *rest, strict=True))))
+            every.append(FoundPoints(*map(np.concatenate, zip(first, *rest, strict=True))))
         else:
             for points, numbers in zip(self._chosen, self._around, strict=True):
                 around = beside(every).of(slice(None), numbers) if every else nothing_found(len(images))
@@ -162,7 +162,7 @@ class TrackingStage(Stage):
             if "point" in variable.dims:
                 self.results.create(variable.name, point=points)
 
-    def _choose(self, image: Images, margin: NDArray[np.floating]) -> Found:
+    def _choose(self, image: Images, margin: NDArray[np.floating]) -> FoundPoints:
         """Seeds the points in the first frame."""
         where = self._where()
         points = self._engine.detect(self._view_for_choice(image), where, self._settings.points)
@@ -184,7 +184,7 @@ class TrackingStage(Stage):
     def _how(self) -> dict[str, Any]:
         return {"template": self._settings.template, "knowledge": self.inputs.knowledge}
 
-    def _add(self, points: Points, numbers: NDArray[np.intp]) -> Found:
+    def _add(self, points: Points, numbers: NDArray[np.intp]) -> FoundPoints:
         """Follows points from now on, which go by those of these numbers; what is found (1, N) of them."""
         self._chosen.append(points)
         self._around.append(numbers)
@@ -193,7 +193,7 @@ class TrackingStage(Stage):
     def _view_for_choice(self, image: Images) -> Images:
         return image if self._settings.points_from == "recorded" else self._enhanced(image)
 
-    def _choose_new(self, image: Images, margin: NDArray[np.floating], found: Found) -> Found | None:
+    def _choose_new(self, image: Images, margin: NDArray[np.floating], found: FoundPoints) -> FoundPoints | None:
         """Points that are seeded in new skin of an image (1, 1, h, w), where `found` (1, N) is known of the others."""
         if self._full:
             return None
@@ -216,7 +216,7 @@ class TrackingStage(Stage):
         apart, _ = cKDTree(points).query(place)
         near = np.flatnonzero(tracked & (apart <= WARP_GAUGE_PX))
         self._new_skin.searched.append(region)
-        every = Motion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
+        every = PointMotion(*map(np.concatenate, zip(*(one.motion for one in self._chosen), strict=True)))
         new = Points(self._engine, image, points, found.points[0, near], motion=every.seeded(points), **self._how())
         return self._add(new, near)
 
@@ -273,9 +273,9 @@ class TrackingStage(Stage):
         return region > 0
 
 
-def _in_last_of(frames: int, chosen: Found) -> Found:
+def _in_last_of(frames: int, chosen: FoundPoints) -> FoundPoints:
     """Points that are `chosen` (1, N) in the last of so many frames, in all of these."""
-    before = Found(*(np.repeat(one, frames, axis=0) for one in chosen))
+    before = FoundPoints(*(np.repeat(one, frames, axis=0) for one in chosen))
     for one in before[:3]:
         one[:-1] = np.nan
     before.status[:-1] = TrackStatus.NOT_CHOSEN_YET
