@@ -19,6 +19,7 @@ HEADERS = Path("fingerflow/kernels")  # of interface.h, which Python reads too
 GENERATED = (
     ("generate_median", "median_networks.h"),
     ("generate_limits", "tracking_limits.h"),
+    ("generate_sets", "instruction_features.h"),
     ("generate_entries", "entries.cpp"),
 )
 # The first line of a source that is compiled once an instruction set; some need no exact agreement between the sets.
@@ -39,11 +40,9 @@ GNU_FLAGS = [
     "-g0",
     "-fno-strict-aliasing",
 ]
-GNU_SETS = {
-    "baseline": [],
-    "avx2": ["-mavx2", "-mfma"],
-    "avx512": ["-mfma", "-mavx512bw", "-mavx512vl", "-mavx512dq", "-mprefer-vector-width=512"],
-}
+FEATURES = runpy.run_path(str(KERNELS / "generate_sets.py"))["FEATURES"]  # which the library asks a processor for
+GNU_SETS = {name: [f"-m{one}" for one in features] for name, features in FEATURES.items()}
+GNU_SETS["avx512"].append("-mprefer-vector-width=512")
 MSVC_FLAGS = ["/std:c++17", "/O2", "/EHsc", "/fp:precise"]
 MSVC_SETS = {"baseline": [], "avx2": ["/arch:AVX2"], "avx512": ["/arch:AVX512"]}
 

@@ -2,6 +2,7 @@
 
 #include <atomic>
 
+#include "instruction_features.h"
 #include "interface.h"
 
 #if defined(FINGERFLOW_X86) && defined(_MSC_VER) && !defined(__clang__)
@@ -16,21 +17,25 @@ InstructionSet widest() {
 #if !defined(FINGERFLOW_X86)
     return kBaseline;
 #elif defined(_MSC_VER) && !defined(__clang__)
-    int registers[4];
-    __cpuid(registers, 0);
-    if (registers[0] < 7) return kBaseline;
-    __cpuid(registers, 1);
-    if ((registers[2] >> 27 & 1) == 0) return kBaseline;  // the operating system keeps no wide registers
+    int of_1[4], of_7[4];  // registers a, b, c, d of leaves 1 and 7
+    __cpuid(of_7, 0);
+    if (of_7[0] < 7) return kBaseline;
+    __cpuid(of_1, 1);
+    if ((of_1[2] >> 27 & 1) == 0) return kBaseline;  // the operating system keeps no wide registers
     const unsigned long long kept = _xgetbv(0);
-    __cpuidex(registers, 7, 0);
-    const auto has = [&](int bit) { return (registers[1] >> bit & 1) != 0; };
-    if ((kept & 0xe6) == 0xe6 && has(16) && has(17) && has(30) && has(31)) return kAvx512;  // F, DQ, BW, VL
-    return (kept & 6) == 6 && has(5) ? kAvx2 : kBaseline;
+    __cpuidex(of_7, 7, 0);
+    const bool ymm = (kept & 6) == 6, zmm = (kept & 0xe6) == 0xe6;
+    const bool fma = ymm && (of_1[2] >> 12 & 1), avx2 = ymm && (of_7[1] >> 5 & 1);
+    const bool avx512f = zmm && (of_7[1] >> 16 & 1), avx512dq = zmm && (of_7[1] >> 17 & 1);
+    const bool avx512bw = zmm && (of_7[1] >> 30 & 1), avx512vl = zmm && (of_7[1] >> 31 & 1);
+#define FINGERFLOW_HAS(feature) feature
 #else
     __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq"))
-        return kAvx512;
-    return __builtin_cpu_supports("avx2") ? kAvx2 : kBaseline;
+#define FINGERFLOW_HAS(feature) __builtin_cpu_supports(#feature)
+#endif
+#ifdef FINGERFLOW_X86
+    if (FINGERFLOW_AVX512(FINGERFLOW_HAS)) return kAvx512;
+    return FINGERFLOW_AVX2(FINGERFLOW_HAS) ? kAvx2 : kBaseline;
 #endif
 }
 
