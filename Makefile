@@ -1,19 +1,28 @@
-# Commands with nothing before them: `make demo`, `make test` and `make docs`. Python 3.11 or newer and make are all they need.
+# Commands with nothing before them: `make demo`, `make test`, `make test-all` and `make docs`. Python 3.11 or newer and make are all they need.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test docs bench format clean
+.PHONY: demo test test-all lint docs bench format clean
 
 demo: $(VENV)/installed
 	$(BIN)/fingerflow demo
 
+# Two processes of one thread each: threads of torch that share cores wait for each other.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder
+
+# What is promised, once: no compiler, browser or network is needed.
 test: $(VENV)/installed-dev
+	$(PYTEST) -m "not long"
+
+# The same and all the rest.
+test-all: lint test
+	$(PYTEST) -m long
+
+lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	# Two processes of one thread each: threads of torch that share cores wait for each other.
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder
 
 # -W: whatever Sphinx warns of, a broken link among it, is an error.
 docs: $(VENV)/installed-dev

@@ -27,6 +27,8 @@ from fingerflow.kernels.tracking_limits import NUMBERS
 from fingerflow.ops.tracking.outliers import Neighbours, find_neighbours
 from fingerflow.ops.tracking.templates import Found
 
+pytestmark = pytest.mark.long
+
 HEIGHT, WIDTH, POINTS = 96, 128, 40
 RECIPES = {path.stem: path for path in sorted((Path(__file__).parents[1] / "export").glob("*.toml"))}
 

@@ -14,6 +14,8 @@ from fingerflow import ops
 from fingerflow.kernels import tensors as kernels
 from tests.embedded import CASES, POINTS, expected, scene, tensors_of, without_a_case
 
+pytestmark = pytest.mark.long
+
 needs_kernels = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
 
 

@@ -8,6 +8,8 @@ import pytest
 from fingerflow.recordings.guard import idle
 from fingerflow.recordings.guard.idle import IdleLimit
 
+pytestmark = pytest.mark.long
+
 WORKS = "import time\nwhile time.process_time() < 1.5: pass"
 PARENT = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {WORKS!r}])"
 

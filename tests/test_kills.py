@@ -14,6 +14,8 @@ import xarray as xr
 from fingerflow.results.result import save_result
 from tests import kills
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[1]
 
 

@@ -139,6 +139,7 @@ def test_the_compiled_library_plays_what_the_runtime_plays(said: Said) -> None:
     np.testing.assert_allclose(said.native["median_divergence"], said.live["median_divergence"], rtol=0, atol=4e-4)
 
 
+@pytest.mark.long
 def test_points_that_come_with_new_skin_need_no_other_graph(said: Said, asked: list[str], tmp_path: Path) -> None:
     """Of a press and of a contact that skin rolls through, in which points are chosen three times; and the results."""
     scene = write_trial(tmp_path / "rolling", "rolling")

@@ -5,6 +5,8 @@ import pytest
 from bench.rows import Cell, number
 from bench.suites import slip
 
+pytestmark = pytest.mark.long
+
 
 def test_two_trials() -> None:
     """Both verdicts are right, d² is known in every frame, to 0.02 in nine of ten and to 0.05 in all."""

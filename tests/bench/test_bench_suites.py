@@ -34,6 +34,8 @@ from bench.suites import (
 from bench.trackers import lucas_kanade
 from fingerflow.kernels import tensors as kernels
 
+pytestmark = pytest.mark.long
+
 Picture = NDArray[Any]
 
 

@@ -8,6 +8,8 @@ import pytest
 from bench.rows import Row, number
 from bench.suites import disturbances
 
+pytestmark = pytest.mark.long
+
 
 @cache
 def rows() -> Mapping[str, Row]:

@@ -14,6 +14,8 @@ import fingerflow
 from fingerflow.pipeline.dictionary import dictionary
 from fingerflow.schema.scene_keys import SCENE
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -439,7 +439,7 @@ sys.modules.update({name: None for name in ("torch", "scipy", "cv2", "onnx")})
 from pathlib import Path
 from fingerflow.engines.check import check_engine
 from fingerflow.engines.onnx import OnnxEngine
-from fingerflow.engines.sessions import Session
+from fingerflow.engines.sessions import GraphSession
 from fingerflow.player.bundle import load_bundle
 bundle = load_bundle(Path(sys.argv[1]))
 check_engine(OnnxEngine(bundle.files, bundle.engine_settings, "cpu"), bundle.expected)

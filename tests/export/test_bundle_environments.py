@@ -14,6 +14,8 @@ from bench.bare_environment import ONNX, make_environment, variables
 from fingerflow import open_recording, open_stream
 from tests.fuzz.samples import samples
 
+pytestmark = pytest.mark.long
+
 FRAMES = 200
 
 

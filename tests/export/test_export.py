@@ -108,6 +108,7 @@ def test_the_bundle_states_the_numbers_of_a_built_in_frame(bundle_of_trials: Pat
     assert numbers["gross_area_px"] > numbers["real_area_px"] > 1000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("settings", "graphs"),
     [

@@ -13,6 +13,7 @@ from fingerflow.kernels import tensors as kernels
 HERE = Path(__file__).parent
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
     pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and forks are Linux's"),
 ]

@@ -8,7 +8,10 @@ import pytest
 
 from fingerflow.kernels import tensors as kernels
 
-pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off"),
+]
 
 BEGIN = """
 import os, signal, sys, threading

@@ -15,6 +15,8 @@ import pytest
 from fingerflow.player import page as page_module
 from fingerflow.player.live import LiveData
 
+pytestmark = pytest.mark.long
+
 RESTART = "POST /restart HTTP/1.1\r\nHost: {host}\r\nX-Fingerflow: 1\r\n"
 
 

@@ -16,7 +16,7 @@ from fingerflow.calibration import Calibration, Disc, Transform
 from fingerflow.player.background import mean_view
 from fingerflow.player.bundle import load_bundle
 from fingerflow.player.scene import ViewRange
-from fingerflow.schema.views import ViewRange as RigView
+from fingerflow.schema.views import View as RigView
 
 CALIBRATION = "mm_per_px = 0.5\ntopography_to_contact = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]"
 

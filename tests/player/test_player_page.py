@@ -22,6 +22,8 @@ from fingerflow.cli import app
 from fingerflow.player.sources.synthetic import Synthetic
 from fingerflow.player.stream import Player
 
+pytestmark = pytest.mark.long
+
 DARK_EACH = 40  # frames of the source
 
 

@@ -15,6 +15,8 @@ import xarray as xr
 from fingerflow import load_scene, process
 from fingerflow.synthetic import Press, write_recording
 
+pytestmark = pytest.mark.long
+
 FRAMES = range(30, 60, 5)
 
 

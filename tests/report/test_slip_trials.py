@@ -16,6 +16,8 @@ from fingerflow.report.slip_trials import SlipTrial, summary, verdict_line, writ
 from fingerflow.report.views import STUCK, ViewPainter
 from fingerflow.results.result import load_result, save_result
 
+pytestmark = pytest.mark.long
+
 
 def main_with(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """The exit code of the command line, run in this process."""

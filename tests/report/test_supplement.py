@@ -15,6 +15,8 @@ from fingerflow.report.supplement.sheet import Sheet
 from fingerflow.report.trials_file import load_trials
 from fingerflow.synthetic import Press
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(autouse=True)
 def small_presses(monkeypatch: pytest.MonkeyPatch) -> None:

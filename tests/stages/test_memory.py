@@ -18,6 +18,8 @@ from fingerflow.recordings import Recording
 from fingerflow.results.result import load_result
 from fingerflow.schema.scene import Scene
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(autouse=True)
 def _cycles_are_let_go() -> Iterator[None]:

@@ -87,6 +87,7 @@ def test_displacement_below_a_length(name: str, criterion: str, slip_trials: Pat
     assert result["stuck_ratio"].attrs["stuck_mm"] == 0.04
 
 
+@pytest.mark.long
 def test_stuck_ratio_in_the_views_of_the_rig(tmp_path: Path) -> None:
     """With the default settings; the paper's limit of 40 um takes skin that slips for stuck."""
     write_recording(tmp_path / "trial", PartialSlip(n_frames=100, frame_rate=20.0, frames_before_trigger=4))
@@ -257,6 +258,7 @@ def test_skin_without_a_known_displacement_is_said(slip_trials: Path) -> None:
     assert "too little of the contact" in verdict_of(result)["reason"]
 
 
+@pytest.mark.long
 def test_the_stuck_part_is_one_and_inside_the_contact(slip_trials: Path) -> None:
     """Of skin that rests in two places, the larger one counts, as far as it touches."""
     inputs = open_inputs(replace(load_scene(slip_trials / "abrupt" / "scene.toml"), forces=None), "cpu")
@@ -311,6 +313,7 @@ def test_through_a_jump_of_5_px_no_point_is_accepted_while_wrong(tmp_path: Path)
     assert result["stuck_ratio"].values[-5:].max() == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate", "displacement"), [(60.0, "points"), (300.0, "points"), (60.0, "dense_flow")])
 def test_jumps_of_5_px_before_full_slip(rate: float, displacement: str, tmp_path: Path) -> None:
     """In one frame, at the rim while a quarter to a half of the contact sticks, later of all; forces with noise and
@@ -469,6 +472,7 @@ def test_a_contact_that_leaves_the_view_has_a_share_until_then(tmp_path: Path) -
     assert np.abs(found - truth)[:begins].max() < 0.06
 
 
+@pytest.mark.long
 def test_light_that_fades_changes_nothing(slip_trials: Path, tmp_path: Path, results: dict[str, xr.Dataset]) -> None:
     """By a fifth over the trial: d^2 to 0.03."""
     frames = np.load(slip_trials / "abrupt" / "frames.npy").astype(np.float32)

@@ -44,6 +44,7 @@ def truth(result: xr.Dataset) -> NDArray[np.float64]:
     return every
 
 
+@pytest.mark.long
 def test_no_marker_is_accepted_while_wrong(result: xr.Dataset, truth: NDArray[np.float64]) -> None:
     """Sheared by 40 px, where neighbours differ by 14 px: within 0.1 px RMS, and 1.5 px anywhere, a third of a radius.
 

@@ -18,6 +18,8 @@ from fingerflow.errors import FingerflowError
 from fingerflow.study import cluster
 from fingerflow.study.cluster import over_workers
 
+pytestmark = pytest.mark.long
+
 
 def _process(number: int) -> tuple[int, int, int]:
     return number, os.getpid(), os.getppid()

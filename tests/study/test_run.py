@@ -317,6 +317,7 @@ def test_no_scheduler_there(study: Manifest) -> None:
         run_study(study, "dask_jobqueue.NoSuchCluster", progress=False)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_processes_that_are_killed_lose_nothing(
     study: Manifest, lab: Path, undisturbed: Manifest, scheduler: str
@@ -359,6 +360,7 @@ def _attributes(result: xr.Dataset, study: Manifest) -> dict[str, str]:
     return {name: str(value).replace(where, "") for name, value in result.attrs.items() if name not in _PROVENANCE}
 
 
+@pytest.mark.long
 def test_a_scheduler_that_is_killed_loses_nothing(study: Manifest, scheduler: str, undisturbed: Manifest) -> None:
     """In a process of its own, with its worker: the run ends and says so; the rest is done by the next one."""
     other, address = start_scheduler()

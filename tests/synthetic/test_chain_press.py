@@ -15,6 +15,8 @@ from fingerflow.report import write_report
 from fingerflow.report.beside_chain import compare_with_chain
 from fingerflow.synthetic import ChainPress, rebuild_scene, write_recording
 
+pytestmark = pytest.mark.long
+
 FRICTIONS = (0.2, 1.0)
 
 

@@ -11,6 +11,8 @@ from torch import Tensor
 from fingerflow.errors import FingerflowError
 from fingerflow.synthetic import FingerprintTexture, Press, texture_image
 
+pytestmark = pytest.mark.long
+
 PATTERNS = ("loop", "whorl", "arch")
 ANY_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 MM_PER_PX = 0.0325

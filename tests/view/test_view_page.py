@@ -19,6 +19,8 @@ from fingerflow.view.server import Served
 from tests.view.walk import drag as drag_in
 from tests.view.walk import fill
 
+pytestmark = pytest.mark.long
+
 WIDTH = 240  # px of a frame
 SLOW = 120_000  # ms: torch is loaded, and a machine may be busy
 

@@ -15,6 +15,8 @@ from fingerflow.view.server import Served
 from tests.own_press import VIEWS, press_of, write_raw_press
 from tests.view.walk import LAST, walk
 
+pytestmark = pytest.mark.long
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SLOW = 600_000  # ms, of a busy machine
 _BLOCK = re.compile(r"^```{code-block} python\n(.*?)^```", re.MULTILINE | re.DOTALL)
