@@ -20,6 +20,7 @@ ROOT = HERE.resolve().parents[1]
 GENERATED = (
     ("generate_median", "median_networks.h"),
     ("generate_limits", "tracking_limits.h"),
+    ("generate_sets", "instruction_features.h"),
     ("generate_entries", "entries.cpp"),
 )
 ISA = "-DFINGERFLOW_ISA=baseline"  # the namespace of what is compiled once a set of instructions
