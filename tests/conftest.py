@@ -22,7 +22,7 @@ from tests.small_trials import GEL, GEL_MM_PER_PX, write_bundle_of_trials
 LONGEST = (
     "export/test_export.py",
     "kernels/test_kernel_sources.py",
-    "stages/test_slip.py",
+    "pipeline/stages/test_slip.py",
     "test_compile.py",
     "study/test_run.py",
     "view/test_view_walk.py",

@@ -21,7 +21,7 @@ from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 from fingerflow.synthetic import Press, Slide, write_recording
 from fingerflow.synthetic.marker_gel import MarkerGel
 from fingerflow.synthetic.scenes import SyntheticScene
-from tests.stages.rolling import Rolling
+from tests.pipeline.stages.rolling import Rolling
 
 Frame = np.ndarray[Any, Any]
 

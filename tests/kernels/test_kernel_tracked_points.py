@@ -19,7 +19,7 @@ from fingerflow.ops.tracking.search import search_and_return
 from fingerflow.ops.tracking.templates import Found, find_templates, inverse_2x2, prepare_templates
 from tests.graphs.test_track_graph import grid, picture
 from tests.kernels.test_kernel_search import skin, starts
-from tests.ops import test_outliers as fields
+from tests.ops.tracking import test_outliers as fields
 from tests.small_trials import TINY_PRESS, TRIALS
 
 pytestmark = pytest.mark.skipif(not kernels.serve(), reason="the compiled kernels were not built or are turned off")

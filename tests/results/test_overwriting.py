@@ -18,7 +18,7 @@ from fingerflow.results.atomic_write import keep_others, spare, write_atomically
 from fingerflow.results.result import is_result, load_result, save_result
 from fingerflow.schema.unfinished import unfinished
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def result(value: float = 1.0) -> xr.Dataset:

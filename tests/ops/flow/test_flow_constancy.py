@@ -10,7 +10,7 @@ from fingerflow.ops import dense_flow
 from fingerflow.ops.filters.spline import spline_coefficients
 from fingerflow.ops.flow.dense_flow import _fields, find_flow, prepare_flow
 from fingerflow.ops.flow.flow_constancy import LEFT_BY_NOISE, NOISE_OF_TENSOR, Constancy, channels
-from tests.ops.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave, with_few_sweeps
+from tests.ops.flow.test_dense_flow import PENALTIES, Penalty, errors, grid, pair, photograph, wave, with_few_sweeps
 
 
 @pytest.mark.parametrize("constancy", ["brightness", "gradient"])

@@ -15,7 +15,7 @@ from fingerflow.results.result import load_result
 from fingerflow.results.tables import export_table
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS
 from fingerflow.synthetic import write_recording
-from tests.stages.rolling import Rolling
+from tests.pipeline.stages.rolling import Rolling
 
 ROLLING = Rolling(
     n_frames=20,

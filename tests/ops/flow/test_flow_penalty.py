@@ -14,7 +14,7 @@ from fingerflow.ops.flow.flow_cells import integrated, to_cells
 from fingerflow.ops.flow.flow_course import course
 from fingerflow.ops.flow.flow_multigrid import laplacian
 from fingerflow.ops.flow.flow_penalty import data_weights, edge_weights
-from tests.ops.test_dense_flow import GREY, errors, grid, pair, photograph, wave
+from tests.ops.flow.test_dense_flow import GREY, errors, grid, pair, photograph, wave
 
 SHAPE = (192, 240)
 

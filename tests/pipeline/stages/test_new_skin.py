@@ -16,7 +16,7 @@ from fingerflow.results.result import open_result
 from fingerflow.results.store import FileStore, MemoryStore
 from fingerflow.schema.variables import ENTRY, TRACK_STATUS, TRACKING, by_name
 from fingerflow.synthetic import write_recording
-from tests.stages.rolling import Rolling
+from tests.pipeline.stages.rolling import Rolling
 
 ROLLING = Rolling(n_frames=60, frame_rate=60.0, frames_before_trigger=4, travel=3.0)
 NOT_YET = TRACK_STATUS.index("not_chosen_yet")

@@ -22,7 +22,7 @@ from fingerflow.schema.scene import gel_scene_text
 from fingerflow.schema.scene_file import SceneError, read_scene
 from tests.small_trials import GEL, GEL_MM_PER_PX
 
-TACTILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "tactile"
+TACTILE = Path(__file__).resolve().parents[4] / "shared" / "data" / "tactile"
 
 
 @pytest.fixture(scope="module")
