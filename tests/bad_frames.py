@@ -49,7 +49,7 @@ NUMBERS = ("median_divergence", "median_curl", "strain_energy", *AREAS, *OF_POIN
 DEVIATIONS = {name: f"{name}_std" for name in NUMBERS if name not in AREAS} | {"position_px": "position_std_px"}
 LEAST_COVERAGE = 0.85  # of fields, below which a median is NaN: `field_coverage`
 # By which a position may change with where it was looked for, and with when its template was renewed
-# (tests/test_one_graph.py).
+# (tests/test_engines_agree.py).
 LEAST = {"position_px": 0.01}
 
 

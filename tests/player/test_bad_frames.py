@@ -91,7 +91,7 @@ def _assert_others_as_before(small: Small, records: Frames, places: list[int]) -
     before: templates are looked at, and onsets seen, in the next frame that counts.
 
     Points: within three standard deviations of the difference of two estimates, sqrt(2) of the stated one, beside what
-    prediction and renewal leave (0.01 px, tests/test_one_graph.py); nearly all within the latter alone. The median
+    prediction and renewal leave (0.01 px, tests/test_engines_agree.py); nearly all within the latter alone. The median
     divergence: the worst error that the README states, 1.7 um/mm. A point's: :func:`_divergence_tolerance`.
     """
     good, clean = np.setdiff1d(np.arange(FRAMES), places), small.clean.records

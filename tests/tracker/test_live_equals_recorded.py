@@ -113,7 +113,7 @@ def test_a_constant_is_one_for_both(
 
 
 @pytest.mark.parametrize("kind", ["press", "slide"])
-def test_a_stream_is_the_recording_that_knows_no_frames_to_come(
+def test_a_stream_equals_the_recording_bit_for_bit(
     trials: dict[str, Trial], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """Bit for bit, as long as a stream has its first key frame: a recording has no other one. In its key frame itself a
