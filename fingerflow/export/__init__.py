@@ -1,4 +1,4 @@
-"""Recipes to bundles: graphs as ONNX files, verified against torch, with the player that runs them."""
+"""Export of recipes to bundles: graphs as ONNX files, verified against torch, with the player that runs them."""
 
 from fingerflow.export.bundle import export_bundle
 from fingerflow.export.verification import Difference, as_text, verify

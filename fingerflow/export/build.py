@@ -1,4 +1,4 @@
-"""The graphs of a recipe: module, and name, type and unit of everything that goes in and out."""
+"""Graphs of a recipe: modules, with name, type and unit of all inputs and outputs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from fingerflow.tracker.verification import STEP
 
 TYPES = {"float32": torch.float32, "float64": torch.float64}
 
-#: Graphs of `engines.engine.ROWS` rows, and which of their inputs are rows.
+#: Graphs for a fixed number `engines.engine.ROWS` of points (rows), and which of their inputs are cut to it.
 OF_FEW: dict[str, tuple[str, ...]] = {
     "renew": ("points", "warp"),
     "track_few": (*(f"template_{name}" for name in Templates._fields), "prediction"),
@@ -47,7 +47,7 @@ _ELLIPSE = GrossEllipse._fields
 _FIELDS = ("divergence", "curl", "strain", "shear", "median", "known_share")
 _CORRECTED = ("points", "covariance", "warp", "shift", "expected")
 
-#: Unit of every input and output; px are those of the views, counts those of the camera, mm those of the glass.
+#: Unit of every input and output: px of the views, counts of the camera, mm on the glass.
 UNITS = {
     **dict.fromkeys(("contact_view", "topography_view", "key_view", "empty", "dark"), "counts"),
     **dict.fromkeys((*_LIGHT, "noise", "spline", "samples"), "counts"),
@@ -69,7 +69,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Graph:
-    """A module that takes tensors by position and gives a tuple of them, and their names."""
+    """Module that takes tensors by position and returns a tuple of tensors, and the names of both."""
 
     module: nn.Module
     inputs: tuple[str, ...]
@@ -77,7 +77,7 @@ class Graph:
 
 
 class _Call(nn.Module):
-    """A function or module of tensors by position as a module of any number of them."""
+    """Module that calls a function or module with any number of tensors by position."""
 
     def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
         super().__init__()
@@ -88,10 +88,10 @@ class _Call(nn.Module):
 
 
 def build(recipe: Recipe, precision: torch.dtype | None = None) -> dict[GraphName, Graph]:
-    """The graphs that a recipe asks for, in the order in which they can run.
+    """Return the graphs that a recipe requests, in a valid order of execution.
 
     Args:
-        precision: in place of the recipe's.
+        precision: replaces the recipe's.
     """
     kind = precision or TYPES[recipe.export.precision]
     own = recipe.tracking
@@ -112,7 +112,7 @@ _Described = dict[str, tuple[nn.Module | Callable[..., tuple[Tensor, ...]], tupl
 
 
 def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Graphs of the contact view."""
+    """Return the graphs of the contact view."""
     own = recipe.contact
     graph = ContactGraph(own.median_px, own.gross_radius_px, own.cell_px, own.stride_px)
     shown = tuple(name for name in Contact._fields if name != "real_contact_mask" or own.real_contact_mask)
@@ -129,7 +129,7 @@ def _of_contact(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
-    """Graphs of points in the topography view."""
+    """Return the graphs of points in the topography view."""
     own = recipe.tracking
     key, track, deformation = (
         KeyGraph(own.window_px, own.gain_offset),
@@ -198,7 +198,7 @@ def _of_points(recipe: Recipe, kind: torch.dtype) -> _Described:
 
 
 def _of_fields(recipe: Recipe) -> _Described:
-    """Graphs of displacements on the glass."""
+    """Return the graphs of displacements on the glass."""
     graph = FieldsGraph(recipe.fields.gauge_length_mm)
     inputs = ("reference", "displacement", *(f"ellipse_{name}" for name in _ELLIPSE))
 
@@ -219,5 +219,5 @@ def _of_fields(recipe: Recipe) -> _Described:
 
 
 def _all_of(templates: Templates) -> tuple[Tensor, ...]:
-    """All tensors of templates; what is exported, the portable form, has five."""
+    """Return all tensors of templates; the portable form, which is exported, has five."""
     return tuple(one for one in templates if one is not None)

@@ -1,7 +1,7 @@
-"""The graphs of a recipe as ONNX files in a folder that a lab PC runs without torch.
+"""Export of a recipe's graphs as ONNX files into a folder that a lab PC runs without torch.
 
-Every graph is tried before the folder appears: ONNX Runtime on the processor against torch in the recipe's precision
-and in float64, on a press and on hard cases. Only standard operators of opset 18 are used, and no control flow.
+Every graph is verified before the folder is created: ONNX Runtime on the CPU against torch in the recipe's precision
+and in float64, on a press and on hard cases. Only standard operators of opset 18 are used, without control flow.
 """
 
 import hashlib
@@ -35,19 +35,19 @@ _PLAYER_FILES = ("README.md", "requirements.txt")
 
 
 def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Difference]:
-    """Writes the bundle of a recipe file.
+    """Write the bundle of a recipe file.
 
     Args:
         path: the recipe.
         folder: where to write; must not exist.
-        progress: show a bar.
+        progress: show a progress bar.
 
     Returns:
-        What the verification found, one row an output.
+        The differences found by the verification, one row an output.
 
     Raises:
-        FingerflowError: a recipe that is wrong, a folder that exists, packages that are missing, or a graph that does
-            not give what torch gives; then nothing is written.
+        FingerflowError: an invalid recipe, an existing folder, missing packages, or a graph that differs from torch;
+            then nothing is written.
     """
     recipe = load_recipe(path)
     need_packages()
@@ -74,14 +74,14 @@ def export_bundle(path: Path, folder: Path, progress: bool = False) -> list[Diff
 
 
 def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> dict[str, str]:
-    """Exports, checks and saves one graph; its entry in bundle.json."""
+    """Export, check and save one graph; return its entry in bundle.json."""
     import onnx
 
     dynamic = recipe.views.batch == "dynamic"
-    # An example of one would be taken for a constant.
+    # The exporter would take a batch of 1 for a constant.
     batch = 2 if recipe.views.batch == "dynamic" else recipe.views.batch
     known = completed(recipe, cases(recipe, batch)[0])
-    # A tensor that stands for two inputs would be taken for one.
+    # The exporter would merge two inputs that are the same tensor.
     tensors = tuple(tensor.clone() for tensor in feed(name, graph, known))
     shapes = None
     if dynamic:
@@ -107,7 +107,7 @@ def write_graph(recipe: Recipe, name: GraphName, graph: Graph, folder: Path) -> 
 
 
 def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Path) -> None:
-    """Adds the player, what a technician reads, and bundle.json."""
+    """Write the player, the files for the technician, and bundle.json."""
     about = {
         "format": BUNDLE_FORMAT,
         "fingerflow": version(),
@@ -126,7 +126,7 @@ def _bundle(recipe: Recipe, models: dict[GraphName, dict[str, str]], folder: Pat
 
 
 def scene_for(template: str, height: int, width: int) -> str:
-    """The scene to fill in, for views of this size: in the template they are 512 x 640 px, side by side."""
+    """Return the scene template for views of this size; in the template they are 512 x 640 px, next to each other."""
     places = {
         "[0, 512]": (0, height),
         "[0, 640]": (0, width),
@@ -138,7 +138,7 @@ def scene_for(template: str, height: int, width: int) -> str:
 
 
 def version() -> str:
-    """Of the installed package."""
+    """Return the version of the installed package."""
     try:
         return importlib.metadata.version("fingerflow-engine")
     except importlib.metadata.PackageNotFoundError:

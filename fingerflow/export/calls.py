@@ -1,4 +1,4 @@
-"""A call of a graph taken apart: its tensors by name, along which axes points lie, and the rest."""
+"""Call of a graph as flat tensors: their names, the axes along which points lie, and the other arguments."""
 
 import inspect
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,13 @@ Axis = int | None
 
 
 class GraphCall(NamedTuple):
-    """Arguments of a method of a module, flat.
+    """Arguments of a method of a module as flat leaves.
 
     Attributes:
-        names: of the leaves, "['templates'].start".
+        names: of the leaves, such as "['templates'].start".
         values: the leaves.
-        axes: of each leaf, along which points lie (``point_axes`` of the module, by argument).
-        structure: which puts the leaves together again.
+        axes: for each leaf the axis along which points lie (``point_axes`` of the module, by argument), else None.
+        structure: pytree structure that restores the arguments from the leaves.
     """
 
     names: list[str]
@@ -28,7 +28,7 @@ class GraphCall(NamedTuple):
 
     @classmethod
     def of(cls, module: nn.Module, method: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> "GraphCall":
-        """Of the arguments as they are given, with the defaults of the others."""
+        """Return the call of a method with these arguments and the defaults of the others."""
         bound = inspect.signature(getattr(module, method)).bind(*arguments, **named)
         bound.apply_defaults()
         parts, structure = tree.tree_flatten_with_path(dict(bound.arguments))
@@ -42,22 +42,22 @@ class GraphCall(NamedTuple):
 
     @property
     def tensors(self) -> list[Tensor]:
-        """Those of the leaves, in their order."""
+        """Return the leaves that are tensors, in order."""
         return [value for value in self.values if isinstance(value, Tensor)]
 
     @property
     def tensor_axes(self) -> list[Axis]:
-        """Of each tensor, along which points lie."""
+        """Return for each tensor the axis along which points lie, else None."""
         return [axis for axis, value in zip(self.axes, self.values, strict=True) if isinstance(value, Tensor)]
 
     @property
     def points(self) -> int:
-        """How many there are; 0 where the module knows of none."""
+        """Return the number of points; 0 if no tensor has an axis of points."""
         found = (one.shape[axis] for one, axis in zip(self.tensors, self.tensor_axes, strict=True) if axis is not None)
         return next(found, 0)
 
     def with_tensors(self, tensors: Sequence[Tensor]) -> dict[str, Any]:
-        """The arguments by name, with other tensors in the place of its own."""
+        """Return the arguments by name, with its tensors replaced by others in the same order."""
         others = iter(tensors)
         values = [next(others) if isinstance(value, Tensor) else value for value in self.values]
         arguments: dict[str, Any] = tree.tree_unflatten(values, self.structure)
@@ -65,7 +65,7 @@ class GraphCall(NamedTuple):
 
 
 def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> list[Tensor]:
-    """Tensors with so many points along their axes, of which nothing is known beyond their own: NaN, or 0."""
+    """Return tensors padded to `room` points along their axes of points, with NaN, or 0 for integers."""
     filled = []
     for tensor, axis in zip(tensors, axes, strict=True):
         if axis is None or tensor.shape[axis] == room:
@@ -79,12 +79,12 @@ def filled_up(tensors: Sequence[Tensor], axes: Sequence[Axis], room: int) -> lis
 
 
 def axes_that_differ(tensor: Tensor, other: Tensor) -> list[int]:
-    """Axes along which one has more than the other: those of points, where it was made of more of them."""
+    """Return the axes along which two tensors differ in length: those of points, if the numbers of points differ."""
     return [axis for axis, (one, two) in enumerate(zip(tensor.shape, other.shape, strict=True)) if one != two]
 
 
 def settings_of(module: nn.Module) -> list[Any]:
-    """What modules of one class differ in: attributes that are plain values, and buffers."""
+    """Return the settings that distinguish modules of one class: attributes with plain values, and buffers."""
     found: list[Any] = []
     for name, part in module.named_modules():
         plain = {key: repr(value) for key, value in vars(part).items() if isinstance(value, int | float | str | None)}

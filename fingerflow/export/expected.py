@@ -1,4 +1,4 @@
-"""The numbers of the built-in frame that a bundle states, by torch in float64."""
+"""Expected results of the built-in frame that a bundle states, computed by torch in float64."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ _DIGITS = 6
 
 
 def expected_numbers(recipe: Recipe) -> dict[str, Any]:
-    """Return what `engines.check.check_engine` compares with: size and numbers of the built-in frame."""
+    """Return the reference of `engines.check.check_engine`: sizes and results of the built-in frame."""
     views, own = recipe.views, recipe.tracking
     size = {"height": views.height, "width": views.width, "bit_depth": views.bit_depth, "points": own.points}
     frame = built_in(**size, window_px=own.window_px)
@@ -72,7 +72,7 @@ def _picture(view: np.ndarray[Any, Any]) -> Tensor:
 
 
 def rounded(values: np.ndarray[Any, Any]) -> Any:
-    """Return values as nested lists, None for NaN, which JSON has not."""
+    """Return values as nested lists, with None for NaN, which JSON cannot represent."""
     if values.ndim:
         return [rounded(one) for one in values]
     return round(float(values), _DIGITS) if np.isfinite(values) else None

@@ -1,4 +1,4 @@
-"""Where the portable form of every op computes, which is what is exported."""
+"""Selection of the portable implementation of every op, which is the one that is exported."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Portable(TorchDispatchMode):
-    """Compiled kernels do not serve while somebody looks at what the ops do; this one only looks."""
+    """Dispatch mode under which ops use their portable form, as under every such mode; it changes nothing else."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""What a deployment needs of its graphs: one TOML file, validated."""
+"""Recipe of a deployment: the settings of its graphs, in a validated TOML file."""
 
 import tomllib
 from pathlib import Path
@@ -29,8 +29,8 @@ GraphName = Literal[
     "fields_entered",
     "fit",
 ]
-GRAPHS: tuple[GraphName, ...] = get_args(GraphName)  # in the order in which they can run
-_LARGEST_SIDE = 4096  # px: numbers of pixels are exact in float32 up to 2^24
+GRAPHS: tuple[GraphName, ...] = get_args(GraphName)  # in a valid order of execution
+_LARGEST_SIDE = 4096  # px: counts of pixels are exact in float32 up to 2^24
 
 
 class _Table(BaseModel):
@@ -38,7 +38,7 @@ class _Table(BaseModel):
 
 
 class ViewRecipe(_Table):
-    """[views]: size of both views in px, bits of a pixel (uint8 up to 8, else uint16), recordings side by side."""
+    """Settings [views]: size of both views in px, bits of a pixel (uint8 for 8, else uint16), batch size."""
 
     height: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
     width: Annotated[StrictInt, Field(ge=48, le=_LARGEST_SIDE)]
@@ -47,17 +47,17 @@ class ViewRecipe(_Table):
 
 
 class ContactRecipe(_Table):
-    """[contact]: as in a scene, and what `ContactGraph` may leave out."""
+    """Settings [contact] as in a scene, and which outputs `ContactGraph` leaves out."""
 
     median_px: Annotated[Odd, Field(ge=1, le=15)] = 3
     gross_radius_px: Annotated[StrictInt, Field(ge=1, le=255)] = 8
     stride_px: Annotated[StrictInt, Field(ge=1, le=16)] = 1
-    cell_px: Literal[4, 8] | None = None  # of the gross region
-    real_contact_mask: StrictBool = True  # whether `contact` gives the mask
+    cell_px: Literal[4, 8] | None = None  # side of the cells of the gross contact region
+    real_contact_mask: StrictBool = True  # whether `contact` outputs the mask
 
 
 class TrackingRecipe(_Table):
-    """[tracking]: as in a scene."""
+    """Settings [tracking] as in a scene."""
 
     points: Annotated[StrictInt, Field(ge=3, le=5000)] = 700
     window_px: Annotated[Odd, Field(ge=5, le=41)] = 25
@@ -68,20 +68,20 @@ class TrackingRecipe(_Table):
 
 
 class FieldsRecipe(_Table):
-    """[fields]: as in a scene."""
+    """Settings [fields] as in a scene."""
 
     gauge_length_mm: Annotated[StrictNumber, Field(gt=0, le=100)] = 1.6
 
 
 class ExportRecipe(_Table):
-    """[export]: which graphs, and the precision of everything but the median."""
+    """Settings [export]: the graphs to export, and the precision of all operations but the median."""
 
     graphs: tuple[GraphName, ...] = GRAPHS
     precision: Literal["float32", "float64"] = "float32"
 
 
 class Recipe(_Table):
-    """A recipe file."""
+    """Content of a recipe file."""
 
     views: ViewRecipe
     contact: ContactRecipe = ContactRecipe()
@@ -100,10 +100,11 @@ class Recipe(_Table):
 
 
 def load_recipe(path: Path) -> Recipe:
-    """The recipe of a file.
+    """Return the recipe of a file.
 
     Raises:
-        FingerflowError: no such file, no TOML, an unknown key or a value out of range, each named.
+        FingerflowError: the file cannot be read, is not valid TOML, or has an unknown key or a value out of range; with
+            the file and key.
     """
     try:
         with path.open("rb") as file:

@@ -1,7 +1,7 @@
-"""What a deployment bundle carries of the package: the modules that the player needs, as they are.
+"""Selection of the modules of the package that a deployment bundle contains, copied unchanged.
 
-Imports are read, not run. The modules of `WHOLE` are carried, and all that they import at whatever point of their
-course, but for those that cannot be loaded with the packages of the lab PC: they need torch.
+Imports are parsed, not executed. A bundle contains the modules of `WHOLE` and all that they import, at load time or
+within functions, except modules that cannot be loaded with the packages of the lab PC because they need torch.
 """
 
 import ast
@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ON_THE_LAB_PC = frozenset(("numpy", "onnxruntime", "tifffile"))  # packages without which a carried module may not load
+ON_THE_LAB_PC = frozenset(("numpy", "onnxruntime", "tifffile"))  # third-party packages that may be needed at load time
 WHOLE = ("player", "engines", "tracker")
 _DATA = ("kernels/interface.h", "player/page/*")
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
@@ -25,8 +25,8 @@ log = logging.getLogger("fingerflow.export")
 def carry_rooms(bundle: Path) -> None:
     """Copy what the player needs into the folder `fingerflow` of a bundle: modules, live page, compiled library.
 
-    A library that was not built is left out, and the log says so. In the bundle its name has no version of Python: it
-    calls nothing of Python's.
+    A library that was not built is left out with a warning in the log. In the bundle its file name has no Python
+    version, because it does not call Python.
     """
     modules = carried()
     rooms = {name.split(".")[1] for name in modules if "." in name}
@@ -56,7 +56,7 @@ def carried() -> dict[str, Path]:
 
 
 def needed_to_load(name: str) -> set[str]:
-    """Return the packages that are imported when a module of this package is loaded, without Python's own."""
+    """Return the third-party packages that are imported when a module of this package is loaded."""
     needed, seen, waiting = set(), set[str](), [name]
     while waiting:
         one = waiting.pop()
@@ -84,10 +84,9 @@ def _modules_of(package: str) -> list[str]:
 
 @functools.cache
 def _imports_of(name: str) -> tuple[tuple[str, bool], ...]:
-    """Return (name, later) of all that a module imports, the packages around it among them.
+    """Return (name, later) of all that a module imports, including the packages that contain it.
 
-    ``later`` is true for what a function imports when it is called. What `from` takes out of a module may be a name in
-    it, or a module too.
+    ``later`` is true for imports within functions. A name that `from` imports may be an attribute or a module.
     """
     above = name.split(".")
     around = ((".".join(above[:count]), False) for count in range(1, len(above)))
@@ -109,7 +108,7 @@ def _imports(tree: ast.AST, later: bool) -> Iterator[tuple[str, bool]]:
 
 
 def _by_text(argument: ast.expr) -> list[str]:
-    """Return the modules that `import_module` may be called for: of a text that is completed later, all of a folder."""
+    """Return the modules that `import_module` may load: for an f-string, all of the package that it begins with."""
     if isinstance(argument, ast.Constant):
         return [str(argument.value)]
     first = argument.values[0] if isinstance(argument, ast.JoinedStr) else None

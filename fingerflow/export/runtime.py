@@ -1,4 +1,4 @@
-"""Graph modules executed by ONNX Runtime, for whoever calls them as they are."""
+"""Execution of graph modules by ONNX Runtime behind the same interface as the modules."""
 
 import functools
 import hashlib
@@ -22,32 +22,31 @@ from fingerflow.export.portable import Portable
 from fingerflow.export.standard_model import need_packages, standard_model
 
 M = TypeVar("M", bound=nn.Module)
-_SOURCES = ("export", "graphs", "ops")  # rooms whose code a graph is made of
+_SOURCES = ("export", "graphs", "ops")  # packages whose code graphs are made of
 _OF_ALL = ("topography_to_contact",)  # tensors that all recordings of a batch share
-_PATIENCE = 60.0  # s of exporting, before it is said what takes so long
-# Points that a graph is made for at least: groups that come where skin enters, and parts of one, take the same graph.
+_PATIENCE = 60.0  # s of export after which a warning explains the delay
+# Smallest number of points of a graph, so that the small groups of points where skin enters share one graph.
 _LEAST_POINTS = 256
 log = logging.getLogger(__name__)
 
 
 class OnnxRuntime:
-    """Gives a module back with its forward, and its other methods, executed by ONNX Runtime on the processor.
+    """Factory of proxies of modules, whose forward and other methods ONNX Runtime executes on the CPU.
 
-    A method is exported when it is first called with tensors of new shapes, one recording at a time: a batch is a loop.
-    Graphs are kept in a folder for the next time: by settings, shapes and the code that they come from. How many points
-    there are decides on no graph: arguments of which a module says along which axis points lie (``point_axes``, by
-    their names) are filled up to a power of two, from 256 on, with points that are NaN, as where a bundle finds fewer
-    than it has room for.
+    A method is exported when it is first called with tensors of new shapes. Batches are processed one recording at a
+    time. Graphs are cached in a folder by settings, shapes and source code. The number of points does not need a new
+    graph: arguments whose axis of points a module states (``point_axes``, by name) are padded with NaN points to a
+    power of two, at least 256, as in a bundle that finds fewer points than its maximum.
 
     Args:
         threads: inside an operator.
-        folder: of the graphs; by default one of this user's among the temporary files.
+        folder: cache of the graphs; by default a folder of this user among the temporary files.
 
     Attributes:
-        exported, seconds: graphs that were exported, and how long that took in all.
+        exported, seconds: number of exported graphs, and the total time of export.
 
     Raises:
-        FingerflowError: packages are missing, or a method is not of standard operators.
+        FingerflowError: packages are missing, or a method needs operators that are not standard.
     """
 
     def __init__(self, threads: int, folder: Path | None = None) -> None:
@@ -57,18 +56,18 @@ class OnnxRuntime:
         self.exported, self.seconds = 0, 0.0
 
     def __call__(self, module: M) -> M:
-        """The module to call in place of this one."""
+        """Return the proxy of a module."""
         return cast(M, _Executed(module, self))
 
     def session(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str], outputs: int) -> Any:
-        """An open session of a method with tensors of these shapes."""
+        """Return an open session of a method for tensors of these shapes; export it first if it is not cached."""
         import onnxruntime
 
         file = self.folder / f"{self._name(leaves, tensors, inputs)}.onnx"
         if not file.exists():
             begun = time.perf_counter()
             names = [f"result_{place}" for place in range(outputs)]
-            # A tensor that stands for two inputs would be taken for one.
+            # The exporter would merge two inputs that are the same tensor.
             with torch.inference_mode(False):
                 model = standard_model(leaves, tuple(one.clone() for one in tensors), inputs, names)
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +90,7 @@ class OnnxRuntime:
         return onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
 
     def _name(self, leaves: "_Leaves", tensors: list[Tensor], inputs: Sequence[str]) -> str:
-        """Of a file: of everything that decides what is in it."""
+        """Return the cache key of a graph: method, settings, shapes, other arguments, torch version and source hash."""
         shapes = [(name, str(one.dtype), list(one.shape)) for name, one in zip(inputs, tensors, strict=True)]
         facts = [_code(), torch.__version__, leaves.title, settings_of(leaves.module), shapes, repr(leaves.values)]
         digest = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
@@ -99,7 +98,7 @@ class OnnxRuntime:
 
 
 class _Executed:
-    """What `OnnxRuntime` gives: the attributes of a module, and its methods by ONNX Runtime."""
+    """Proxy of a module: its attributes, and its methods executed by ONNX Runtime."""
 
     def __init__(self, module: nn.Module, runtime: OnnxRuntime) -> None:
         self._module, self._runtime = module, runtime
@@ -148,17 +147,17 @@ class _Executed:
         )
         if key not in self._sessions:
             leaves = _Leaves(self._module, method, call)
-            with Portable():  # compiled kernels may give less
+            with Portable():  # compiled kernels may return fewer results
                 result, result_structure = tree.tree_flatten(leaves.result(*tensors))
                 more = result
                 if points:
                     more = tree.tree_leaves(leaves.result(*filled_up(given, along, _room(points) + 1)))
-            # What goes through as it is would be an output that has the name of an input.
+            # An argument that is returned unchanged would be an output with the name of an input.
             same = [next((i for i, one in enumerate(tensors) if one is leaf), None) for leaf in result]
             leaves.through = [place is not None for place in same]
             count = sum(isinstance(leaf, Tensor) and place is None for leaf, place in zip(result, same, strict=True))
             session = self._runtime.session(leaves, tensors, [f"input_{place}" for place in range(len(tensors))], count)
-            # Of what is computed only is kept that it is a tensor, and along which axes its points lie, not its memory.
+            # Keep for each computed result that it is a tensor, and its axes of points, but not its memory.
             of_results = [
                 axes_that_differ(leaf, other) if isinstance(leaf, Tensor) else leaf
                 for leaf, other in zip(result, more, strict=True)
@@ -167,7 +166,7 @@ class _Executed:
             self._sessions[key] = session, list(zip(of_results, computed, same, strict=True)), result_structure
         session, result, result_structure = self._sessions[key]
         feed = {f"input_{place}": one.detach().contiguous().numpy() for place, one in enumerate(tensors)}
-        known = {one.name for one in session.get_inputs()}  # what is not used is not among them
+        known = {one.name for one in session.get_inputs()}  # unused inputs are not among them
         found = iter(session.run(None, {name: array for name, array in feed.items() if name in known}))
         joined = []
         for value, computed, place in result:
@@ -184,22 +183,22 @@ class _Executed:
 
 
 def _room(points: int) -> int:
-    """How many points a graph is made for that takes so many."""
+    """Return the number of points for which the graph of a call with `points` points is exported; 0 without points."""
     return max(_LEAST_POINTS, 1 << (points - 1).bit_length()) if points else 0
 
 
 class _Leaves(nn.Module):
-    """A method of a module with the tensors of its arguments by position, and those of its result as a tuple."""
+    """Module that wraps a method: it takes the tensors of the arguments by position and returns those of the result."""
 
     def __init__(self, module: nn.Module, method: str, call: GraphCall) -> None:
         super().__init__()
         self.module, self.method, self.call = module, method, call
         self.title = type(module).__name__ if method == "forward" else f"{type(module).__name__}.{method}"
         self.values = [None if isinstance(value, Tensor) else value for value in call.values]
-        self.through: list[bool] = []  # which leaves of the result are arguments, known after it was called
+        self.through: list[bool] = []  # which leaves of the result are arguments, known after a call
 
     def result(self, *tensors: Tensor) -> Any:
-        """As the method gives it."""
+        """Return the result of the method in its own structure."""
         return getattr(self.module, self.method)(**self.call.with_tensors(tensors))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
@@ -209,7 +208,7 @@ class _Leaves(nn.Module):
 
 
 def _own_folder() -> Path:
-    """Among the temporary files; one that others may write to is not used again."""
+    """Return the user's folder among the temporary files, or a new one if the folder belongs to another user."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     folder = Path(tempfile.gettempdir()) / f"fingerflow-graphs-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -218,7 +217,7 @@ def _own_folder() -> Path:
 
 @functools.cache
 def _code() -> str:
-    """A digest of the code that graphs are made of."""
+    """Return a hash of the source code of which graphs are made."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
     for file in sorted(file for room in _SOURCES for file in (package / room).rglob("*.py")):

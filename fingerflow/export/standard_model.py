@@ -1,4 +1,4 @@
-"""A torch module as an ONNX model of standard operators: no control flow, nothing of this machine in it."""
+"""Conversion of torch modules to ONNX models of standard operators, without control flow or local paths."""
 
 import contextlib
 import importlib.util
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from fingerflow.errors import FingerflowError
 
-OPSET = 18  # newer ones make execution providers fall back to the processor without a word
+OPSET = 18  # with newer ones execution providers fall back to the CPU silently
 _PACKAGES = ("onnx", "onnxscript", "onnxruntime")
 _CONTROL_FLOW = {"Loop", "If", "Scan"}
 
@@ -20,16 +20,16 @@ _CONTROL_FLOW = {"Loop", "If", "Scan"}
 def standard_model(
     module: nn.Module, tensors: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str], shapes: Any = None
 ) -> Any:
-    """The `onnx.ModelProto` of a module that takes tensors by position and gives a tuple of them.
+    """Return the `onnx.ModelProto` of a module that takes tensors by position and returns a tuple of tensors.
 
     Args:
-        module: without branches on data.
-        tensors: an example; sizes are fixed to its own, but for those that ``shapes`` leaves open.
+        module: without data-dependent branches.
+        tensors: example inputs; sizes are fixed to theirs, except where ``shapes`` makes them dynamic.
         inputs, outputs: their names.
         shapes: `dynamic_shapes` of `torch.onnx.export`.
 
     Raises:
-        FingerflowError: it needs operators that are not standard, or control flow.
+        FingerflowError: the module needs operators that are not standard, or control flow.
     """
     import onnxscript.optimizer
 
@@ -46,13 +46,13 @@ def standard_model(
             verbose=False,
         )
     assert program is not None
-    # The exporter's own optimisation also looks for patterns of transformers, which takes longer than all the rest.
+    # The exporter's own optimisation also searches for transformer patterns, which takes most of its time.
     for _ in range(2):
         onnxscript.optimizer.fold_constants(program.model)
         onnxscript.optimizer.remove_unused_nodes(program.model)
     model = program.model_proto
     _take_by_short_numbers(model.graph)
-    for node in model.graph.node:  # stack traces of this machine
+    for node in model.graph.node:  # remove stack traces of this machine
         node.doc_string = ""
         del node.metadata_props[:]
     for value in (*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer):
@@ -89,7 +89,7 @@ def _take_by_short_numbers(graph: Any) -> None:
 
 
 def need_packages() -> None:
-    """Raises FingerflowError where what exports and runs graphs is not installed."""
+    """Raise FingerflowError if a package that exports or runs graphs is not installed."""
     missing = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise FingerflowError(
@@ -99,7 +99,7 @@ def need_packages() -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter warns of what it does not need and logs every step."""
+    """Suppress the exporter's warnings about features that are not used, and its log."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

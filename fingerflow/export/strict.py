@@ -1,4 +1,4 @@
-"""Types of settings that take nothing for something else: "700" and true are no numbers, 0.5 is no whole one."""
+"""Types of settings without conversion: "700" and true are not numbers, 0.5 is not an integer."""
 
 from typing import Annotated
 
@@ -12,6 +12,6 @@ def _odd(value: int) -> int:
 
 
 StrictInt = Annotated[int, Strict()]
-StrictNumber = Annotated[float, Strict()]  # a whole number is one
+StrictNumber = Annotated[float, Strict()]  # an integer is accepted
 StrictBool = Annotated[bool, Strict()]
 Odd = Annotated[StrictInt, AfterValidator(_odd)]

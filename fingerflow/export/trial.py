@@ -1,4 +1,4 @@
-"""Frames with which an exported graph is tried: the shipped press, sized to the recipe's views, and the hard cases."""
+"""Test cases for exported graphs: the default synthetic press, sized to the recipe's views, and hard cases."""
 
 import math
 from functools import lru_cache
@@ -16,21 +16,21 @@ from fingerflow.ops.tracking.outliers import find_neighbours
 from fingerflow.ops.tracking.templates import inverse_2x2
 from fingerflow.synthetic import Camera, Press
 
-_SHIPPED = (512, 640)  # px of the views that the default press is made for
+_SHIPPED = (512, 640)  # px, size of the views of the default press
 _BORDER = 0.6  # of the contact for the fields, as a share of half the view
-_ENTERED = 0.1  # within it are points that were advected into the contact
-_KEY, _FRAME = 180, 183  # of its frames: skin under contact that moves and spreads
+_ENTERED = 0.1  # radius within which points count as advected into the contact
+_KEY, _FRAME = 180, 183  # frames of the press in which skin in contact moves and spreads
 
 
 class Case(NamedTuple):
-    """Inputs of graphs by their names; `completed` adds what other graphs give."""
+    """Inputs of graphs by name; `completed` adds those that other graphs compute."""
 
     name: str
     inputs: dict[str, Tensor]
 
 
 class _Pictures(NamedTuple):
-    """Views (H, W) of a press: both of a frame, the topography of the key frame, the contact view without a finger."""
+    """Views (H, W) of a press: both of a frame, topography of the key frame, empty glass, and without light."""
 
     contact: Tensor
     topography: Tensor
@@ -41,7 +41,7 @@ class _Pictures(NamedTuple):
 
 
 def cases(recipe: Recipe, batch: int) -> list[Case]:
-    """A press with sub-pixel motion, and frames that are blank, black, saturated, or noise; lost and foreign points."""
+    """Return the test cases: a press with sub-pixel motion; blank, black, saturated or noise frames; invalid points."""
     size = (recipe.views.height, recipe.views.width)
     most = 2**recipe.views.bit_depth - 1
     kind = torch.uint8 if recipe.views.bit_depth == 8 else torch.uint16
@@ -98,7 +98,7 @@ def cases(recipe: Recipe, batch: int) -> list[Case]:
 
 
 def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
-    """The inputs of a case, and those that are results of other graphs, by torch."""
+    """Return the inputs of a case and those that are outputs of other graphs, computed by torch."""
     known = dict(case.inputs)
     every = recipe.model_copy(update={"export": recipe.export.model_copy(update={"graphs": GRAPHS})})
     graphs = build(every)
@@ -116,7 +116,7 @@ def completed(recipe: Recipe, case: Case) -> dict[str, Tensor]:
 
 
 def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tensor, ...]:
-    """The inputs of a graph, by position; the key frame is a view of its own."""
+    """Return the inputs of a graph by position; graphs of the key frame get the key view."""
     source = known
     if name in ("noise", "detect", "spline", "prepare"):
         source = known | {"topography_view": known["key_view"]}
@@ -126,7 +126,7 @@ def feed(name: GraphName, graph: Graph, known: dict[str, Tensor]) -> tuple[Tenso
 
 @lru_cache(maxsize=4)
 def _press(height: int, width: int, bit_depth: int) -> _Pictures:
-    """The default press; where the views are smaller, of a finger as much smaller."""
+    """Return the default press; for smaller views the finger is scaled down."""
     scale = min(1.0, height / _SHIPPED[0], width / _SHIPPED[1])
     shipped = Press()
     press = Press(
@@ -153,13 +153,14 @@ def _press(height: int, width: int, bit_depth: int) -> _Pictures:
 
 
 def _radius(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Distance (B, N) of points from the middle of the view, 1 at its sides."""
+    """Return the distance (B, N) of points from the middle of the view, 1 at its sides."""
     return torch.hypot(2 * points[..., 0] / size[1] - 1, 2 * points[..., 1] / size[0] - 1)
 
 
 def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
-    """Where points (B, N, 2) px were at the onset of contact, if it came to those outside last: spread and turned by
-    some per cent since then. NaN where it has not come yet.
+    """Return reference positions of points (B, N, 2) px; NaN outside the contact.
+
+    The contact reaches outer points last; since their onset, points have spread and turned by some per cent.
     """
     radius = _radius(points, size)[..., None]
     arm = points - torch.tensor([size[1] / 2, size[0] / 2])
@@ -168,7 +169,7 @@ def _reference(points: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _warp(points: Tensor) -> Tensor:
-    """Deformation gradients (B, N, 2, 2) of some per cent, other ones from point to point."""
+    """Return deformation gradients (B, N, 2, 2) of some per cent that differ from point to point."""
     x, y = points[..., 0] / 40, points[..., 1] / 40
     change = torch.stack((torch.sin(x), torch.cos(y), torch.sin(x + y), torch.cos(x - y)), dim=-1)
     result: Tensor = torch.eye(2) + 0.03 * change.unflatten(-1, (2, 2))
@@ -176,7 +177,7 @@ def _warp(points: Tensor) -> Tensor:
 
 
 def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, Tensor]:
-    """Centre, semi axes (B, 2) mm and angle (B,) of the contact for the fields."""
+    """Return centre and semi-axes (B, 2) mm and angle (B,) rad of the contact for the fields."""
     half = (mm_per_px / 2 * torch.tensor([size[1], size[0]], dtype=torch.float32)).expand(batch, -1)
     return {
         "center": half.contiguous(),
@@ -186,7 +187,7 @@ def _ellipse(batch: int, size: tuple[int, int], mm_per_px: float) -> dict[str, T
 
 
 def _points(size: tuple[int, int], count: int) -> Tensor:
-    """(1, N, 2) spread over the frame, to its border."""
+    """Return points (1, N, 2) px, spread over the frame up to its border."""
     columns = math.ceil(math.sqrt(count * size[1] / size[0]))
     number = torch.arange(count)
     rows = -(-count // columns)

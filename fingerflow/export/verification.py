@@ -1,4 +1,4 @@
-"""Exported graphs beside torch: ONNX Runtime on the processor, the recipe's precision and float64."""
+"""Verification of exported graphs: ONNX Runtime on the CPU against torch in the recipe's precision and in float64."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,11 @@ from fingerflow.kernels.tracking_limits import Number
 
 
 class Difference(NamedTuple):
-    """How far an output of a graph was from torch at most, over all trial cases; NaN where both are NaN is no
-    difference.
+    """Largest difference of an output of a graph from torch over all cases; NaN in both is no difference.
 
-    `to_torch` and `to_float64` are in the unit for px and rad, else shares of the largest number, or of 1 if that is
-    more; `flips` counts numbers that are NaN in one only, and `share` the share of these, or of differing integers,
-    against float64.
+    `to_torch` and `to_float64` are in px or rad if that is the unit, else relative to the largest value, or to 1 if
+    that is larger. `flips` counts values that are NaN in only one of ONNX Runtime and torch. `share` is the share of
+    such values, or of differing integers, relative to float64.
     """
 
     graph: str
@@ -37,36 +36,39 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True)
 class GraphTolerance:
-    """Largest differences to torch in the same precision and to float64; what one graph passes on is not its error."""
+    """Largest tolerated differences to torch in the same precision and in float64; each graph gets the same inputs."""
 
     to_torch: float
     to_float64: float
 
 
-# Points: a position of 640 px has steps of 6e-5 px in float32; 1e-3 px is what the project promises. Fields: rounding
-# of a position over a gauge length of tens of px. All but px and rad is relative to the largest number of the output:
+# Points: a position of 640 px has a spacing of 6e-5 px in float32; the project guarantees 1e-3 px. Fields: rounding
+# of a position over a gauge length of tens of px. All but px and rad is relative to the largest value of the output:
 # points that jump by tens of px have strains far beyond 1.
 _TOLERANCES = {
     "points": GraphTolerance(1e-3, 1e-3),
-    # Of matches that are none, whose backward check and step are nearly singular; the limit of both is 1 px.
+    # False matches have a nearly singular backward check and step; the limit of both is 1 px.
     **dict.fromkeys(("error", "estimate"), GraphTolerance(2e-2, 2e-2)),
     **dict.fromkeys(
         ("divergence", "curl", "strain", "shear", "median", "gradient", "warp"), GraphTolerance(2e-4, 1e-3)
     ),
-    # A cell at the border of the region may be told either way in float64.
+    # A cell at the border of the region may be classified differently in float64.
     **dict.fromkeys(("center", "semi_axes"), GraphTolerance(1e-3, 0.1)),
-    "angle": GraphTolerance(1e-4, 2e-2),  # what turns an axis that is 5 px longer than the other by that 0.1 px
-    **dict.fromkeys(("threshold", "covariance"), GraphTolerance(1e-4, 1e-3)),  # of the latter, as deviations in px
+    "angle": GraphTolerance(1e-4, 2e-2),  # 0.1 px turns an axis that is 5 px longer than the other by this angle
+    **dict.fromkeys(("threshold", "covariance"), GraphTolerance(1e-4, 1e-3)),  # covariance as standard deviations in px
 }
 _RELATIVE = GraphTolerance(1e-4, 1e-3)
-_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may turn against float64
+_MOST_FLIPS = 1e-2  # share of decisions (real contact, tracked, returns) that rounding may change
 
 
 def verify(recipe: Recipe, folder: Path) -> list[Difference]:
-    """Runs the graphs in a folder beside torch, with one and with two recordings where the batch is open.
+    """Compare the graphs in a folder with torch, with one and with two recordings if the batch is dynamic.
+
+    Returns:
+        The largest differences, one row an output.
 
     Raises:
-        FingerflowError: an output differs by more than its tolerance; all that do are named.
+        FingerflowError: an output differs by more than its tolerance; the message lists all that do.
     """
     import onnxruntime
 
@@ -81,7 +83,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
     worst: dict[tuple[str, str], Difference] = {}
     for batch in batches:
         for case in cases(recipe, batch):
-            known = completed(recipe, case)  # each graph gets the same inputs in all three: errors do not pass on
+            known = completed(recipe, case)  # same inputs in all three, so that errors do not propagate between graphs
             for name in sessions:
                 graph = graphs[name]
                 tensors = feed(name, graph, known)
@@ -105,7 +107,7 @@ def verify(recipe: Recipe, folder: Path) -> list[Difference]:
 
 
 def as_text(rows: list[Difference]) -> str:
-    """A table of the largest differences."""
+    """Return a table of the largest differences."""
     head = f"{'graph':<16}{'output':<20}{'unit':<9}{'to torch':>11}{'to float64':>12}{'NaN flips':>11}{'int share':>11}"
     lines = [
         f"{row.graph:<16}{row.output:<20}{row.unit[:8]:<9}{row.to_torch:>11.2g}{row.to_float64:>12.2g}{row.flips:>11}"
@@ -122,17 +124,17 @@ def _double(tensor: Tensor) -> Tensor:
 def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> Difference:
     unit = UNITS[output]
     if output == "status":
-        # Whether a point is tracked. Why it is not may turn on the last digit: far from any root, steps are chaotic.
+        # Compare only whether a point is tracked: far from a solution the reason depends on rounding.
         ours, near, far = (values != 0 for values in (ours, near, far))
     if output == "covariance":
         ours, near, far = (np.sqrt(values[..., (0, 1), (0, 1)]) for values in (ours, near, far))
         unit = "px"
     if output == "template_numbers":
-        # Without texture they are quotients of rounding errors, and nothing is found with them.
+        # Without texture they are quotients of rounding errors, and such points are not tracked.
         textured = near[..., Number.TEXTURED] > 0
         ours, near, far = (values[textured] for values in (ours, near, far))
     if graph == "detect" and output == "points":
-        # Corners of nearly equal strength change places, and the last of them their turn.
+        # Corners of nearly equal strength change their order, and which of them are last may differ.
         return Difference(graph, output, unit, _absent(near, ours), _absent(far, ours), 0, 0.0)
     if not np.issubdtype(near.dtype, np.floating):
         share = float(np.mean(ours != far)) if ours.size else 0.0
@@ -144,7 +146,7 @@ def _difference(graph: str, output: str, ours: NDArray[Any], near: NDArray[Any],
 
 
 def _absent(expected: NDArray[Any], found: NDArray[Any]) -> float:
-    """Share of the expected points (B, N, 2) that were not found, less the hundredth that may be."""
+    """Return the share of the expected points (B, N, 2) that were not found, less the tolerated 1 %."""
     known = [{tuple(point) for point in points[np.isfinite(points).all(-1)].tolist()} for points in (expected, found)]
     absent = len(known[0] - known[1]) / max(1, len(known[0]))
     return max(0.0, absent - _MOST_FLIPS)

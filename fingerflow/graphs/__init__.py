@@ -1,4 +1,4 @@
-"""Torch modules made of ops: exactly what runs for a batch of frames, for any device, without hidden state."""
+"""Torch modules composed of ops: the computation on a batch of frames, for any device, without hidden state."""
 
 from fingerflow.graphs.contact import Contact, ContactGraph
 from fingerflow.graphs.fields import Entered, Fields, FieldsGraph, GrossEllipse

@@ -1,4 +1,4 @@
-"""Frames of the contact view to what touches, areas and ellipse."""
+"""Contact mask, contact areas and contact ellipse from frames of the contact view."""
 
 from typing import NamedTuple
 
@@ -16,11 +16,12 @@ class Contact(NamedTuple):
 
     Attributes:
         real_contact_mask: (B, 1, H, W) bool, the micro-junctions.
-        real_area_px, gross_area_px: (B,) px, of them and of the region that they span.
-        center, semi_axes: (B, 2) px, `angle` (B,) rad: of the gross region's ellipse, NaN without contact.
-        density_margin: (B, 1, h, w) of the gross region on cells, from which `ops.contact.cells.covered` tells what it
-            covers.
-        light_gain: (B,) brightness of the lamp, 1 that of the empty glass; NaN, and 1 taken, where no glass is seen.
+        real_area_px, gross_area_px: (B,) px, area of the micro-junctions and of the apparent contact that they span.
+        center, semi_axes: (B, 2) px, `angle` (B,) rad: ellipse of the apparent contact, NaN without contact.
+        density_margin: (B, 1, h, w) of the apparent contact on cells; `ops.contact.cells.covered` tests with it
+            whether a position lies inside.
+        light_gain: (B,) illumination gain relative to the image of the empty glass. NaN where no glass is visible;
+            a gain of 1 is used there.
     """
 
     real_contact_mask: Tensor
@@ -34,18 +35,19 @@ class Contact(NamedTuple):
 
 
 class ContactGraph(nn.Module):
-    """Frames of the contact view to `Contact` (Willemet et al. 2021, supplement, figure S3 A).
+    """Segmentation of contact-view frames into `Contact` (Willemet et al. 2021, supplement, figure S3 A).
 
-    A pixel touches where its count lies below black + a limit * light, `light_gain` a: no quotient is formed.
+    A pixel is in contact where its count lies below black + a limit light, with the illumination gain a
+    (`light_gain`). No quotient of images is formed.
 
     Args:
-        median_px: odd side of the median. It rounds the ends of the ridges: 3 leaves the real contact area of a
-            fingertip as it is, 5 takes about 1 % of it and 9 (the paper's) about 4 %.
-        gross_radius_px: half the distance between ridges, or a little more. The paper dilates the micro-junctions by
-            it, which leaves the region larger by this radius all around (10 % of the area of a fingertip) where ridges
-            end at its border, and not where they run along it. `apparent_contact` is what is done instead.
-        cell_px: side of the cells of the gross region; None for what the radius needs.
-        stride_px: of how many pixels, across and down, one is counted in `threshold`; 1 for all.
+        median_px: odd side of the median window. The median rounds the ends of the ridges: 3 preserves the real
+            contact area of a fingertip, 5 removes about 1 % of it and 9 (used in the paper) about 4 %.
+        gross_radius_px: half the distance between ridges, or slightly more. The paper dilates the micro-junctions by
+            this radius. Where ridges end at the border, that enlarges the region by the radius (10 % of the area of a
+            fingertip); where ridges run along the border, it does not. `apparent_contact` replaces the dilation.
+        cell_px: side of the cells of the apparent contact; None derives it from the radius (`cell_of`).
+        stride_px: sampling step in x and y of the pixels that `threshold` counts; 1 counts all.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class ContactGraph(nn.Module):
         self.stride_px = stride_px
 
     def forward(self, frames: Tensor, light: Tensor, black: Tensor, limit: Tensor) -> Contact:
-        """(B, 1, H, W) frames and the `Light` (of one view or B) that they are compared with, limit (B,)."""
+        """Return the `Contact` of frames (B, 1, H, W); `light`, `black` and `limit` are a `Light` of one view or B."""
         gain = light_gain(frames, light, black, self.gross_radius_px)
         share = limit * torch.where(gain.abs() < torch.inf, gain, 1.0)
         mask = real_contact_mask(frames, light, black, share, self.median_px)
@@ -75,7 +77,7 @@ class ContactGraph(nn.Module):
         )
 
     def threshold(self, frames: Tensor, light: Tensor, black: Tensor) -> Tensor:
-        """(B,) relative intensity loss half-way between ridges and the skin beside them; NaN without contact."""
+        """Return the relative intensity loss (B,) half-way between ridges and valleys; NaN without contact."""
         gain = light_gain(frames, light, black, self.gross_radius_px)
         return contact_threshold(
             frames,

@@ -1,4 +1,4 @@
-"""Points worth tracking, found without a search."""
+"""Detection of points to track, with a fixed number of tensor operations."""
 
 import math
 
@@ -14,20 +14,23 @@ from fingerflow.ops.filters.noise import estimate_noise
 from fingerflow.ops.tensors import finite
 
 _TINY = 1e-30
-_MARGIN = 2 + BOX // 2  # px beyond a pixel on which it depends whether its response is the largest around
+_MARGIN = 2 + BOX // 2  # px around a pixel that decide whether its response is a local maximum
 
 
 class DetectGraph(nn.Module):
-    """Local maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994), spread evenly.
+    """Detector of evenly spread corners: local maxima of the smaller structure-tensor eigenvalue (Shi & Tomasi 1994).
 
-    The strongest alone crowd where skin has texture, and leave holes in which no field is known. So those are taken
-    that have no stronger one in the largest square around them, the stronger first among equals (adaptive non-maximal
-    suppression, Brown, Szeliski & Winder 2005). Of fewer points all are among more.
+    The strongest corners alone crowd where skin has texture and leave holes in which no field is known. Corners are
+    therefore ranked by the side of the largest square in which no other corner is stronger, and by strength among equal
+    squares (adaptive non-maximal suppression, Brown, Szeliski & Winder 2005). The corners chosen for a smaller N are
+    among those chosen for a larger N.
 
     Args:
         points: N, the number of corners.
-        min_distance_px: side of the square in which a corner is the largest at least.
-        window_px: side of the window with which the points are tracked: it stays in the view.
+        min_distance_px: side of the square around a corner in which it must be the strongest; half of it is rounded to
+            whole px.
+        window_px: side of the tracking window, which must lie inside the view.
+        precision: dtype of the computation and of the results.
     """
 
     def __init__(
@@ -40,17 +43,18 @@ class DetectGraph(nn.Module):
         self.precision = precision
 
     def forward(self, topography_view: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 1, H, W) view and bool mask. Returns points (B, N, 2) px, those with the largest response first and
-        NaN beyond those that were found, and their response (B, N).
+        """Return corners (B, N, 2) px of a view (B, 1, H, W) inside a bool mask, and their response (B, N).
+
+        Corners are sorted by falling response; entries beyond those found are NaN. N is at most H W.
         """
         view = topography_view.to(self.precision)
         height, width = view.shape[-2:]
         noise = estimate_noise(view).square().reshape(-1, 1, 1, 1)
         if not topography_view.is_floating_point():
-            noise = noise + 1 / 12  # of rounding
+            noise = noise + 1 / 12  # variance of rounding
         edge = min(self.border_px, (min(height, width) - 1) // 2)
         count = min(self.points, height * width)
-        # Nothing is chosen beyond the mask: there only what decides on a local maximum is looked at.
+        # No corner lies outside the mask: crop to the mask and the margin that decides on local maxima.
         (top, bottom), (left, right) = mask_bounds(mask, _MARGIN, count)
         mask = mask[..., top:bottom, left:right]
         response = _response(view[..., top:bottom, left:right])
@@ -58,7 +62,7 @@ class DetectGraph(nn.Module):
         before, behind = _beyond(edge, width, left, right)
         inside = response[..., above : bottom - top - below, before : right - left - behind]
         inside = functional.pad(torch.where(finite(inside), inside, 0.0), (before, behind, above, below))
-        # At the mask's edge a slope would be the largest.
+        # Maxima are sought before masking: at the edge of the mask any slope would be a maximum.
         inside = torch.where(mask & (inside >= widest(inside)), inside, 0.0)
         strongest = inside.amax((2, 3), keepdim=True)
         limit = torch.maximum(QUALITY * strongest, NOISE * noise)
@@ -66,8 +70,8 @@ class DetectGraph(nn.Module):
         largest = corners
         for _ in range(self.beside - 1):
             largest = widest(largest)
-        alone = torch.zeros_like(corners)  # px to a stronger one, less what is asked for at least
-        # N squares of a larger side do not fit into the view.
+        alone = torch.zeros_like(corners)  # px to the nearest stronger corner beyond the minimum distance
+        # Larger squares are not tested: N of them do not fit into the view.
         for _ in range(self.beside, max(self.beside + 1, math.isqrt(height * width // count))):
             largest = widest(largest)
             alone = alone + (corners >= largest).to(alone.dtype)
@@ -84,13 +88,16 @@ class DetectGraph(nn.Module):
 
 
 def _beyond(edge: int, length: int, first: int, last: int) -> tuple[int, int]:
-    """How many of the pixels from `first` to before `last` lie in the edge at the start of an axis, and at its end."""
+    """Return how many pixels of the range [first, last) lie in the edge at the start and at the end of an axis."""
     start = min(max(edge - first, 0), last - first)
     return start, min(max(last - (length - edge), 0), last - first - start)
 
 
 def _response(view: Tensor) -> Tensor:
-    """Smaller eigenvalue of the structure tensor, (B, 1, H, W), as `ops.corner_response`; 0 at the frame's edge."""
+    """Compute the smaller eigenvalue (B, 1, H, W) of the structure tensor as `ops.tracking.corners.corner_response`.
+
+    It is 0 where the box, or the pixel around it that the gradient needs, reaches beyond the frame.
+    """
     smooth_x = (view[..., :-2] + 2 * view[..., 1:-1] + view[..., 2:]) / 4
     smooth_y = (view[..., :-2, :] + 2 * view[..., 1:-1, :] + view[..., 2:, :]) / 4
     x = (smooth_y[..., 2:] - smooth_y[..., :-2]) / 2

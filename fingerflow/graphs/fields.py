@@ -1,4 +1,4 @@
-"""Displacements of scattered points to divergence, curl and strain, at the points and over the contact."""
+"""Divergence, curl and strain from displacements of scattered points, at the points and over the contact."""
 
 from typing import ClassVar, NamedTuple
 
@@ -13,7 +13,7 @@ from fingerflow.ops.tensors import finite, sum_rows
 
 
 class GrossEllipse(NamedTuple):
-    """The gross contact of B frames, in the length unit of the points."""
+    """Ellipse of the apparent (gross) contact of B frames, in the length unit of the points."""
 
     center: Tensor  # (B, 2), x and y
     semi_axes: Tensor  # (B, 2)
@@ -21,17 +21,18 @@ class GrossEllipse(NamedTuple):
 
 
 class Entered(NamedTuple):
-    """Those of N points in B frames that came into contact by moving into it. Displacements from onsets so far apart in
-    time have no gradient: these points have that of the displacement since their own entry, their neighbours counted
-    from that moment, and are no part of the fits of others.
+    """Points that were advected into the contact, of N points in B frames.
+
+    A gradient between displacements from different onsets has no meaning. An entered point therefore has the gradient
+    of the displacements, its own and its neighbours', since its own entry. It is left out of the fits of other points.
     """
 
     among: Tensor  # (B, N) bool
     gradient: Tensor  # (B, N, 2, 2), NaN where it is not known
-    covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as `LocalFit` has it, where displacements have one
+    covariance: Tensor | None  # (B, N, 2, 2, 2, 2) as in `LocalFit`; None without covariances of displacements
 
     def apart(self, measure: str) -> Apart:
-        """For `area_medians`."""
+        """Compute the fields of the entered points in the form that `area_medians` takes."""
         first = torch.stack((divergence(self.gradient), curl(self.gradient)), dim=-1)
         fields = torch.cat((first, green_lagrange(self.gradient, measure)), dim=-1)
         std = None if self.covariance is None else field_std(self.gradient, self.covariance, measure)
@@ -39,16 +40,16 @@ class Entered(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """Fields at N points of B frames, and medians over the gross contact.
+    """Fields at N points of B frames, and their medians over the apparent contact.
 
     Attributes:
-        divergence, curl: (B, N), curl in rad; NaN where the point itself is not known.
+        divergence, curl: (B, N), curl in rad; NaN where the displacement of the point itself is not known.
         strain: (B, N, 3) as (exx, eyy, exy).
         shear: (B, N, 2) along the axes and along the diagonals.
         divergence_std, curl_std: (B, N); None without covariances.
-        median: (B, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without one.
-        median_std: (B, 5); None without covariances.
-        known_share: (B,) of the ellipse in which they are known; None without one.
+        median: (B, 5) of divergence, curl, exx, eyy, exy over the area of the ellipse; None without an ellipse.
+        median_std: (B, 5); None without covariances or an ellipse.
+        known_share: (B,) share of the ellipse in which the fields are known; None without an ellipse.
     """
 
     divergence: Tensor
@@ -63,10 +64,10 @@ class Fields(NamedTuple):
 
 
 class FieldsGraph(nn.Module):
-    """Displacements of scattered points to divergence, curl and strain by local fits over ``gauge_length``.
+    """Divergence, curl and strain of scattered displacements by local fits over the gauge length.
 
-    At the points by `ops.fields.point_gradients` in reference coordinates, over the contact by
-    `ops.fields.area_medians`.
+    `ops.fields.point_gradients` computes the fields at the points, in reference coordinates;
+    `ops.fields.area_medians` computes the medians over the contact.
     """
 
     point_axes: ClassVar = {"reference": 1, "displacement": 1, "covariance": 1, "entered": 1}
@@ -84,15 +85,20 @@ class FieldsGraph(nn.Module):
         ellipse: GrossEllipse | None = None,
         entered: Entered | None = None,
     ) -> Fields:
-        """Reference positions (1 or B, N, 2) and displacements (B, N, 2) of one unit, NaN where not known.
+        """Compute the fields from reference positions and displacements in one length unit, NaN where not known.
 
-        ``covariance`` (B, N, 2, 2) of the displacements, of errors that are independent from point to point, asks for
-        standard deviations; ``ellipse`` for the medians; ``entered`` says which points count from their own entry.
+        Args:
+            reference: (1 or B, N, 2).
+            displacement: (B, N, 2).
+            covariance: (B, N, 2, 2) of the displacements, with errors independent between points; None omits the
+                standard deviations.
+            ellipse: area of the medians; None omits them.
+            entered: points whose displacement counts from their own entry.
         """
         rest = displacement if entered is None else torch.where(entered.among[..., None], torch.nan, displacement)
         gradient, spread = point_gradients(reference, rest, self.gauge_length, covariance)
         if entered is not None:
-            # Where a point is lost nothing is known of it.
+            # An entered point that is lost has no gradient.
             own = entered.among & finite(sum_rows(displacement.mT))[:, 0]
             gradient = torch.where(own[..., None, None], entered.gradient, gradient)
             if spread is not None and entered.covariance is not None:

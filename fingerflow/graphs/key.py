@@ -1,4 +1,4 @@
-"""What a key frame of the topography view says about its points."""
+"""Templates of points in a key frame of the topography view."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ from fingerflow.ops.tracking.templates import Templates, prepare_templates
 
 
 class KeyGraph(nn.Module):
-    """Points to their templates; settings as in `ops.prepare_templates`."""
+    """Preparation of the templates of points; settings as in `ops.tracking.templates.prepare_templates`."""
 
     point_axes: ClassVar = {"points": 1, "warp": 1}
 
@@ -20,5 +20,9 @@ class KeyGraph(nn.Module):
     def forward(
         self, view: Tensor, points: Tensor, noise: Tensor | None = None, warp: Tensor | None = None
     ) -> Templates:
-        """(B, 1, H, W) view, (B, N, 2) px, (B,) noise of the view, (B, N, 2, 2) deformation since the key frame."""
+        """Prepare the templates of points (B, N, 2) px in a view (B, 1, H, W).
+
+        `noise` (B,) is the standard deviation of the view's noise in grey levels, estimated by default. `warp`
+        (B, N, 2, 2) is the deformation gradient since the key frame.
+        """
         return prepare_templates(view, points, self.window, warp, gain_offset=self.gain_offset, noise=noise)

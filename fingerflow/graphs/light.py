@@ -1,4 +1,4 @@
-"""The empty glass to what every later frame is compared with."""
+"""Reference light of the empty glass, with which every later frame is compared."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,12 @@ from fingerflow.ops.filters.illumination import glass_light
 
 
 class Light(NamedTuple):
-    """What the empty glass and a threshold say of every pixel of B views.
+    """Reference light per pixel and contact limit of B views.
 
     Attributes:
-        light: (B, 1, H, W) counts that the lamp gives a pixel; 0 where the glass is not lit, where nothing touches.
+        light: (B, 1, H, W) counts due to the lamp; 0 where the glass is not lit, and no contact is detected there.
         black: (B, 1, H, W) counts without light.
-        limit: (B,) share of the light below which a pixel touches: 1 - threshold.
+        limit: (B,) share of the light below which a pixel is in contact: 1 - threshold.
     """
 
     light: Tensor
@@ -23,10 +23,12 @@ class Light(NamedTuple):
 
 
 class LightGraph(nn.Module):
-    """Empty glass, dark frame and threshold to `Light`: a pixel touches where it counts less than black + limit light.
+    """Reference `Light` from empty glass, dark frame and threshold.
+
+    A pixel is in contact where its count is less than black + limit light.
 
     Args:
-        precision: of the result.
+        precision: dtype of the result.
     """
 
     def __init__(self, precision: torch.dtype = torch.float32) -> None:
@@ -34,7 +36,9 @@ class LightGraph(nn.Module):
         self.precision = precision
 
     def forward(self, empty: Tensor, dark: Tensor | None, threshold: Tensor) -> Light:
-        """(B, 1, H, W) counts, a frame or a mean of several, `dark` None or zeros where unknown; threshold (B,) share
-        of intensity lost, NaN while unknown: nothing touches.
+        """Compute the reference from counts (B, 1, H, W), each one frame or the mean of several.
+
+        `dark` is None or zeros where it is unknown. `threshold` (B,) is a relative intensity loss, NaN while it is
+        unknown: then only pixels below `black` are in contact.
         """
         return Light(*glass_light(empty, dark, self.precision), 1 - threshold.to(self.precision))

@@ -1,4 +1,4 @@
-"""Where points of a key frame are that moved further than a frame finds them."""
+"""Search for points of a key frame that moved further than registration can follow."""
 
 import torch
 from torch import Tensor, nn
@@ -7,7 +7,7 @@ from fingerflow.ops.tracking.search import search_and_return
 
 
 class SearchGraph(nn.Module):
-    """An exhaustive search around expected places, there and back; settings as in `ops.track_points`."""
+    """Exhaustive forward and backward search around predicted positions; settings as in `ops.track_points`."""
 
     def __init__(self, window: int = 25, radius: int = 8, forward_backward_limit: float = 1.0) -> None:
         super().__init__()
@@ -18,10 +18,11 @@ class SearchGraph(nn.Module):
     def forward(
         self, key_view: Tensor, topography_view: Tensor, points: Tensor, prediction: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Views (B, 1, H, W), points (B, N, 2) px of the key frame, and where they are expected.
+        """Search points (B, N, 2) px of the key view around their prediction (B, N, 2) px; views are (B, 1, H, W).
 
         Returns:
-            Places (B, N, 2) px, good to about a pixel, and whether (B, N) the way back returns.
+            Positions (B, N, 2) px, accurate to about a pixel, and (B, N) bool, True where the backward search returns
+            to the point.
         """
         batch, count = points.shape[:2]
         image = torch.arange(batch, device=points.device)[:, None].expand(batch, count).flatten()

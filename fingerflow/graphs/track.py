@@ -1,4 +1,4 @@
-"""Points of a key frame of the topography view in the frames that follow."""
+"""Tracking of points of a key frame of the topography view through the following frames."""
 
 from typing import ClassVar, NamedTuple
 
@@ -13,9 +13,13 @@ from fingerflow.ops.tracking.templates import Found, Templates, find_templates
 
 
 class Deformed(NamedTuple):
-    """What was found, corrected for the deformation of the templates, that deformation (K, N, 2, 2), px by which it has
-    moved the edge of a window since the template was prepared (K, N), and where the neighbours of a point expect it
-    (K, N, 2) px, NaN where too few are known.
+    """Points corrected for the deformation of their templates.
+
+    Attributes:
+        found: the points found, with corrected positions and covariances.
+        warp: (K, N, 2, 2) deformation gradient since the key frame.
+        shift: (K, N) px by which the deformation since the preparation of the template has moved the window's edge.
+        expected: (K, N, 2) px, position of a point predicted by its neighbours; NaN where too few are known.
     """
 
     found: Found
@@ -25,7 +29,7 @@ class Deformed(NamedTuple):
 
 
 class DeformationGraph(nn.Module):
-    """Learns the deformation of the skin around its points from where they were found, and corrects the positions
+    """Estimation of the skin deformation from the points found, and correction of their positions for it
     (`ops.tracking.deformation`).
     """
 
@@ -36,16 +40,18 @@ class DeformationGraph(nn.Module):
         self.window = window
 
     def support(self, start: Tensor) -> Support | None:
-        """What `forward` needs to know of the places (B, N, 2) px in the key frame; None where compiled kernels do
-        without.
+        """Return the weights of the local fits for positions (B, N, 2) px in the key frame; None where compiled kernels
+        run, which do not need them.
         """
         return neighbours_support(start, WARP_GAUGE_PX)
 
     def forward(
         self, start: Tensor, found: Found, numbers: Tensor, inverse_warp: Tensor, support: Support | None = None
     ) -> Deformed:
-        """(1, N, 2) px in the key frame, what was found of K frames, `Templates.numbers` (1, N, 32) and F_0^-1
-        (1, N, 2, 2) of the templates.
+        """Correct points found in K frames, with positions `start` (1, N, 2) px in the key frame.
+
+        `numbers` (1, N, 32) are the template statistics (`Templates.numbers`), `inverse_warp` (1, N, 2, 2) the F_0^-1
+        with which the templates were prepared. `support` is computed from `start` where it is None.
         """
         given = start, found.points, found.covariance, numbers, inverse_warp
         corrected = correct_points(*given, self.window, WARP_GAUGE_PX, support or self.support(start))
@@ -54,19 +60,22 @@ class DeformationGraph(nn.Module):
 
 
 class AgreementGraph(nn.Module):
-    """Points that were found but not where their neighbours say, or that are far more uncertain than they."""
+    """Outlier detection: points whose displacement disagrees with, or is far less certain than, their neighbours'."""
 
     point_axes: ClassVar = {"neighbours": 2, "start": 1, "points": 1, "position_std": 1}
 
     def forward(self, neighbours: Neighbours, start: Tensor, points: Tensor, position_std: Tensor) -> Outliers:
-        """`ops.tracking.outliers.find_neighbours` of the places (1, N, 2) in the key frame, and points (K, N, 2) and
-        the standard deviation (K, N) of a component in K frames.
+        """Return the outliers among points (K, N, 2) of K frames with standard deviations (K, N) of a component.
+
+        `neighbours` is `ops.tracking.outliers.find_neighbours` of the positions `start` (1, N, 2) in the key frame.
         """
         return find_outliers(neighbours, points - start, position_std)
 
 
 class TrackGraph(nn.Module):
-    """One step that looks for templates of a key frame in a frame; settings as in `ops.find_templates`."""
+    """Registration of key-frame templates (subsets) in a frame by one step; settings as in
+    `ops.tracking.templates.find_templates`.
+    """
 
     point_axes: ClassVar = {"templates": 1, "prediction": 1}
 
@@ -75,5 +84,5 @@ class TrackGraph(nn.Module):
         self.forward_backward_limit = forward_backward_limit
 
     def forward(self, templates: Templates, view: Tensor, prediction: Tensor) -> Found:
-        """Templates of (B, N) points, (B, 1, H, W) view, (B, N, 2) px."""
+        """Register templates of (B, N) points in a view (B, 1, H, W), near their prediction (B, N, 2) px."""
         return find_templates(templates, view, prediction, rounds=1, forward_backward_limit=self.forward_backward_limit)

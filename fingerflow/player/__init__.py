@@ -1,14 +1,14 @@
-"""Runs an exported bundle on a live stream: numpy and onnxruntime, no torch; a bundle carries the folder as it is.
+"""Player that runs an exported bundle on a live stream, with numpy and onnxruntime but without torch.
 
     python -m fingerflow.player --source synthetic  # in the bundle's folder
     fingerflow stream BUNDLE --source frames.npy --scene scene.toml    # the same from the package
 
-Threads pass frames on: capture, one for each frame that is computed side by side, sink; the main thread watches them
-and another serves the live page.
-Every array that the graphs read or write is made once. Positions are (x, y) px of the views with integer pixel centres,
-areas mm², axes mm, times s.
+A bundle contains this folder unchanged. Frames pass through threads: one for capture, one for each frame that is
+computed in parallel, one to measure, one to store. The main thread monitors them, and another serves the live page.
+Every array that the graphs read or write is allocated once. Positions are (x, y) px of the views with integer pixel
+centres, areas mm², axes mm, times s.
 
-A name is loaded when it is first asked for: who reads the schema of scenes alone needs neither numpy nor onnxruntime.
+Names are loaded on first use: code that needs only the schema of scenes needs neither numpy nor onnxruntime.
 """
 
 from importlib import import_module

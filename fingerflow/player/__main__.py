@@ -1,4 +1,4 @@
-"""`python -m fingerflow.player`, in the folder of a bundle."""
+"""Entry point of `python -m fingerflow.player`, in the folder of a bundle."""
 
 import sys
 

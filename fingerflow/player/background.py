@@ -1,4 +1,4 @@
-"""Pictures of the empty glass, and of darkness."""
+"""Mean images of the empty glass, and without light."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fingerflow.player.bundle import Bundle
 from fingerflow.player.scene import ViewRange
 from fingerflow.player.sources import open_recording
 
-_STILLS = 64  # of a recording of the empty glass are averaged: its noise is then an eighth of a frame's
+_STILLS = 64  # frames of the empty glass that are averaged: the noise is then an eighth of a frame's
 
 
 def mean_view(path: Path, view: ViewRange, bundle: Bundle, shape: tuple[int, int] | None, dtype: str) -> Array:
-    """A view of the mean of the first frames of a file, (H, W) float32; the frames may be of the view alone.
+    """Return a view (H, W) float32 of the mean of the first 64 frames of a file; frames may hold the view alone.
 
-    Raises PlayerError where the file has no frame, or frames of another size or depth than the camera's.
+    Raises PlayerError where the file has no frame, or frames of another size or bit depth than the camera's.
     """
     source = open_recording(path, shape, dtype)
     total, count = np.zeros(view.shape), 0

@@ -1,4 +1,4 @@
-"""The folder that `fingerflow export` wrote."""
+"""Deployment bundle: the folder that `fingerflow export` writes."""
 
 from __future__ import annotations
 
@@ -20,48 +20,48 @@ from fingerflow.schema.bundle_format import BUNDLE_FORMAT
 
 @dataclass(frozen=True)
 class Bundle:
-    """An exported folder whose files are those that the export wrote; `expected` is for `engines.check`."""
+    """Deployment bundle whose files match their hashes; `expected` is used by `engines.check`."""
 
     folder: Path
     recipe: Mapping[str, Any]
     version: str
     hashes: Mapping[str, str]
     files: Mapping[str, Path]
-    expected: Mapping[str, Any]  # numbers of the built-in frame (`engines.check`)
+    expected: Mapping[str, Any]  # results of the built-in frame (`engines.check`)
 
     @property
     def height(self) -> int:
-        """Of a view, px."""
+        """Return the height of a view in px."""
         return int(self.recipe["views"]["height"])
 
     @property
     def width(self) -> int:
-        """Of a view, px."""
+        """Return the width of a view in px."""
         return int(self.recipe["views"]["width"])
 
     @property
     def bit_depth(self) -> int:
-        """Of a pixel, 8 to 16."""
+        """Return the bits of a pixel, 8 to 16."""
         return int(self.recipe["views"]["bit_depth"])
 
     @property
     def points(self) -> int:
-        """That a frame has at most."""
+        """Return the largest number of points in a frame."""
         return int(self.recipe["tracking"]["points"])
 
     @property
     def engine_settings(self) -> EngineSettings:
-        """With which its graphs were exported."""
+        """Return the settings with which its graphs were exported."""
         return bundle_settings(self.recipe)
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of a pixel."""
+        """Return the data type of a pixel."""
         return np.dtype(np.uint8 if self.bit_depth == 8 else np.uint16)
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Reads bundle.json and checks every graph's file against its hash; raises PlayerError."""
+    """Return the bundle of a folder after checking every graph's file against its hash; raise PlayerError."""
     path = folder / "bundle.json"
     again = "export the bundle again, or copy its folder again"
     try:

@@ -1,4 +1,4 @@
-"""The command line of the player."""
+"""Command line of the player."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from fingerflow.results.stream_folder import RESULTS_FORMAT, Sink
 from fingerflow.schema.unfinished import remove, unfinished
 from fingerflow.tracker.stream import StreamTracker
 
-_LEAST = 1e-6  # frames a second, as in scenes, or s: below, a computer's clock does not reach as far as the next frame
-_SUMMARY = {"processed", "latency_ms", "policy"}  # keys by which one is known
+_LEAST = 1e-6  # frames/s (as in scenes) or s; below it the interval to the next frame exceeds the range of the clock
+_SUMMARY = {"processed", "latency_ms", "policy"}  # keys that identify a summary
 log = logging.getLogger("fingerflow.player")
 
 
@@ -46,16 +46,16 @@ ReadForces = Callable[[Path], LiveForces | None]
 def main(
     arguments: list[str] | None = None, prog: str | None = None, forces_of: ReadForces = lambda scene: None
 ) -> int:
-    """0 at the source's end, 2 something the user can put right, 130 or 143 stopped by Ctrl-C or SIGTERM.
+    """Run the player; return 0 at the source's end, 2 after an error of the user, 130 or 143 after Ctrl-C or SIGTERM.
 
     Args:
         arguments: of the command line.
         prog: name of the command.
-        forces_of: gives the forces that a scene file names, for the page. A player alone cannot read them.
+        forces_of: reads the forces that a scene file names, for the page; the player alone cannot read them.
     """
     options = _parser(prog).parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname).1s %(message)s", stream=sys.stderr)
-    # Python lets a thread compute for 5 ms before another gets its turn: as long as a frame may take in all.
+    # By default Python lets a thread run for 5 ms before it switches, which is the time budget of a whole frame.
     sys.setswitchinterval(5e-4)
     try:
         return _stream(options, forces_of)
@@ -73,7 +73,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
     for said in (warnings := contradictions(scene, bundle.recipe)):
         log.warning("%s", said)
     parallel = options.parallel_frames
-    # One core is left to what runs beside the tracking: reading frames, results of the frame before, the page.
+    # One core is left for the other threads: reading frames, results of the frame before, the page.
     set_threads(options.threads or max(1, threads() - 1))
     of_onnx = parallel > 1 or options.provider is not None
     if options.engine == "native" and of_onnx:
@@ -85,7 +85,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
         engine = engine_of_stream(bundle, "onnx" if of_onnx else options.engine, options.provider, options.threads or 1)
     except FingerflowError as error:
         raise error if isinstance(error, PlayerError) else PlayerError(str(error)) from None
-    # ONNX Runtime gives the same numbers with one frame after the other and with two beside each other.
+    # With ONNX Runtime the lag is at least 2, so that sequential and parallel frames give the same numbers.
     lag = 1 if engine.name == "native" else max(2, parallel)
     tracker = StreamTracker(engine, stream_settings(scene, bundle), played.glass, played.dark, lag)
     tracker.warm_up(Slot(bundle))
@@ -151,7 +151,7 @@ def _stream(options: argparse.Namespace, forces_of: ReadForces) -> int:
 
 
 def _may_replace(path: Path) -> bool:
-    """Whether nothing is there, or a summary."""
+    """Return whether a path is free, or holds the summary of a stream."""
     try:
         return not path.exists() or json.loads(path.read_bytes()).keys() >= _SUMMARY
     except (OSError, ValueError, AttributeError, RecursionError):
@@ -160,7 +160,10 @@ def _may_replace(path: Path) -> bool:
 
 @contextlib.contextmanager
 def _stopped_by_signals(player: Player) -> Iterator[list[int]]:
-    """The first Ctrl-C or SIGTERM ends the stream cleanly; a second one is Python's own. Gives what was received."""
+    """Stop the player cleanly at the first Ctrl-C or SIGTERM; a second one has Python's own effect.
+
+    Yields the list of received signals.
+    """
     received: list[int] = []
     before: dict[int, Any] = {}
 

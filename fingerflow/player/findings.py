@@ -1,4 +1,4 @@
-"""What a stream has found at all, for its summary: nothing found is said, and not left to be seen in the numbers."""
+"""Warnings for the summary of a stream about results that no frame has given."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from fingerflow.tracker.frame_quality import USABLE
 
 
 class Findings:
-    """Counts frame after frame.
+    """Counter of usable frames, and of whether points and contact were found in any.
 
     Attributes:
-        not_usable: frames that count in no result, by the names of `frame_status`.
+        not_usable: number of frames without results, by the names of `frame_status`.
     """
 
     def __init__(self) -> None:
@@ -22,20 +22,20 @@ class Findings:
         self._points = self._contact = False
 
     def skip(self, status: int) -> bool:
-        """A frame that does not count; whether it is the first of its kind after others."""
+        """Count a frame that is not usable; return whether its status differs from that of the frame before."""
         self.not_usable[FRAME_STATUS[status]] += 1
         begins, self._last = status != self._last, status
         return begins
 
     def count(self, tracked: int, area: float) -> None:
-        """A usable frame with so many points, and its area of real contact, in any unit."""
+        """Count a usable frame by its number of tracked points and its real contact area in any unit."""
         self._last = USABLE
         self._usable += 1
         self._points |= tracked > 0
         self._contact |= area > 0
 
     def missing(self, threshold_known: bool) -> list[str]:
-        """What was found in no frame, a sentence each."""
+        """Return a sentence for each result that was found in no frame."""
         if not self._usable:
             counts = ", ".join(f"{count} {name}" for name, count in self.not_usable.items()) or "none came"
             return [

@@ -1,4 +1,4 @@
-"""What threads pass on to each other."""
+"""Objects that the threads of a stream exchange: queues, order of completion, frame buffers."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ T = TypeVar("T")
 
 
 class Channel(Generic[T]):
-    """A bounded queue between threads that can be closed: what is in it is still given, then None.
+    """Bounded queue between threads that can be closed; a closed queue returns its remaining items, then None.
 
     Args:
-        newest_first: give the item that came last first.
+        newest_first: whether `get` returns the newest item first.
     """
 
     def __init__(self, size: int, items: Iterable[T] = (), newest_first: bool = False) -> None:
@@ -33,7 +33,7 @@ class Channel(Generic[T]):
         self._closed = False
 
     def put(self, item: T) -> bool:
-        """Waits for room; False, and the item is not taken, where the channel is closed."""
+        """Append an item after waiting for free space; return False, without appending, if the channel is closed."""
         with self._changed:
             while len(self._items) >= self._size and not self._closed:
                 self._changed.wait()
@@ -43,7 +43,7 @@ class Channel(Generic[T]):
             return not self._closed
 
     def put_newest(self, item: T) -> T | None:
-        """Never waits: where there is no room, the oldest item leaves and is returned."""
+        """Append an item without waiting; if the queue is full, remove and return the oldest item."""
         with self._changed:
             left = self._items.popleft() if len(self._items) >= self._size else None
             self._items.append(item)
@@ -51,7 +51,7 @@ class Channel(Generic[T]):
             return left
 
     def get(self, wait: bool = True) -> T | None:
-        """The next item; None where there is none and the channel is closed or is not to be waited for."""
+        """Return the next item; None if there is none and the channel is closed or `wait` is false."""
         with self._changed:
             while wait and not self._items and not self._closed:
                 self._changed.wait()
@@ -60,27 +60,27 @@ class Channel(Generic[T]):
             return item
 
     def is_empty(self) -> bool:
-        """Whether there is no item now."""
+        """Return whether the queue is empty now."""
         return not self._items
 
     def close(self) -> None:
-        """Takes no item any more, and ends all waiting."""
+        """Close the channel: it accepts no further items, and all waiting threads continue."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
 
 class InOrder(Generic[T]):
-    """Ends in the order in which they began what several threads do side by side.
+    """Completion of work items in the order in which they began, though threads compute them in parallel.
 
-    A thread that is done before its turn leaves its piece to the one that has the turn.
+    A thread that finishes before its turn leaves its item to the thread whose turn it is.
 
     Args:
-        end: called with one piece after the other, by any of the threads; False stops.
-        most: pieces that have begun and not ended, at most.
+        end: called with one item after the other, by any of the threads; False stops.
+        most: largest number of items that have begun and not ended.
 
     Attributes:
-        begun: pieces that have begun.
+        begun: number of items that have begun.
     """
 
     def __init__(self, end: Callable[[T], bool], most: int) -> None:
@@ -91,24 +91,24 @@ class InOrder(Generic[T]):
         self._changed = threading.Condition()
 
     def wait_for_room(self) -> bool:
-        """Until another may begin; False after a stop."""
+        """Wait until another item may begin; return False after a stop."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or self.begun - self._ended < self._most)
             return not self._stopped
 
     def wait_for_all(self) -> bool:
-        """Until all that have begun have ended; False after a stop."""
+        """Wait until all items that have begun have ended; return False after a stop."""
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or self._ended == self.begun)
             return not self._stopped
 
     def begin(self) -> int:
-        """The number of a piece that begins, by one thread at a time."""
+        """Return the number of an item that begins; only one thread at a time may call this."""
         self.begun += 1
         return self.begun - 1
 
     def done(self, number: int, piece: T) -> None:
-        """Ends a piece, and those that wait for it, unless one before it is missing."""
+        """End an item and those that wait for it, unless an earlier item is not done yet."""
         with self._changed:
             self._done[number] = piece
             if self._ending:
@@ -127,14 +127,14 @@ class InOrder(Generic[T]):
                 self._changed.notify_all()
 
     def stop(self) -> None:
-        """Nothing begins any more; what has begun before the first that does not come still ends."""
+        """Stop further items from beginning; items before the first missing one still end."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
 
 
 class Slot(Frame):
-    """Room for one frame: both views (1, 1, H, W), its number and when it arrived."""
+    """Frame buffer: both views (1, 1, H, W), the frame's number and its time of arrival."""
 
     def __init__(self, bundle: Bundle) -> None:
         shape = (1, 1, bundle.height, bundle.width)
@@ -142,7 +142,7 @@ class Slot(Frame):
         self.arrival = 0.0
 
     def fill(self, frame: Array, scene: StreamScene, bundle: Bundle, source: str) -> None:
-        """Copies the views out of a frame; raises PlayerError where its size or depth is another one."""
+        """Copy the views out of a frame; raise PlayerError where its size or bit depth does not match."""
         needed = [max(ends) for ends in zip(*((v.rows[1], v.columns[1]) for v in _views(scene).values()), strict=True)]
         if frame.ndim != 2 or frame.shape[0] < needed[0] or frame.shape[1] < needed[1]:
             raise PlayerError(

@@ -1,4 +1,4 @@
-"""Times from the arrival of a frame to its result."""
+"""Latency: time from the arrival of a frame to its result."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Latencies:
-    """A histogram of times in bins 1 % wide from 10 µs up to 20 s, so that memory does not grow with the stream."""
+    """Histogram of latencies in bins 1 % wide from 10 µs up to 20 s, so that memory does not grow with the stream."""
 
     _first, _ratio = 1e-5, 1.01
 
@@ -18,20 +18,20 @@ class Latencies:
         self.worst = 0.0
 
     def add(self, seconds: float) -> None:
-        """Counts a time."""
+        """Add a latency in s to the histogram."""
         place = math.log(max(seconds, self._first) / self._first) / math.log(self._ratio)
         self._counts[min(int(place), len(self._counts) - 1)] += 1
         self.count += 1
         self.worst = max(self.worst, seconds)
 
     def quantile(self, share: float) -> float:
-        """Seconds, the upper end of a bin; NaN without a time."""
+        """Return a quantile in s, as the upper end of its bin; NaN if the histogram is empty."""
         if not self.count:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
         return min(self._first * self._ratio ** (place + 1), self.worst)
 
     def summary(self) -> dict[str, float | None]:
-        """ms."""
+        """Return median, 99th percentile and largest latency in ms; None each if the histogram is empty."""
         facts = {"median": self.quantile(0.5), "p99": self.quantile(0.99), "worst": self.worst}
         return {name: round(1e3 * value, 3) if self.count else None for name, value in facts.items()}

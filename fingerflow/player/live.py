@@ -1,4 +1,4 @@
-"""The latest picture and the traces of a stream, for its page."""
+"""Latest image and time traces of a stream, for the live page."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ from fingerflow.engines.engine import Array
 from fingerflow.player.bundle import Bundle
 from fingerflow.player.handover import Slot
 
-_PAGE_INTERVAL = 1 / 15  # s between pictures, made only while somebody looks
-_TRACE_LENGTH = 900  # 30 s, as the page shows, of a point every 1 / 30 s
+_PAGE_INTERVAL = 1 / 15  # s between images, made only while a page is open
+_TRACE_LENGTH = 900  # 30 s, as the page shows, with a point every 1 / 30 s
 _PAGE_SIDE = 400  # px; larger views are sent with every 2nd, 3rd ... pixel
 _TRACED = ("real_contact_area", "gross_contact_area", "median_divergence")
 _DRAWN = ("position_px", "divergence", "in_contact", "ellipse_center", "ellipse_semi_axes")
 
-Expected = Callable[[int, int], Mapping[str, float]]  # from the numbers of a frame and of the restart
+Expected = Callable[[int, int], Mapping[str, float]]  # from the number of a frame and the number of the restart
 
 
 class LiveForces(NamedTuple):
-    """Forces by name, (frames,) N each, of frames from the number ``first`` on."""
+    """Forces by name, (frames,) N each, of the frames from number ``first`` on."""
 
     first: int
     values: Mapping[str, Array]
 
     def at(self, number: int) -> dict[str, float]:
-        """In a frame; NaN where nothing is known of it."""
+        """Return the forces in a frame by name; NaN outside the known frames."""
         place = number - self.first
         return {name: float(one[place]) if 0 <= place < len(one) else math.nan for name, one in self.values.items()}
 
 
 class LiveViews(NamedTuple):
-    """What a picture is drawn from: a frame, and the (H, W) real-contact mask where the recipe has it."""
+    """Input of an image: a frame buffer, and the (H, W) real-contact mask if the recipe exports it."""
 
     slot: Slot
     real_contact_mask: Array | None
 
 
 class LiveData:
-    """The latest picture and the traces, written by the sink and read by the page.
+    """Latest image and time traces, written by the storing thread and read by the page.
 
     Args:
-        bundle: that is played.
-        expected: what is to be measured in a frame, by name, where that is known.
-        forces: that were recorded with the frames, where they are known.
+        bundle: the bundle that is played.
+        expected: returns the true values of a frame by name, where they are known.
+        forces: recorded with the frames, where they are known.
     """
 
     def __init__(self, bundle: Bundle, expected: Expected | None = None, forces: LiveForces | None = None) -> None:
@@ -67,11 +67,11 @@ class LiveData:
         self._traces: deque[list[float]] = deque(maxlen=_TRACE_LENGTH)
 
     def is_watched(self) -> bool:
-        """Whether somebody has looked in the last two seconds."""
+        """Return whether a page has requested data in the last two seconds."""
         return time.perf_counter() - self._asked < 2
 
     def is_due(self) -> bool:
-        """Whether somebody looks, and the last picture is old enough."""
+        """Return whether a page is open and the last image is old enough; if so, count the next image as drawn now."""
         now = time.perf_counter()
         if not self.is_watched() or now - self._drawn < _PAGE_INTERVAL:
             return False
@@ -79,7 +79,7 @@ class LiveData:
         return True
 
     def show(self, record: Array, views: LiveViews) -> None:
-        """Keeps a small picture of a frame and its result."""
+        """Store a downsampled image of a frame and its result."""
         arrays = {
             name: (view[0, 0, :: self._every, :: self._every] >> self._shift).astype(np.uint8)
             for name, view in views.slot.views.items()
@@ -94,7 +94,7 @@ class LiveData:
         self._arrays = arrays
 
     def trace(self, record: Array) -> None:
-        """Adds a frame to the traces; the oldest leaves."""
+        """Append a frame to the traces; the oldest is dropped when they are full."""
         names, expected = record.dtype.names or (), self._expected_in(record)
         row = [float(record[name]) if name in names else math.nan for name in ("time", *_TRACED)]
         row += self._forces.at(int(record["frame"])).values()
@@ -104,7 +104,7 @@ class LiveData:
         return {} if self._expect is None else self._expect(int(record["frame"]), int(record["restart"]))
 
     def packed(self, facts: Mapping[str, Any]) -> bytes:
-        """Length of a JSON text (little-endian uint32), the text, and the arrays it lists, each padded to 4 bytes."""
+        """Return the length of a JSON text (little-endian uint32), the text, and its arrays, each padded to 4 bytes."""
         self._asked = time.perf_counter()
         traces = np.array(list(self._traces), np.float32).reshape(-1, len(self._columns))
         arrays = self._arrays | {"traces": traces}

@@ -1,8 +1,7 @@
-"""The live page: three files, and what they ask of a stream.
+"""Server of the live page: three static files, the live data, and a request to reseed the points.
 
-It is for the computer that it is served on and those that it was bound for: names that are none of theirs, other sites'
-pages and requests with a body are refused, and nobody can hold more than some of its threads, or for longer than some
-seconds.
+The page is served to this computer and to those that its address is bound for. Requests for another host name, from
+pages of other sites, or with a body are refused. The number of clients and the duration of a request are limited.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from fingerflow.player.live import LiveData
 
 log = logging.getLogger("fingerflow.player")
 
-_TIMEOUT = 5.0  # s for what a client sends next, and for it to take an answer; the page asks every 66 ms
+_TIMEOUT = 5.0  # s to wait for data from a client, or for it to accept a response; the page polls every 66 ms
 _REQUEST = 10.0  # s for a whole request, however slowly its bytes come
 _LINGER, _MOST_BODY = 0.5, 1 << 20  # s and bytes of a body that is refused
 _CLIENTS = 16  # at once
 _NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_WAIT = 0.2  # s, where there is none left
-_LAST_LOOK = 1.2  # s; the page asks 15 times in one, or once where it is not in front
+_WAIT = 0.2  # s to wait when no descriptor is free
+_LAST_LOOK = 1.2  # s; a page polls 15 times a second, or once a second in the background
 _FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
@@ -46,15 +45,15 @@ _HEADERS = {
 def serve_page(
     address: tuple[str, int], live: LiveData, facts: Callable[[], Mapping[str, Any]], restart: Callable[[], None]
 ) -> PageServer:
-    """Starts the live page in a thread of its own.
+    """Start the server of the live page in its own thread and return it.
 
     Args:
         address: host and port; port 0 takes a free one.
-        live: what the page draws.
-        facts: what the page says besides, now.
-        restart: called where somebody asks for other points.
+        live: data that the page draws.
+        facts: returns the current values that the page shows in addition.
+        restart: called when the user requests new points.
 
-    Raises PlayerError where the address is taken.
+    Raises PlayerError where the address is in use.
     """
     folder = Path(__file__).with_name("page")
     files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
@@ -72,7 +71,7 @@ def serve_page(
 
         def do_POST(self) -> None:
             if not self.is_refused():
-                # A page of another site cannot send this header without being asked for leave, which it is not given.
+                # Pages of other sites cannot send this header: it needs a CORS preflight, which is not granted.
                 if self.path == "/restart" and self.headers.get("X-Fingerflow"):
                     restart()
                     self.answer(204, "text/plain", b"")
@@ -91,7 +90,7 @@ def serve_page(
 
 
 class PageServer(ThreadingHTTPServer):
-    """At most `_CLIENTS` at once, each with a time for its request."""
+    """HTTP server for at most `_CLIENTS` clients at once, with a time limit for each request."""
 
     daemon_threads = True
 
@@ -99,19 +98,22 @@ class PageServer(ThreadingHTTPServer):
         self._live = live
         self._room = threading.BoundedSemaphore(_CLIENTS)
         self.host = address[0]
-        self.asking: dict[socket.socket, float] = {}  # clients whose request is not whole, and since when
+        self.asking: dict[socket.socket, float] = {}  # clients with an incomplete request, and when it began
         self._said = False
         super().__init__(address, handler)
 
     def stop(self) -> None:
-        """Ends it; a page that is open is answered a little longer, so that it shows how the stream has ended."""
+        """Stop the server; an open page is served a little longer, so that it shows how the stream has ended."""
         if self._live.is_watched():
             time.sleep(_LAST_LOOK)
         self.shutdown()
         self.server_close()
 
     def get_request(self) -> tuple[socket.socket, Any]:
-        """Raises OSError where no client can be taken, after a while where all descriptors are in use."""
+        """Accept a client.
+
+        Raises OSError where no client can be accepted; it waits first if all descriptors are in use.
+        """
         try:
             return super().get_request()
         except OSError as error:
@@ -119,11 +121,11 @@ class PageServer(ThreadingHTTPServer):
                 if not self._said:
                     log.warning("live page: %s; it answers nobody until others are closed", error.strerror)
                 self._said = True
-                time.sleep(_WAIT)  # the client still waits: without this, a core would ask for it without end
+                time.sleep(_WAIT)  # the client still waits: without a pause this loop would occupy a core
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """In a thread of its own; those beyond the limit are turned away at once."""
+        """Serve a client in its own thread; close the connection of clients beyond the limit at once."""
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)
             return
@@ -134,7 +136,7 @@ class PageServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Makes room when the client has gone."""
+        """Serve a client, and release its place when it has gone."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -142,7 +144,7 @@ class PageServer(ThreadingHTTPServer):
             self._room.release()
 
     def service_actions(self) -> None:
-        """Twice a second: ends clients whose request takes too long."""
+        """Close, twice a second, the connections of clients whose request takes too long."""
         now = time.monotonic()
         for connection, since in list(self.asking.items()):
             if now - since > _REQUEST:
@@ -150,17 +152,17 @@ class PageServer(ThreadingHTTPServer):
                 try:
                     connection.shutdown(socket.SHUT_RDWR)
                 except OSError:
-                    continue  # it has gone by itself
+                    continue  # the client has closed it
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that go away are no news; anything else is a line in the log."""
+        """Log an error in one line, except for lost connections."""
         error = sys.exc_info()[1]
         if error is not None and not isinstance(error, OSError):
             log.warning("live page: %s: %s", type(error).__name__, first_line(error))
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Requests without a body, by a name of this computer, from its own pages."""
+    """Handler that accepts only requests without a body, for a name of this computer, from its own pages."""
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "fingerflow", ""
@@ -168,18 +170,18 @@ class _Handler(BaseHTTPRequestHandler):
     server: PageServer
 
     def handle_one_request(self) -> None:
-        """Counts the time from the first wait for it."""
+        """Handle a request; its time limit runs from the start of the wait for it."""
         self.server.asking[self.connection] = time.monotonic()
         super().handle_one_request()
 
     def is_refused(self) -> bool:
-        """Whether the request is answered already, with a refusal that ends the connection."""
+        """Return whether the request was refused; the refusal is then sent and ends the connection."""
         self.server.asking.pop(self.connection, None)
         hosts = self.headers.get_all("Host", [])
         origin = self.headers.get("Origin")
         lengths = self.headers.get_all("Content-Length", ["0"])
         if self.headers.get("Transfer-Encoding") is not None or lengths != ["0"]:
-            # What follows is not read: on a connection that stays open it would be taken for the next request.
+            # The body is not parsed: on a connection that stays open it would be taken for the next request.
             self.answer(400, "text/plain", b"requests have no body here")
             self._let_body_pass()
             return True
@@ -192,7 +194,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def answer(self, status: int, kind: str, body: bytes) -> None:
-        """The whole answer; one that is no success ends the connection."""
+        """Send a complete response; an error status ends the connection."""
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
@@ -204,10 +206,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Fifteen requests a second are no news."""
+        """Log nothing: the page sends fifteen requests a second."""
 
     def _let_body_pass(self) -> None:
-        """Takes what is still coming, to nowhere: a connection closed before would end without its answer."""
+        """Read and discard the rest of the body; closing the connection before would lose the response."""
         self.connection.shutdown(socket.SHUT_WR)
         self.connection.settimeout(_LINGER)
         taken = 0
@@ -215,13 +217,13 @@ class _Handler(BaseHTTPRequestHandler):
             taken += len(part)
 
     def _is_own(self, name: str) -> bool:
-        """Whether a name can only mean this computer: a site of another name can be made to point here (rebinding)."""
+        """Return whether a host name can only mean this computer; another name may be a DNS rebinding attack."""
         here = str(self.connection.getsockname()[0])
         own = {here, self.server.host.lower(), self.server.server_name.lower(), socket.gethostname().lower()}
         return name in own - {"", "0.0.0.0"} or (name == "localhost" and here.startswith("127."))
 
 
 def _name(host: str) -> str:
-    """Without the port."""
+    """Return a host without its port, in lower case."""
     name, _, port = host.strip().lower().rpartition(":")
     return name if name and port.isdigit() else host.strip().lower()

@@ -1,4 +1,4 @@
-"""What is played: a source, which of its frames count, and the pictures of the empty glass."""
+"""Input of a stream: a source, the range of its frames, and the images of the empty glass and without light."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from fingerflow.player.sources.synthetic import Synthetic, side_by_side
 
 
 class Played(NamedTuple):
-    """What is played: a source by name, which of its frames count, the contact views of empty glass and darkness.
+    """Input of a stream: a source, the range of its frames, and the contact views of the empty glass and without light.
 
-    ``expected`` gives what is to be measured in a frame, by its number and that of the restart, where that is known.
-    ``forces_in`` is the scene file that names the forces of these frames.
+    ``expected`` returns the true values of a frame from the numbers of the frame and of the restart, where they are
+    known. ``forces_in`` is the scene file that names the forces of these frames.
     """
 
     scene: StreamScene
@@ -39,7 +39,7 @@ class Played(NamedTuple):
 
 
 def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
-    """What the options of the command line ask for; raises PlayerError where they or the scene do not go together."""
+    """Return the input that the command line requests; raise PlayerError where its options and the scene conflict."""
     if options.camera and options.source:
         raise PlayerError(f"--camera {options.camera} and --source {options.source} exclude each other; keep one")
     shape = None if options.shape is None else (options.shape[0], options.shape[1])
@@ -54,7 +54,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
         gauge = bundle.recipe.get("fields", {}).get("gauge_length_mm") if path is None else None
         drawn = Synthetic(scene, bundle.dtype, bundle.bit_depth, gauge)
         glass = scene.contact.crop(drawn.background)
-        # Views that a scene maps to each other otherwise are not drawn so.
+        # The true values hold only for the scene of the synthetic source, not for the views of a scene file.
         known = drawn.expected_in if path is None else None
         return Played(scene, "synthetic", drawn.from_frame, glass, black, expected=known)
     if scene.background is None:
@@ -81,7 +81,7 @@ def played_by(options: argparse.Namespace, bundle: Bundle) -> Played:
             f"in {path}"
         )
     first, frames, forces_in = 0, None, None
-    if file.resolve() == scene.frames:  # the range and the forces are those of the scene's own recording
+    if file.resolve() == scene.frames:  # range and forces belong to the scene's own recording
         first, forces_in = scene.first_frame, path if scene.has_forces else None
         frames = None if scene.last_frame is None else scene.last_frame + 1 - first
     return Played(

@@ -1,4 +1,4 @@
-"""What a record of a frame holds: variables of `schema`, those of the tracker and those of the player itself."""
+"""Layout of the record of a frame: variables of `schema` that the tracker and the player provide."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _VARIABLES = by_name((TIME,), FRAME_CHECK, CONTACT, TRACKING, FIELDS, STREAM)
 _FRAME_NUMBER = Variable(
     "frame", FRAME, "", "number of the frame as it came in, or in its file, from 0; gaps are dropped frames", "i8"
 )
-# What the player itself adds to a record.
+# Variables that the player itself adds to a record.
 _OWN = (
     _FRAME_NUMBER,
     *(_VARIABLES[name] for name in ("time", "latency", "frame_status", "key_frame", "restart", "contact_threshold")),
@@ -37,28 +37,28 @@ _MATLAB = {"f4": "single", "f8": "double", "u1": "uint8", "u2": "uint16", "i4": 
 
 
 class _Field(NamedTuple):
-    """Of a record, with its type as NumPy writes it and its shape without the frame."""
+    """Field of a record: its variable, its type in NumPy notation, and its shape without the frame dimension."""
 
     variable: Variable
     type: str
     shape: tuple[int, ...]
 
     def stated(self) -> dict[str, object]:
-        """In the header of the results."""
+        """Return the entry of the field in the header of the results."""
         one = self.variable
         about = {"name": one.name, "dtype": self.type, "shape": self.shape, "dims": one.dims, "unit": one.units}
         return {**about, "long_name": one.long_name, "matlab": _MATLAB[self.type[1:]]}
 
 
 class RecordLayout:
-    """Which results a record holds, and how they get there.
+    """Layout of records, and storage of results in them.
 
     Args:
-        points: N of each frame.
+        points: number N of points in each frame.
 
     Attributes:
         dtype: of a record.
-        fields: what the header says of each field.
+        fields: entries of the header, one a field.
     """
 
     def __init__(self, points: int) -> None:
@@ -66,19 +66,19 @@ class RecordLayout:
         fields = [_Field(one, np.dtype(one.kind).newbyteorder("<").str, ()) for one in _OWN]
         for name in RESULTS:
             variable = _VARIABLES[name]
-            # As exact as they are: the tracker computes in single precision.
+            # The tracker computes in single precision.
             kind = "<f4" if variable.kind.startswith("f") else np.dtype(variable.kind).newbyteorder("<").str
             fields.append(_Field(variable, kind, tuple(sizes[dim] for dim in variable.dims[1:])))
         self.dtype = np.dtype([(one.variable.name, one.type, one.shape) for one in fields])
         self.fields = [one.stated() for one in fields]
 
     def fill(self, records: Mapping[str, Array], place: int, results: Mapping[str, Any]) -> None:
-        """Stores the results of a frame in one of the records, whose fields are given by name."""
+        """Store the results of a frame in the record number `place`; `records` holds the fields by name."""
         for name in RESULTS:
             records[name][place] = results[name]
 
     def fill_unknown(self, records: Mapping[str, Array], place: int) -> None:
-        """Stores that a frame counts in no result: NaN, and 0 in integers, but for the status of points."""
+        """Store a frame without results: NaN, 0 in integer fields, and "frame_not_usable" as the status of points."""
         for name in RESULTS:
             kind = records[name].dtype.kind
             records[name][place] = np.nan if kind == "f" else _NOT_USABLE if name == "status" else 0

@@ -1,4 +1,4 @@
-"""What a stream takes from a scene file, whose keys and rules are those of `schema`, as for `fingerflow process`."""
+"""Settings of a stream, read from a scene file with the keys and rules of `schema`, as for `fingerflow process`."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from fingerflow.tracker.stream import TrackerSettings
 
 
 class ViewRange(NamedTuple):
-    """A rectangle of pixels, half-open ranges."""
+    """Rectangle of pixels, given by half-open ranges."""
 
     rows: tuple[int, int]
     columns: tuple[int, int]
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(height, width) px."""
+        """Return (height, width) px."""
         return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
 
     def crop(self, frame: Array) -> Array:
-        """The view's part of a frame (H, W), without a copy."""
+        """Return the view's part of a frame (H, W), without a copy."""
         return frame[self.rows[0] : self.rows[1], self.columns[0] : self.columns[1]]
 
 
 @dataclass(frozen=True)
 class StreamScene:
-    """Where the views lie in a frame, their scale, and what empty glass looks like.
+    """Experiment settings of a stream: views, their scale, and the files of the background.
 
-    Frames count from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, or what the scene says
-    in place of one. ``region`` is the part of the topography view in which points are chosen, None for all of it.
-    ``drawn`` is one of another shape, as `schema.region` takes it.
-    ``has_forces`` says whether it names a file of forces; what is in it the page has from the package.
-    ``asked`` has the settings that a recipe has decided already, by table and key, as far as the file states them.
+    Frames are played from `first_frame` to `last_frame` of the recording. ``threshold`` is a number, "reference_frame"
+    or "per_frame". ``region`` is the rectangle of the topography view in which points are seeded, None for the whole
+    view. ``drawn`` is a region of another shape, as `schema.region` takes it. ``has_forces`` tells whether the scene
+    names a file of forces; the package reads it for the page. ``asked`` holds by dotted key the settings [contact],
+    [tracking] and [fields] that the scene file states, for comparison with the recipe.
     """
 
     contact: ViewRange
@@ -65,12 +65,12 @@ class StreamScene:
 
     @property
     def given_threshold(self) -> float | None:
-        """None where it is to be measured."""
+        """Return the threshold; None if it is to be measured."""
         return None if isinstance(self.threshold, str) else self.threshold
 
 
 def stream_settings(scene: StreamScene, bundle: Bundle) -> TrackerSettings:
-    """What the tracker of a stream needs to know of a scene and a bundle."""
+    """Return the settings of the tracker of a stream from a scene and a bundle."""
     region = np.zeros((bundle.height, bundle.width), dtype=bool)
     if scene.drawn is not None:
         for row, first, end in region_runs(scene.drawn, *region.shape):
@@ -93,7 +93,7 @@ _DECIDED_BY_RECIPES = ("contact", "tracking", "fields")
 
 
 def load_scene(path: Path) -> StreamScene:
-    """Reads a scene file; raises PlayerError with file, line, key, value and remedy."""
+    """Return the settings of a scene file; raise PlayerError with file, line, key, value and remedy."""
     try:
         checked = read_scene(path, "stream")
     except SceneError as error:
@@ -140,7 +140,7 @@ def _rectangle(view: Mapping[str, Any]) -> ViewRange:
 
 
 def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
-    """Raises PlayerError for a region that a stream cannot have."""
+    """Check the regions of the views; raise PlayerError for one that a stream does not support."""
     if views["contact"].get("region") is not None:
         raise PlayerError(
             f"{path}: views.contact.region is of `fingerflow process`; the graphs of a stream look for contact in the "
@@ -155,10 +155,10 @@ def _check_regions(path: Path, views: Mapping[str, Any]) -> None:
 
 
 def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
-    """Whether a bundle can play the scene of a file, or the drawn one.
+    """Check that a bundle can play the scene of a file, or that of the synthetic source.
 
-    Raises PlayerError where the views are not of the bundle's size, or a threshold or a reference is asked for that a
-    stream cannot have.
+    Raises PlayerError where the views do not have the bundle's size, or where a stream does not support the requested
+    threshold or reference.
     """
     size, said = (bundle.height, bundle.width), "" if path is None else f"{path}: "
     for name, view in (("contact", scene.contact), ("topography", scene.topography)):
@@ -182,7 +182,7 @@ def check_scene(scene: StreamScene, bundle: Bundle, path: Path | None) -> None:
         )
 
 
-_PLAYED = {  # what a stream does, whatever a scene says, because later frames are not known or graphs are fixed
+_PLAYED = {  # fixed in a stream, because later frames are unknown or graphs are fixed
     "tracking.direction": "forward",
     "tracking.points_from": "recorded",
     "tracking.template": "keyframe",
@@ -191,7 +191,7 @@ _PLAYED = {  # what a stream does, whatever a scene says, because later frames a
 
 
 def contradictions(scene: StreamScene, recipe: Mapping[str, Any]) -> list[str]:
-    """One sentence for each setting of the scene that the recipe has decided otherwise."""
+    """Return one sentence for each setting of the scene that differs from that of the recipe."""
     decided = {f"{table}.{key}": value for table, keys in recipe.items() for key, value in keys.items()} | _PLAYED
     return [
         f"{name} of the scene is {value!r}; the bundle plays with {decided[name]!r}"

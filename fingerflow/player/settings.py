@@ -1,4 +1,4 @@
-"""How a stream runs."""
+"""Settings of a run of a stream."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Settings:
-    """How a stream runs.
+    """Settings of a run of a stream.
 
     Attributes:
-        every: process every frame, the source waits for room; else the newest frame, those it overtakes are dropped.
-        queue: frames that wait at most; 1 in the policy `latest`.
-        rate: Hz at which a recording is played, None as fast as it goes.
+        every: process every frame, so that the source waits for free space; else the newest frame, and drop older ones.
+        queue: largest number of waiting frames; 1 with the policy `latest`.
+        rate: Hz at which a recording is played, None for as fast as possible.
         first: number of the first frame in the source.
-        frames: end after so many, None at the source's end.
+        frames: number of frames after which the stream ends, None for the source's end.
         give_up: s without a frame after which the stream ends with an error.
-        parallel: frames that are computed beside each other.
+        parallel: number of frames that are computed in parallel.
         page: host and port of the live page, None for none; port 0 takes a free one.
     """
 

@@ -1,4 +1,4 @@
-"""One stream: its threads, and what passes between them."""
+"""Stream player: its threads, and the frames, outcomes and records that pass between them."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from fingerflow.tracker.stream import Event, FrameOutcome, StreamTracker, Work
 log = logging.getLogger("fingerflow.player")
 
 _STALL_WARNING = 2.0  # s
-_HANGING = 2.0  # s that a stopped stream waits for its source before it is left behind
+_HANGING = 2.0  # s that a stopped stream waits for its source before it abandons it
 _TRACE_INTERVAL = 1 / 30  # s between points of the traces on the live page
 _STORE_INTERVAL = 0.02  # s
-_SENTENCES = {  # of the log, by the names of the tracker's events
+_SENTENCES = {  # for the log, by the names of the tracker's events
     "restart": "{points} points seeded ({cause})",
     "key_frame": "{points} points followed from a new key frame",
     "threshold": "threshold {threshold:.4f} of the intensity lost",
 }
-_RECORDS_WAITING = 512  # more than a second's worth, as long as a slow disk may take to sync
+_RECORDS_WAITING = 512  # records of more than a second, the time that a slow disk may take to sync
 
 
 class Player:
-    """One stream from source to results; `run` returns when it has ended.
+    """Player of one stream from source to results; `run` returns when it has ended.
 
-    Raises PlayerError for everything that the user can put right; the results are whole then too.
+    Raises PlayerError for every error that the user can correct; the results until then are complete.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Player:
         self.computed_by = computed_by
         self._tracker, self._sink, self._layout = tracker, sink, layout
         self._source, self._open_source = source, open_source
-        # One slot is being filled, some computed, one is in doubt, one measured, one drawn on the page; the others
+        # One slot is being filled, some computed, one is deferred, one measured, one drawn on the page; the others
         # wait. Their number is the bound.
         slots = [Slot(bundle) for _ in range(settings.queue + 4 + tracker.lag)]
-        # The slot that was in use last is still in the processor's cache.
+        # The slot that was used last is still in the processor's cache.
         self._free = Channel(len(slots), slots, newest_first=True)
         self._frames: Channel[Slot] = Channel(len(slots) if settings.every else 1)
         self._outcomes: Channel[Event | FrameOutcome] = Channel(len(slots))
@@ -94,12 +94,12 @@ class Player:
         self._beginning, self._order = threading.Lock(), InOrder(self._end, tracker.lag)
         self._first = math.nan
         self._findings = Findings()
-        self._drawing = False  # a frame is on its way to the page
+        self._drawing = False  # a frame is queued for the page
         self._topography_mm_per_px = scene.mm_per_px * math.sqrt(abs(np.linalg.det(scene.topography_to_contact[:, :2])))
         self._last_trouble = ""
 
     def run(self) -> dict[str, Any]:
-        """Plays the stream and returns its summary."""
+        """Play the stream and return its summary."""
         after_computing = (self._free.close, self._frames.close, self._close_outcomes)
         after_measuring = (self._free.close, self._frames.close, self._outcomes.close, self._records.close)
         threads = [
@@ -147,15 +147,15 @@ class Player:
         return {**self.summary(), "warnings": missing}
 
     def stop(self) -> None:
-        """Ends the stream cleanly; frames that came in are still processed."""
+        """End the stream cleanly: frames that have arrived are still processed."""
         self._stop.set()
 
     def points(self) -> dict[str, int]:
-        """Points that the last frame tracked, of those chosen at the last restart."""
+        """Return the number of points tracked in the last frame and the number seeded at the last restart."""
         return {"tracked": self.tracked, "found": self._tracker.found}
 
     def summary(self) -> dict[str, Any]:
-        """Counts, seconds, rates and latencies until now."""
+        """Return counts, duration in s, rate and latencies until now."""
         seconds = getattr(self, "_seconds", time.perf_counter() - self._started)
         return {
             "frames_in": self.frames_in,
@@ -191,7 +191,7 @@ class Player:
         }
 
     def _guard(self, step: Callable[[], None], after: Iterable[Callable[[], Any]]) -> None:
-        """Runs a thread; its failure ends the others, and each ends those that wait for it."""
+        """Run the step of a thread, then close the queues in `after`; a failure stops the stream."""
         try:
             step()
         except BaseException as error:
@@ -202,7 +202,7 @@ class Player:
             for close in after:
                 close()
 
-    # Main thread: the log, and whether the source still gives frames.
+    # Main thread: writes the log and monitors the source.
 
     def _watch(self) -> None:
         said, processed, stalled = time.perf_counter(), 0, False
@@ -259,7 +259,7 @@ class Player:
                 arrival = time.perf_counter()
                 if self.settings.rate is not None and not source.live:
                     start = arrival if math.isnan(start) else start
-                    # A camera of that rate gives the frame at this time: being late after it counts as latency.
+                    # A camera at that rate would deliver the frame at this time: any delay after it counts as latency.
                     arrival = start + self.frames_in / self.settings.rate
                     if (wait := arrival - time.perf_counter()) > 0:
                         time.sleep(wait) if wait < 0.1 else self._stop.wait(wait)
@@ -270,7 +270,7 @@ class Player:
                 close_within(_HANGING, source)
 
     def _lost(self, source: Source | None, error: Exception, attempt: int) -> None:
-        """After an error of the source: it is closed and opened again, later and later."""
+        """Close the source after an error and wait before it is opened again, longer at each attempt."""
         self._last_trouble = f"{type(error).__name__}: {first_line(error)}"
         self.reconnects += 1
         delay = min(0.1 * 2**attempt, 5.0)
@@ -297,7 +297,7 @@ class Player:
             self.dropped += 1
             self._free.put(overtaken)
 
-    # Compute: frames -> outcomes, in as many threads as frames are computed beside each other.
+    # Compute: frames -> outcomes, in one thread for each frame that is computed in parallel.
 
     def _compute(self) -> None:
         try:
@@ -305,7 +305,7 @@ class Player:
                 number, work = begun
                 self._tracker.compute(work)
                 self._order.done(number, work)
-            with self._beginning:  # by the first of these threads that gets here
+            with self._beginning:  # done by the first of these threads that arrives
                 if self._order.wait_for_all():
                     self._hand_on(self._tracker.settle())
         except BaseException:
@@ -313,7 +313,7 @@ class Player:
             raise
 
     def _begin(self) -> tuple[int, Work] | None:
-        """The next frame; None where there is none or the stream has failed."""
+        """Begin the next frame and return its number and work; None if there is none or the stream has failed."""
         with self._beginning:
             if not self._order.wait_for_room():
                 return None
@@ -328,18 +328,18 @@ class Player:
             return (self._order.begin(), work) if self._hand_on(passed) else None
 
     def _close_outcomes(self) -> None:
-        """After the last of these threads no outcome comes."""
+        """Close the queue of outcomes when the last computing thread has ended."""
         with self._beginning:
             self._computing -= 1
             if not self._computing:
                 self._outcomes.close()
 
     def _end(self, work: Work) -> bool:
-        """Finishes a frame that was computed; False where the stream has failed."""
+        """Finish a computed frame; return False if the stream has failed."""
         return self._hand_on(self._tracker.finish(work))
 
     def _hand_on(self, passed: Iterable[Event | FrameOutcome]) -> bool:
-        """Passes on frames whose outcome is known, and what has happened; False where the stream has failed."""
+        """Pass on final outcomes and events; return False if the stream has failed."""
         return all(self._outcomes.put(one) for one in passed)
 
     # Measure: outcomes -> records.
@@ -356,7 +356,7 @@ class Player:
         log.info("frame %d: %s", event.frame, _SENTENCES[event.name].format(**event.facts))
 
     def _recorded(self, outcome: FrameOutcome) -> bool:
-        """Passes on the record of a frame; False where the stream has failed."""
+        """Pass on the record of a frame; return False if the stream has failed."""
         results = self._tracker.results_of(outcome)
         slot, place, fields = outcome.work.frame, self.processed % len(self._room), self._fields
         assert isinstance(slot, Slot)
@@ -405,5 +405,5 @@ class Player:
                 traced = float(record["time"])
                 self.live.trace(record)
             self._sink.write(as_bytes[place], int(record["frame"]))
-            if self._records.is_empty():  # to be woken for several records instead of for each
+            if self._records.is_empty():  # one wake-up for several records
                 time.sleep(_STORE_INTERVAL)

@@ -1,6 +1,6 @@
-"""Frames and forces in: one reader a file, behind `open_recording` and `open_forces`.
+"""Readers of frames and forces, one module a file format, behind `open_recording` and `open_forces`.
 
-A name is loaded when it is first asked for: who reads frames needs no library of forces, such as SciPy.
+Names are loaded on first use: code that reads only frames needs no library for forces, such as SciPy.
 """
 
 from importlib import import_module

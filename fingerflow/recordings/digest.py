@@ -1,4 +1,4 @@
-"""Short digests: names for content that tell one from another."""
+"""Short digests that identify content."""
 
 import hashlib
 import json
@@ -7,12 +7,12 @@ from typing import Any
 
 
 def digest_of(*parts: Any) -> str:
-    """Of what JSON can hold."""
+    """Return a digest of 16 hexadecimal digits of values that JSON can represent."""
     return digest_of_bytes([json.dumps(parts, sort_keys=True).encode()])
 
 
 def digest_of_bytes(parts: Iterable[bytes | memoryview]) -> str:
-    """Of bytes, one after another."""
+    """Return a digest of 16 hexadecimal digits (SHA-256) of bytes, one part after another."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)

@@ -1,4 +1,4 @@
-"""What tells one recording from another of the same length and size."""
+"""Identity of a recording, different for another recording of the same length and size."""
 
 import numpy as np
 
@@ -7,8 +7,9 @@ from fingerflow.recordings.frames.recording import Recording
 
 
 def identity_of(recording: Recording) -> str:
-    """Number, size and type of the frames and a digest of the first one's pixels: the camera's noise is never the same
-    again. No other frame is read, which in a video may take as long as all of them.
+    """Return number, size and type of the frames and a digest of the first frame, whose camera noise is unique.
+
+    No other frame is read, because in a video that may take as long as reading all of them.
     """
     height, width = recording.frame_shape
     first = np.ascontiguousarray(recording[0])

@@ -1,1 +1,1 @@
-"""Keys of scenes and variables of results as data, for the package and for a bundle's player alike."""
+"""Schema of scene files and result variables as data, shared by the package and the player of a bundle."""

@@ -1,3 +1,3 @@
-"""The format of bundles, raised where a player of another version could not play them."""
+"""Format number of bundles, increased whenever a player of another version cannot play them."""
 
 BUNDLE_FORMAT = 6

@@ -1,4 +1,4 @@
-"""The calibration of a rig as `fingerflow calibrate` writes it, in plain numbers."""
+"""Calibration file of a rig, as written by `fingerflow calibrate`, read into plain numbers."""
 
 import math
 import tomllib
@@ -7,24 +7,32 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 Pixels = tuple[int, int]
-DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")  # numbers of a disc
+DISC = ("angle", "center_sigma_px", "edge_rms_px", "coverage", "contrast", "significance")  # scalar entries of a disc
 DISC_PAIRS = ("center", "semi_axes_px")
 _REMEDY = "Write it anew with `fingerflow calibrate`"
 
 
 class CalibrationError(Exception):
-    """Names the file, what is wrong in it, and the remedy."""
+    """Error with the calibration file, what is wrong in it, and the remedy."""
 
 
 class TransformRows(NamedTuple):
-    """(2, 3) from (x, y, 1) px to (x, y) px, and (N, 2) px that are left."""
+    """Transform between views and its residuals.
+
+    Attributes:
+        matrix: (2, 3), maps (x, y, 1) px to (x, y) px.
+        residuals_px: (N, 2) px, residuals of the fit.
+    """
 
     matrix: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float, ...], ...]
 
 
 class CalibrationFile(NamedTuple):
-    """What the file says. All pixels are those of a view, half-open ranges of rows and columns of a frame."""
+    """Content of a calibration file.
+
+    Pixels are those of a view. `views` holds half-open ranges of rows and columns of a frame.
+    """
 
     mm_per_px: float
     hole_radius_mm: float
@@ -36,14 +44,17 @@ class CalibrationFile(NamedTuple):
     warnings: tuple[str, ...]
 
     def matrix(self) -> list[list[float]] | None:
-        """[[a, b, x], [c, d, y]] from px of the topography view to px of the contact view; None for a scale alone."""
+        """Return [[a, b, x], [c, d, y]] from px of the topography view to px of the contact view.
+
+        Returns None where the calibration holds only a scale.
+        """
         return None if self.affine is None else [list(row) for row in self.affine.matrix]
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """What a calibration file says.
+    """Return the content of a calibration file.
 
-    Raises CalibrationError where it cannot be read, lacks an entry, or holds a scale or a transform that cannot be.
+    Raises CalibrationError where the file cannot be read, lacks an entry, or holds an invalid scale or transform.
     """
     try:
         if path.exists() and not path.is_file():
@@ -78,7 +89,7 @@ def read_calibration(path: Path) -> CalibrationFile:
 
 
 def pixel_range(name: str, values: Any) -> Pixels:
-    """Two whole numbers [first, end) with 0 <= first < end; raises ValueError for anything else."""
+    """Return two whole numbers [first, end) with 0 <= first < end; raise ValueError for any other value."""
     try:
         first, end = (int(value) for value in values)
         whole = (first, end) == tuple(values)
@@ -93,7 +104,7 @@ def pixel_range(name: str, values: Any) -> Pixels:
 
 
 def can_be_undone(matrix: tuple[tuple[float, ...], ...], least: float = 0.0) -> bool:
-    """Whether the 2 x 2 part of a (2, 3) transform has a determinant beyond the least."""
+    """Return whether the 2 x 2 part of a (2, 3) transform is invertible: its absolute determinant exceeds `least`."""
     (a, b, _), (c, d, _) = matrix
     return abs(a * d - b * c) > least
 
@@ -119,7 +130,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 def _number(value: Any) -> float:
-    """As it is written: a whole number stays one. Raises TypeError where it is none."""
+    """Return a number unchanged: an int stays an int. Raise TypeError for any other value."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value!r} is no number")
     return value

@@ -1,4 +1,4 @@
-"""Sizes that the headers of pictures and arrays claim, read before a library takes memory for them."""
+"""Sizes stated in the headers of image and array files, read before a library allocates memory for them."""
 
 import struct
 
@@ -12,7 +12,10 @@ _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # JPEG: start of a frame
 
 
 def impossible_picture(data: bytes | memoryview) -> str:
-    """Why a PNG, JPEG or BMP file cannot be what its header claims, in words that follow its name; "" for nothing."""
+    """Return why the content of a PNG, JPEG or BMP file contradicts its header, or "" if it does not.
+
+    The text continues a sentence that begins with the name of the file.
+    """
     height, width = picture_size(data) or (1, 1)
     if not 0 < height * width <= min(MOST_PIXELS, _MOST_PIXELS_A_BYTE * len(data) + _ALWAYS):
         return f"its header says {height} x {width} pixels, which a file of {len(data)} bytes cannot hold"
@@ -26,7 +29,7 @@ def impossible_picture(data: bytes | memoryview) -> str:
 
 
 def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
-    """(height, width) of a PNG, JPEG or BMP file as its header claims it; None where there is no such header."""
+    """Return (height, width) from the header of a PNG, JPEG or BMP file; None without such a header."""
     if data[:8] == _PNG and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return height, width
@@ -40,7 +43,7 @@ def picture_size(data: bytes | memoryview) -> tuple[int, int] | None:
 
 
 def npy_header_bytes(start: bytes) -> int:
-    """Length of the header of a NumPy file by its first 12 bytes; 0 where it is none."""
+    """Return the length in bytes of the header of a NumPy file from its first 12 bytes; 0 if it is not a NumPy file."""
     if start[:6] != b"\x93NUMPY" or len(start) < 12:
         return 0
     return int.from_bytes(start[8:10] if start[6] == 1 else start[8:12], "little")
@@ -52,7 +55,7 @@ def _jpeg_size(data: bytes | memoryview) -> tuple[int, int] | None:
         if data[at] != 0xFF:
             return None
         marker = data[at + 1]
-        if marker == 0xFF:  # filled up
+        if marker == 0xFF:  # fill byte
             at += 1
         elif marker in _SIZES:
             height, width = struct.unpack_from(">HH", data, at + 5)

@@ -1,9 +1,10 @@
-"""How each variable follows from others, in plain text: what `fingerflow outputs` and the documentation show.
+"""Equations of the result variables in plain text, shown by `fingerflow outputs` and the documentation.
 
-I is a pixel of a frame, I₀ of the empty glass, D without light; s mm a pixel of the contact view; x the position of a
-point on the glass, X where it was when displacement counted from it, u = x − X = (u, v); u_x = ∂u/∂X and so on, from
-planes fitted to u with weights (1 − (r/R)²)² within R, half of fields.gauge_length_mm; σ a standard deviation, Σ the
-covariance of what follows it, to first order. E, ν and h are fields.young_modulus_mpa, poisson_ratio and depth_mm.
+I is a pixel of a frame, I₀ of the empty glass, D without light; s mm per pixel of the contact view; x the position of a
+point on the glass, X its reference position, u = x − X = (u, v) its displacement; u_x = ∂u/∂X and so on, from planes
+fitted to u with weights (1 − (r/R)²)² within R, half of fields.gauge_length_mm; σ a standard deviation, Σ the
+covariance of the inputs, propagated to first order. E, ν and h are fields.young_modulus_mpa, poisson_ratio and
+depth_mm.
 """
 
 _STD = "σ² = g Σ gᵀ, g the derivatives by what it is computed from"

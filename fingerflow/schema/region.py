@@ -1,4 +1,4 @@
-"""A part of a view that a scene draws, as runs of pixels: one rule for `process` and for a stream, Python alone."""
+"""Regions of a view as runs of pixels, in pure Python: one rule for `process` and for a stream."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +8,7 @@ Point = tuple[float, float]
 
 
 def region_runs(region: Mapping[str, Any], height: int, width: int) -> Iterator[tuple[int, int, int]]:
-    """(row, first, end) of the pixels of a region, a polygon or an ellipse, as a scene file has it."""
+    """Yield (row, first, end) of the runs of pixels in a region, given as a polygon or an ellipse of a scene file."""
     if region["polygon"] is not None:
         yield from polygon_runs(region["polygon"], height, width)
     else:
@@ -16,10 +16,10 @@ def region_runs(region: Mapping[str, Any], height: int, width: int) -> Iterator[
 
 
 def polygon_runs(corners: Sequence[Point], height: int, width: int) -> Iterator[tuple[int, int, int]]:
-    """(row, first, end) of the pixels whose centres a closed polygon holds, by the even-odd rule.
+    """Yield (row, first, end) of the runs of pixels whose centres lie in a closed polygon, by the even-odd rule.
 
-    Corners are (x, y) px with whole numbers at pixel centres. A centre on a left or an upper side counts, on a right or
-    a lower one not: polygons that share a side share no pixel.
+    Corners are (x, y) px with integers at pixel centres. A centre on a left or an upper side is inside, on a right or a
+    lower side outside, so polygons that share a side share no pixel.
     """
     sides = list(zip(corners, (*corners[1:], corners[0]), strict=True))
     low, high = min(y for _, y in corners), max(y for _, y in corners)
@@ -36,7 +36,7 @@ def polygon_runs(corners: Sequence[Point], height: int, width: int) -> Iterator[
 def ellipse_runs(
     center: Point, semi_axes: Point, angle: float, height: int, width: int
 ) -> Iterator[tuple[int, int, int]]:
-    """(row, first, end) of the pixels whose centres an ellipse holds.
+    """Yield (row, first, end) of the runs of pixels whose centres lie in an ellipse.
 
     `angle` is that of the first axis, rad from x towards y. With x along the row, (p x + q y)^2 / a^2 + (p y - q x)^2 /
     b^2 <= 1 is a quadratic in x.

@@ -1,4 +1,4 @@
-"""What was recorded and what is asked of it: one TOML file. Its keys and rules are those of `schema.scene_keys`."""
+"""Experiment settings: the content of a scene file (TOML). Keys and rules are those of `schema.scene_keys`."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -18,7 +18,7 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """[recording]: the frames, and which of them count. Frames are numbered from 0 as they stand in the file."""
+    """Settings [recording]: the frames and the range of them that is used, numbered from 0 as in the file."""
 
     frames: Path
     frame_rate: float | None
@@ -28,7 +28,7 @@ class RecordingSettings:
 
 
 class Views(Mapping[str, View]):
-    """[views]: where each view lies in the frame, by its name."""
+    """Settings [views]: the rectangle of each view in the frame, by name."""
 
     def __init__(self, views: Mapping[str, View]) -> None:
         self._views = dict(views)
@@ -45,23 +45,23 @@ class Views(Mapping[str, View]):
         return len(self._views)
 
     def names(self) -> tuple[str, ...]:
-        """Of the views that the scene has."""
+        """Return the names of the views that the scene has."""
         return tuple(self._views)
 
     @property
     def contact(self) -> View:
-        """The view of light that contact takes away."""
+        """Return the view in which contact reduces the light."""
         return self["contact"]
 
     @property
     def topography(self) -> View | None:
-        """The view of the skin's ridges."""
+        """Return the view of the skin's ridges; None if the scene has none."""
         return self.get("topography")
 
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """[background]: frames without a finger, and without light. A soft sensor needs none."""
+    """Settings [background]: frames without a finger, and without light. A soft sensor needs neither."""
 
     frames: Path | None
     dark: Path | None
@@ -69,10 +69,10 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """[forces]: channels by their names in the file or their numbers, from 1; ``tangential`` may be two components.
+    """Settings [forces]: channels by name or by number from 1; ``tangential`` may have two components.
 
-    ``units`` is that of all forces, None for that of each heading; ``gain``, ``sign`` and ``offset`` are one number for
-    all or one each, normal first (`recordings.forces.newtons.Sensor`).
+    ``units`` is the unit of all forces, None for the unit in each heading. ``gain``, ``sign`` and ``offset`` are one
+    number for all or one each, normal first (`recordings.forces.newtons.Sensor`).
     """
 
     file: Path
@@ -91,9 +91,9 @@ class ForceSettings:
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """[calibration]: given here, or by the file that `fingerflow calibrate` wrote.
+    """Settings [calibration]: stated in the scene file or read from the file that `fingerflow calibrate` wrote.
 
-    ``topography_to_contact`` matters only where there is a topography view.
+    ``topography_to_contact`` is used only if there is a topography view.
     """
 
     file: Path | None
@@ -103,7 +103,7 @@ class CalibrationSettings:
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """[contact]: what counts as contact."""
+    """Settings [contact]: segmentation of the real and the gross contact."""
 
     median_px: int
     threshold: float | Literal["reference_frame", "per_frame"]
@@ -112,7 +112,7 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """[tracking]: how points are chosen and followed."""
+    """Settings [tracking]: how points are seeded and tracked."""
 
     points: int
     window_px: int
@@ -127,10 +127,10 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """[fields]: deformation of the skin, and its elasticity.
+    """Settings [fields]: deformation of the skin, and its elasticity.
 
-    ``reference`` is what displacement counts from: "onset", "first_frame", a frame, or a time from the trigger, such
-    as "0.25 s".
+    ``reference`` is the instant from which displacement is measured: "onset", "first_frame", a frame number, or a time
+    from the trigger, such as "0.25 s".
     """
 
     reference: str | int
@@ -144,10 +144,10 @@ class FieldSettings:
 
 @dataclass(frozen=True)
 class SlipSettings:
-    """[slip]: of a trial of tangential loading. A scene that has it is of the kind "slip", unless it states another.
+    """Settings [slip] of a trial of tangential loading.
 
-    ``stuck_mm`` is of the criteria "displacement" and "relative"; ``displacement`` is that of tracked points, or of all
-    skin by dense flow.
+    A scene with this table is of the kind "slip" unless it states another. ``stuck_mm`` is used by the criteria
+    "displacement" and "relative". ``displacement`` is measured at tracked points or, by dense flow, everywhere.
     """
 
     criterion: Literal["border", "displacement", "relative"]
@@ -157,10 +157,10 @@ class SlipSettings:
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """[stream]: what the player of an exported bundle reads beside the rest.
+    """Settings [stream]: additional settings for the player of an exported bundle.
 
     ``region`` is the part of the topography view in which skin is expected to touch, as it lies in the first frame.
-    Points are chosen there, by `process` too: so they are the same.
+    Points are seeded in it, by `process` too, so that both seed the same points.
     """
 
     output: Path | None
@@ -171,9 +171,9 @@ class StreamSettings:
 
 @dataclass(frozen=True)
 class Scene:
-    """A recording and everything needed to process it.
+    """Recording and all settings that are needed to process it.
 
-    ``path`` is the file that says so, ``kind`` one of `schema.scene_kinds.KINDS`.
+    ``path`` is the scene file, ``kind`` one of `schema.scene_kinds.KINDS`.
     """
 
     path: Path
@@ -190,7 +190,7 @@ class Scene:
     stream: StreamSettings
 
     def files(self) -> tuple[Path, ...]:
-        """Everything that it is made of, itself first: what no result may replace."""
+        """Return the scene file and all files that it names; no result may overwrite them."""
         forces = None if self.forces is None else self.forces.file
         masks = (None if view.region is None else view.region.mask for view in self.views.values())
         named = (
@@ -205,16 +205,16 @@ class Scene:
 
     @property
     def soft_sensor(self) -> bool | None:
-        """True where markers on a gel are followed, None else: what stages need of it, `has` tells."""
+        """Return True if markers on a gel are tracked, else None, so that `has` treats it as a key without a value."""
         return True if self.kind == "soft_sensor" else None
 
     @property
     def dense_flow_slip(self) -> bool | None:
-        """True where slip is looked for by dense flow, None else: as `soft_sensor`."""
+        """Return True if slip is measured by dense flow, else None, as for `soft_sensor`."""
         return True if self.slip.displacement == "dense_flow" else None
 
     def has(self, need: str) -> bool:
-        """Whether the scene gives what a dotted key of its file names: "views.topography", "forces.tangential"."""
+        """Return whether a dotted key of the scene file, such as "forces.tangential", has a value."""
         found: Any = self
         for key in need.split("."):
             found = found.get(key) if isinstance(found, Views) else getattr(found, key)
@@ -223,16 +223,16 @@ class Scene:
         return True
 
     def as_json(self) -> str:
-        """Every setting, as it counts, by table and key."""
+        """Return all settings in effect, by table and key, as JSON text."""
         return json.dumps(_plain(self))
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Reads a scene file.
+    """Return the scene of a scene file.
 
     Raises:
-        FingerflowError: the file is missing or is no TOML, a key is unknown, a value has the wrong type or range, keys
-            do not go together, a file that it names is missing; with the line and the remedy.
+        FingerflowError: the file is missing or is not valid TOML, a key is unknown, a value has the wrong type or
+            range, keys contradict each other, or a file that it names is missing; with the line and the remedy.
     """
     path = Path(path).resolve()
     try:
@@ -242,12 +242,12 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
-    """A scene from the tables and keys of a file of several scenes.
+    """Return a scene from the tables and keys of a file that holds several scenes.
 
     Args:
-        written: as TOML gives it.
-        path: of that file; paths are relative to its folder.
-        place: where it says so, for errors.
+        written: tables and keys as parsed from TOML.
+        path: that file; paths are relative to its folder.
+        place: location of the scene in the file, for error messages.
 
     Raises:
         FingerflowError: as `load_scene`.
@@ -259,7 +259,7 @@ def scene_from(written: Mapping[str, Any], path: Path, place: str) -> Scene:
 
 
 def scene_of_text(text: str, path: Path) -> Scene:
-    """What :func:`load_scene` will give of a file of this content, before it is written; it raises the same."""
+    """Return the scene of a text that is to become the file `path`; raise as :func:`load_scene`."""
     try:
         return _scene(path.resolve(), parse_scene(text, path.resolve(), "process"))
     except SceneError as error:
@@ -267,17 +267,17 @@ def scene_of_text(text: str, path: Path) -> Scene:
 
 
 def scene_of_settings(settings: str) -> Scene:
-    """The scene that a result was computed from, by what :meth:`Scene.as_json` has left in its attribute `settings`.
+    """Return the scene of a result from the text of :meth:`Scene.as_json` in its attribute `settings`.
 
     Raises:
-        FingerflowError: a file that it names has gone, or a key is no longer what it was; with the remedy.
+        FingerflowError: a file that it names is missing, or a key is no longer valid; with the remedy.
     """
     said = json.loads(settings)
     path = Path(said.pop("path"))
     kind = said.setdefault("kind", default_kind(said))
     shown = (*KINDS[kind].views, *KINDS[kind].optional_views) if kind in KINDS else ()
-    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # roles are not written
-    said["calibration"].pop("file", None)  # its values stand beside it
+    said["views"] = {name: view for name, view in said["views"].items() if name in shown}  # files omit roles
+    said["calibration"].pop("file", None)  # the settings hold its values as well
     checked, problems = check_scene(_without_none(said), path.parent, "process")
     if problems:
         lines = [f"settings of the result: {'.'.join(one.keys)} {one.said}" for one in problems]
@@ -286,7 +286,7 @@ def scene_of_settings(settings: str) -> Scene:
 
 
 def _without_none(value: Any) -> Any:
-    """Settings that are None are those that were left out."""
+    """Return the settings without those that are None, which stand for keys that were left out."""
     if isinstance(value, dict):
         return {name: _without_none(one) for name, one in value.items() if one is not None}
     return value
@@ -321,7 +321,7 @@ def _view(found: Mapping[str, Any]) -> View:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can say."""
+    """Return a value in types that JSON can represent."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -346,10 +346,10 @@ def scene_text(
     region: View | None = None,
     slip: bool = False,
 ) -> str:
-    """A commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
+    """Return the text of a commented scene file; the defaults are those of the two-view rig of Willemet et al. 2021.
 
-    ``calibration`` is the content of the table [calibration], in TOML; ``region`` the part of the topography view where
-    points are chosen; with ``slip`` the scene is a trial of tangential loading.
+    ``calibration`` is the content of the table [calibration] in TOML. ``region`` is the part of the topography view
+    where points are seeded. With ``slip`` the scene is a trial of tangential loading.
     """
     rate = f"frame_rate = {frame_rate}" if frame_rate else "# frame_rate = 300.0"
     trigger = "# trigger_frame = 12" if trigger_frame is None else f"trigger_frame = {trigger_frame}"
@@ -436,7 +436,7 @@ rate_window_s = 0.05
 
 
 def gel_scene_text(frames: str, frame_shape: tuple[int, int], mm_per_px: float) -> str:
-    """A scene file of a soft sensor with printed markers, whose recording has frames of this shape."""
+    """Return the text of a scene file for a soft sensor with printed markers and frames of (height, width) px."""
     height, width = frame_shape
     return f"""# A scene of fingerflow: markers on a soft sensor. Paths are relative to this file.
 kind = "soft_sensor"          # its own frames tell how the gel looks at rest: no [background] is needed

@@ -1,4 +1,4 @@
-"""Checks what a scene file says against its keys and the rules between them: one verdict, one set of words."""
+"""Validation of the content of a scene file against its keys and the rules between them."""
 
 import difflib
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ MISSING = "is missing; add it: `fingerflow init` and the scene.toml of a bundle 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with a key, in words that follow the key."""
+    """Problem of a key; the message `said` continues a sentence that begins with the key."""
 
     keys: Keys
     said: str
@@ -43,13 +43,13 @@ class Problem:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a scene file says.
+    """Checked content of a scene file.
 
     Attributes:
         kind: one of KINDS.
-        values: by table and key, with defaults; paths are absolute, ranges and matrices tuples. What is left out and
-            has no default is None, a table too where one of its keys is needed.
-        given: dotted keys that the file itself gives, or the calibration that it names.
+        values: by table and key, with defaults; paths are absolute, ranges and matrices are tuples. A key that is left
+            out and has no default is None, as is a table that is left out where one of its keys is needed.
+        given: dotted keys that the scene file, or the calibration file that it names, sets.
     """
 
     kind: str
@@ -58,15 +58,15 @@ class Checked:
 
 
 def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tuple[Checked, list[Problem]]:
-    """Checks the content of a scene file.
+    """Check the content of a scene file.
 
     Args:
-        written: as TOML gives it.
-        folder: of the file: paths are relative to it.
-        reader: for whom.
+        written: tables and keys as parsed from TOML.
+        folder: the folder of the file, to which paths are relative.
+        reader: the reader whose needs are checked.
 
     Returns:
-        What it says, which counts only where there are no problems; and these, in the order of the keys.
+        The checked content, which is valid only if there are no problems; and the problems as they were found.
     """
     check = _Check(written, folder, reader)
     check.all()
@@ -74,20 +74,20 @@ def check_scene(written: Mapping[str, Any], folder: Path, reader: Reader) -> tup
 
 
 class _Check:
-    """One scene file; what is wrong with it is collected, for each key what was found first."""
+    """Check of one scene file; it collects the first problem found for each key."""
 
     def __init__(self, written: Mapping[str, Any], folder: Path, reader: Reader) -> None:
         self._written, self._folder, self._reader = written, folder, reader
         self._said: dict[Keys, str] = {}
         self._missing: set[Keys] = set()
-        self._meant: set[Keys] = set()  # the keys that misspelt ones stand for: these are not missing
+        self._meant: set[Keys] = set()  # likely intended keys of misspelt ones; these are not reported missing
         self._calibration: CalibrationFile | None = None
         self.kind = ""
         self.values: dict[str, Any] = {}
         self.given: set[str] = set()
 
     def all(self) -> None:
-        """Keys by themselves, then the rules between those that are right."""
+        """Check each key by itself, then the rules between the valid ones."""
         stated, self.kind = self._written.get("kind"), default_kind(self._written)
         if isinstance(stated, str) and stated in KINDS:
             self.kind = stated
@@ -156,7 +156,7 @@ class _Check:
         try:
             path = (self._folder / value).resolve()
             there = Path(str(path).split("::")[0]).exists()
-        except (OSError, ValueError) as error:  # a name that no file can have, or a folder that nobody may look into
+        except (OSError, ValueError) as error:  # an invalid file name, or a folder without permission
             raise WrongValue(f"that is no path that can be looked up ({error}); correct it") from None
         if self._reader in file.there_for and not there:
             raise WrongValue(f"{path} does not exist; paths are relative to the folder of the scene file")
@@ -197,14 +197,14 @@ class _Check:
                 self._fits_the_views(rule)
 
     def _blame(self, key: str, said: str) -> None:
-        """Says what is wrong with a key beside others, and shows it as it stands in the file."""
+        """Record a problem of a key that involves other keys, with its value as written in the file."""
         value: Any = self._written
         for name in key.split("."):
             value = value.get(name) if isinstance(value, dict) else None
         self._refuse(tuple(key.split(".")), f"{_shown(value)}: {said}")
 
     def _at(self, key: str) -> Any:
-        """A value that is right, None else."""
+        """Return the value of a dotted key; None if it is missing or invalid."""
         value: Any = self.values
         for name in key.split("."):
             value = None if value is None else value.get(name)
@@ -228,7 +228,7 @@ class _Check:
             self._blame(rule.key, f"it has {len(given)} numbers for {count} forces; give one a force, normal first")
 
     def _in_place_of(self, rule: InPlaceOf) -> None:
-        """The other keys have what the calibration file says from here on."""
+        """Set the scale and the transform from the calibration file, or record what contradicts it."""
         place, _, name = rule.key.rpartition(".")
         if rule.key not in self.given:
             if place in self.given and rule.needed not in self.given:
@@ -236,7 +236,7 @@ class _Check:
             return
         others = [one.rpartition(".")[2] for one in (rule.needed, rule.transform) if one in self.given]
         if others:
-            self._said.pop(tuple(rule.key.split(".")), None)  # whatever else is wrong with it: it may be the one to go
+            self._said.pop(tuple(rule.key.split(".")), None)  # replaces other problems of it: the user may remove it
             self._blame(rule.key, f"a {name} and {', '.join(others)} exclude each other; keep one of them")
             return
         found, table = self._calibration, SCENE[place]
@@ -260,10 +260,10 @@ class _Check:
             self._blame(rule.key, f"it ends beyond the {name} view of {height} x {width} px; give less")
 
     def _one_of(self, rule: OneOf) -> None:
-        """None where the table is left out; else of its keys the one that is given stays."""
+        """Record a problem unless exactly one key of the table is given; set a table that is left out to None."""
         place, _, name = rule.key.rpartition(".")
         table, around = self._at(rule.key), self._at(place)
-        if not table or place not in self.given:  # a role has the region of the view that has it
+        if not table or place not in self.given:  # a role shares the region of its view
             return
         given = [key for key in table if f"{rule.key}.{key}" in self.given]
         wrong = any(".".join(keys).startswith(f"{rule.key}.") for keys in self._said)
@@ -273,7 +273,7 @@ class _Check:
             around[name] = None
 
     def _fits_the_views(self, rule: FitsTheViews) -> None:
-        """Only where there is another view to be mapped: the scale holds whatever part of the frame the view is."""
+        """Check the transform only if there is another view to map; the scale holds for any part of the frame."""
         from_view, into_view = self._rectangle(rule.view), self._rectangle(rule.into)
         if from_view is None or into_view is None or any(keys[0] == "calibration" for keys in self._said):
             return
@@ -320,5 +320,5 @@ def _ranges(view: tuple[Pixels, Pixels] | None) -> str:
 
 
 def _option(view: tuple[Pixels, Pixels]) -> str:
-    """A view as the command line takes it."""
+    """Return a view as arguments of the command line."""
     return " ".join(map(str, (*view[0], *view[1])))

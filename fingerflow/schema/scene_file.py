@@ -1,4 +1,4 @@
-"""Reads a scene file and says what is wrong with it, a line a problem: file, line, key, value, remedy."""
+"""Reader of scene files that reports each problem in a line: file, line, key, value, remedy."""
 
 import re
 import tomllib
@@ -9,14 +9,14 @@ from fingerflow.schema.scene_keys import Reader
 
 
 class SceneError(Exception):
-    """What is wrong with a scene file, in all."""
+    """Error that lists all problems of a scene file, one a line."""
 
 
 def read_scene(path: Path, reader: Reader) -> Checked:
-    """The content of a scene file for one of its readers.
+    """Return the checked content of a scene file for one of its readers.
 
-    Raises SceneError where the file is missing or is no TOML, a key is unknown, a value has the wrong type or range,
-    keys do not go together, or a file that the reader needs is missing.
+    Raises SceneError where the file is missing or is not valid TOML, a key is unknown, a value has the wrong type or
+    range, keys contradict each other, or a file that the reader needs is missing.
     """
     path = path.resolve()
     if path.exists() and not path.is_file():
@@ -31,7 +31,7 @@ def read_scene(path: Path, reader: Reader) -> Checked:
 
 
 def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
-    """As :func:`read_scene`, of a text that is to become that file."""
+    """Return the checked content of a text that is to become the file `path`; raise as :func:`read_scene`."""
     try:
         written = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -44,7 +44,7 @@ def parse_scene(text: str, path: Path, reader: Reader) -> Checked:
 
 
 def _line(text: str, keys: Keys) -> int:
-    """The line that sets a key, or else that opens or sets the nearest table around it, or 1."""
+    """Return the line number of a key, else of the nearest enclosing table that the text sets or opens, else 1."""
     table: Keys = ()
     longest, result = 0, 1
     for number, line in enumerate(text.splitlines(), start=1):

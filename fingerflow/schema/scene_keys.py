@@ -1,6 +1,7 @@
-"""The keys of a scene file: type, range and default of each, who needs it, and the rules between them.
+"""Keys of a scene file: type, range, default and readers that need each, and the rules between keys.
 
-Two read a scene: `process`, a recording, and the player, a `stream`. Where they need different things, it says so here.
+A scene has two readers: `process` reads a recording, the player a `stream`. Where their needs differ, the entry of the
+key states it.
 """
 
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ NOBODY = frozenset[Reader]()
 
 @dataclass(frozen=True)
 class NumberType:
-    """A finite number; a whole one is one too, true is none."""
+    """Finite number; an integer is accepted, a boolean is not."""
 
     above: float | None = None
     least: float | None = None
@@ -27,24 +28,24 @@ class NumberType:
 
 @dataclass(frozen=True)
 class Whole(NumberType):
-    """A whole number, written as one; ``odd`` where it is a side with a middle pixel."""
+    """Integer, written without a decimal point; ``odd`` for the side of a window with a middle pixel."""
 
     odd: bool = False
 
 
 @dataclass(frozen=True)
 class Switch:
-    """true or false."""
+    """Boolean: true or false."""
 
 
 @dataclass(frozen=True)
 class Text:
-    """Any text."""
+    """Text without restrictions."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some words, or a number."""
+    """One of several words, or a number."""
 
     words: tuple[str, ...]
     number: NumberType | None = None
@@ -52,14 +53,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Column:
-    """The name of a column, or its number, from 1; with ``several`` a list of up to so many."""
+    """Name of a column or its number from 1; or, if ``several`` > 1, a list of at most that many."""
 
     several: int = 1
 
 
 @dataclass(frozen=True)
 class Each:
-    """A number for all forces, or a list of one each, normal first; ``among`` these, where not empty."""
+    """One number for all forces, or a list of one a force, normal first; each in ``among`` unless that is empty."""
 
     number: NumberType = NumberType()
     among: tuple[float, ...] = ()
@@ -67,23 +68,23 @@ class Each:
 
 @dataclass(frozen=True)
 class TimeRange:
-    """[t0, t1] s from the trigger, t0 before t1."""
+    """Interval [t0, t1] in s from the trigger, t0 before t1."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One of some words, a frame as a whole number from 0, or a time from the trigger as text, "0.25 s"."""
+    """Instant: one of several words, a frame number from 0, or a time from the trigger as text, "0.25 s"."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class File:
-    """A path relative to the scene file; "file.h5::/dataset" is a data set within a file.
+    """Path relative to the scene file; "file.h5::/dataset" is a data set within a file.
 
     Attributes:
-        there_for: who needs that it exists: a scene may be taken to a lab PC without its recording.
-        calibration: whether it is a calibration, which is read with the scene.
+        there_for: readers for which the file must exist: a scene may be taken to a lab PC without its recording.
+        calibration: whether it is a calibration file, which is read with the scene.
     """
 
     there_for: frozenset[Reader] = BOTH
@@ -92,24 +93,24 @@ class File:
 
 @dataclass(frozen=True)
 class PixelRange:
-    """Half-open, [first, end)."""
+    """Half-open range [first, end) of pixels."""
 
 
 @dataclass(frozen=True)
 class CornersType:
-    """[[x, y], ...], three or more px of a view."""
+    """Polygon [[x, y], ...] of three or more corners, px of a view."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """[x, y], two numbers."""
+    """Pair of numbers [x, y]."""
 
     each: NumberType = NumberType()
 
 
 @dataclass(frozen=True)
 class TransformType:
-    """[[a, b, x], [c, d, y]] that can be undone."""
+    """Invertible affine transform [[a, b, x], [c, d, y]]."""
 
 
 Type = (
@@ -131,7 +132,7 @@ Type = (
 
 @dataclass(frozen=True)
 class SceneKey:
-    """One setting: its type, its default, and who cannot do without."""
+    """Entry for one setting: its type, its default, and the readers that need it."""
 
     type: Type
     default: Any = None
@@ -140,7 +141,7 @@ class SceneKey:
 
 @dataclass(frozen=True)
 class SceneTable:
-    """A table of settings. One that is left out has its defaults, or is none where a key of it is needed."""
+    """Table of settings. If left out, it takes its defaults, or is None where a reader needs one of its keys."""
 
     keys: Mapping[str, "SceneKey | SceneTable"]
     needed_by: frozenset[Reader] = NOBODY
@@ -148,7 +149,7 @@ class SceneTable:
 
 POSITIVE, FROM_0 = NumberType(above=0), Whole(least=0)
 RECTANGLE = {"rows": SceneKey(PixelRange(), needed_by=BOTH), "columns": SceneKey(PixelRange(), needed_by=BOTH)}
-#: A part of a view, px of the view with whole numbers at pixel centres: one of these.
+#: Region of a view by exactly one of these keys, in px of the view with integers at pixel centres.
 REGION = SceneTable(
     {
         "polygon": SceneKey(CornersType()),
@@ -185,7 +186,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
         {
             "file": SceneKey(File(calibration=True)),
             "mm_per_px": SceneKey(NumberType(above=0, most=1)),
-            # It matters only where there is a topography view.
+            # Used only if there is a topography view.
             "topography_to_contact": SceneKey(TransformType(), default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
         },
         needed_by=BOTH,
@@ -258,7 +259,7 @@ SCENE: dict[str, SceneKey | SceneTable] = {
 
 
 def views_of(kind: Kind) -> SceneTable:
-    """[views] of a scene of this kind: a rectangle each, and a region in it."""
+    """Return the table [views] of a kind of scene: a rectangle for each view, and a region in it."""
     keys: dict[str, SceneKey | SceneTable] = {**RECTANGLE, **({"region": REGION} if kind.regions else {})}
     tables: dict[str, SceneKey | SceneTable] = {name: SceneTable(keys, needed_by=BOTH) for name in kind.views}
     tables |= {name: SceneTable(keys, needed_by=STREAM) for name in kind.optional_views}
@@ -266,17 +267,17 @@ def views_of(kind: Kind) -> SceneTable:
 
 
 def optional(table: SceneKey | SceneTable) -> SceneTable:
-    """The same table, whose keys nobody needs."""
+    """Return the same table with keys that no reader needs."""
     assert isinstance(table, SceneTable)
     return SceneTable({name: replace(key, needed_by=NOBODY) for name, key in table.keys.items()})
 
 
-# Rules between keys, all named by their dotted paths. The first key of each is the one that is blamed.
+# Rules between keys, named by their dotted paths. An error is reported for the first key of a rule.
 
 
 @dataclass(frozen=True)
 class NotBefore:
-    """A frame that is not before another."""
+    """Rule: a frame number is not below another."""
 
     key: str
     first: str
@@ -284,7 +285,7 @@ class NotBefore:
 
 @dataclass(frozen=True)
 class Together:
-    """Two keys that are given both or not at all."""
+    """Rule: if the key is given, the other must be given too."""
 
     key: str
     other: str
@@ -294,7 +295,7 @@ class Together:
 
 @dataclass(frozen=True)
 class NotBoth:
-    """Two keys of which one is given at most."""
+    """Rule: at most one of two keys is given."""
 
     key: str
     other: str
@@ -303,7 +304,7 @@ class NotBoth:
 
 @dataclass(frozen=True)
 class OneEach:
-    """A list of one number a force, where it is a list."""
+    """Rule: a list has one number a force."""
 
     key: str
     forces: tuple[str, ...]
@@ -311,7 +312,7 @@ class OneEach:
 
 @dataclass(frozen=True)
 class InPlaceOf:
-    """A calibration file that gives a scale and, it may be, a transform, of which the scale is needed else."""
+    """Rule: a calibration file replaces the scale and, if present in it, the transform; else the scale is needed."""
 
     key: str
     needed: str
@@ -320,7 +321,7 @@ class InPlaceOf:
 
 @dataclass(frozen=True)
 class Inside:
-    """A rectangle that lies in a view."""
+    """Rule: a rectangle lies within a view."""
 
     key: str
     view: str
@@ -328,14 +329,14 @@ class Inside:
 
 @dataclass(frozen=True)
 class OneOf:
-    """A table of which one key is given, where it is given at all."""
+    """Rule: a table that is given has exactly one of its keys."""
 
     key: str
 
 
 @dataclass(frozen=True)
 class FitsTheViews:
-    """A calibration that says where the pixels of a view are in the other one, and was made with these views."""
+    """Rule: the calibration maps the pixels of one view to the other and was made with these views."""
 
     key: str
     scale: str

@@ -1,4 +1,4 @@
-"""Kinds of scenes: which views each has, and what is computed where nothing is asked for by name."""
+"""Kinds of scenes: the views that each has and the stages that are computed by default."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,16 +7,16 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of scene.
+    """Kind of scene.
 
     Attributes:
         views: tables [views.NAME] that a scene of this kind must have.
-        optional_views: those that it may have; the graphs of a stream take them too, so a stream needs them.
-        roles: views of other names that are one of these, for stages that ask by that name.
-        stages: computed by default, as far as the scene allows them; None for every stage there is.
-        without: stages that are computed only where one of their outputs is asked for.
-        instead: stages that give what others do, another way.
-        optional: tables that other kinds need, and this one does not.
+        optional_views: tables [views.NAME] that it may have; a stream requires them, because its graphs take them.
+        roles: view names that stages use, mapped to the view of this kind that takes that role.
+        stages: computed by default, as far as the settings of the scene allow; None for all stages.
+        without: stages that are computed only where one of their outputs is requested.
+        instead: alternative implementations, stages that replace those with the same outputs.
+        optional: tables that other kinds need and this kind does not.
         regions: whether [views.NAME] may have a region.
         streamed: whether the graphs of a stream can play it.
     """
@@ -32,20 +32,20 @@ class Kind:
     streamed: bool = True
 
     def computes(self, stage: str) -> bool:
-        """Whether a stage is among those that are computed by default."""
+        """Return whether a stage is computed by default."""
         return (self.stages is None or stage in self.stages) and stage not in self.without
 
 
 KINDS = {
     "press": Kind(views=("contact",), optional_views=("topography",), without=("slip",)),
     "slip": Kind(views=("contact",), optional_views=("topography",)),
-    # One camera, one light: skin is followed in the picture in which contact is seen.
+    # One camera, one light: skin is tracked in the image that shows the contact.
     "single_view": Kind(views=("camera",), roles={"contact": "camera", "topography": "camera"}, without=("slip",)),
-    # A gel with printed markers seen from inside: its own frames tell how it looks at rest.
+    # A gel with printed markers seen from inside: its own frames show the gel at rest.
     "soft_sensor": Kind(
         views=("camera",),
         roles={"contact": "camera", "topography": "camera"},
-        without=("slip", "frame_check"),  # at 25 Hz an object that arrives is a jump, and a gel at rest repeats itself
+        without=("slip", "frame_check"),  # at 25 Hz an arriving object looks like a jump, a gel at rest like repeats
         instead=("marker_contact", "marker_tracking", "marker_displacement"),
         optional=("background",),
         regions=False,
@@ -55,5 +55,5 @@ KINDS = {
 
 
 def default_kind(values: Mapping[str, Any]) -> str:
-    """The kind of a scene file that does not state one: a press, or slip where it has the table of that."""
+    """Return the kind of a scene file that does not state one: "slip" if it has a table [slip], else "press"."""
     return "slip" if "slip" in values else "press"

@@ -1,4 +1,4 @@
-"""What a single setting may be: its value, or what is wrong with it in words."""
+"""Validation of a single setting: its value, or a message that says what is wrong with it."""
 
 import math
 import re
@@ -28,14 +28,11 @@ _TIME = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*s")
 
 
 class WrongValue(Exception):
-    """In words that follow "KEY is VALUE: "."""
+    """Error with a message that follows "KEY is VALUE: "."""
 
 
 def value_of(kind: Type, value: Any) -> Any:
-    """A value as TOML gives it in the type of its key: numbers as float, ranges and matrices as tuples.
-
-    Raises WrongValue.
-    """
+    """Return a TOML value in the type of its key: numbers as float, ranges and matrices as tuples; raise WrongValue."""
     match kind:
         case Whole():
             return _whole(kind, value)
@@ -69,7 +66,7 @@ def value_of(kind: Type, value: Any) -> Any:
 
 
 def either(words: Iterable[str]) -> str:
-    """'a', 'b' or 'c'."""
+    """Return words as "'a', 'b' or 'c'"."""
     *others, last = map(repr, words)
     return f"{', '.join(others)} or {last}" if others else last
 
@@ -120,7 +117,7 @@ def _choice(kind: Choice, value: Any) -> Any:
 
 
 def seconds_of(moment: Any) -> float | None:
-    """Seconds from the trigger that a `Moment` states, "0.25 s"; None where it is a word or a frame."""
+    """Return the seconds from the trigger that a `Moment` such as "0.25 s" states; None for a word or a frame."""
     found = _TIME.fullmatch(moment.strip()) if isinstance(moment, str) else None
     return None if found is None else float(found.group(1))
 

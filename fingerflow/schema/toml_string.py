@@ -1,9 +1,9 @@
-"""A string as TOML writes it."""
+"""Quoting of strings for TOML files."""
 
 import json
 
 
 def toml_string(text: str) -> str:
-    """A basic string with its quotes; backslashes of Windows paths, quotes and control characters are escaped."""
-    # TOML's basic string is JSON's, except that TOML has U+007F escaped too.
+    """Return a TOML basic string with its quotes; backslashes, quotes and control characters are escaped."""
+    # A TOML basic string is a JSON string in which U+007F is escaped too.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")

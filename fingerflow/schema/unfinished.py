@@ -1,4 +1,4 @@
-"""Names under which outputs stand until they are whole, and the end of those that killed runs have left."""
+"""Temporary paths of outputs until they are complete, and removal of those that killed runs have left."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 
 
 def unfinished(path: Path) -> Path:
-    """A hidden path beside a file or folder, for it while it is being written.
+    """Return a hidden temporary path beside a file or folder, to write it there before it is renamed.
 
-    Removes those that killed runs have left there: they name the computer and the process that wrote them, and only
-    those count whose process is no more.
+    Also removes the temporary paths of the same output that killed runs have left. Their names hold the computer and
+    the process id; a path is removed only if it is of this computer and its process has ended.
     """
     here = f"{zlib.crc32(platform.node().encode()):08x}"
     stem, suffix = path.stem, path.suffix
@@ -30,7 +30,7 @@ def unfinished(path: Path) -> Path:
 
 
 def remove(path: Path) -> None:
-    """A file or a folder with all in it; what cannot be removed stays, as the error before says more."""
+    """Remove a file, or a folder with its content; ignore failures, because an earlier error is the one to report."""
     with contextlib.suppress(OSError):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -39,7 +39,7 @@ def remove(path: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """True where nobody can tell without harm."""
+    """Return whether a process exists; True where this cannot be checked without harm."""
     if os.name != "posix":
         return True
     try:

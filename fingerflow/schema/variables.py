@@ -1,7 +1,7 @@
-"""The results of a trial: name, dimensions, unit and definition of each, once for all.
+"""Result variables of a trial: name, dimensions, unit and definition of each, stated once.
 
-The data set, its files and tables, the records of a stream and the report take them from here. Nothing is imported
-but the standard library: an exported bundle carries this file.
+The data set, its files and tables, the records of a stream and the report use these entries. Only the standard library
+is imported, because an exported bundle contains this file.
 """
 
 from collections.abc import Callable, Iterable
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from operator import truediv
 from typing import Any
 
-#: Names along the dimensions that have them.
+#: Coordinate labels of dimensions.
 LABELS = {
     "xy": ("x", "y"),
     "axis": ("major", "minor"),
@@ -21,18 +21,18 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One result.
+    """Result variable.
 
     Attributes:
         name: in the data set, in tables and in records.
         dims: names of its dimensions.
-        units: as UDUNITS writes them; "1" for none.
-        long_name: what it is.
-        kind: of number, as NumPy writes it.
-        needs: keys of the scene without which there is none.
+        units: in UDUNITS notation; "1" if dimensionless.
+        long_name: its definition.
+        kind: data type in NumPy notation.
+        needs: keys of the scene without which it is not computed.
         flags: meanings of the values 0, 1, 2 ...
-        unasked: whether it is computed when nobody asks for it by name.
-        formula, of: what it is of other results of the same stage, where that is all it takes.
+        unasked: whether it is computed by default, without being requested by name.
+        formula, of: function of other results of the same stage, and their names, where that suffices to compute it.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Variable:
     of: tuple[str, ...] = ()
 
     def attributes(self) -> dict[str, object]:
-        """The attributes of CF conventions."""
+        """Return its attributes by the CF conventions."""
         flags: dict[str, object] = {}
         if self.flags:
             flags = {"flag_values": list(range(len(self.flags))), "flag_meanings": " ".join(self.flags)}
@@ -59,10 +59,10 @@ CELLS = ("frame", "cell_row", "cell_column")
 
 TIME = Variable("time", FRAME, "s", "time from the trigger, or from the first frame")
 
-#: Why a frame counts or not.
+#: Status of a frame; only usable frames have results.
 FRAME_STATUS = ("usable", "unreadable", "not_finite", "dark", "saturated", "repeated", "jumps_and_returns")
-DARK_SHARE = 0.1  # of the empty glass's light, below which a frame is dark: a contact leaves half
-SATURATED_SHARE = 0.5  # of the blocks at the highest level that there is, above which it is saturated
+DARK_SHARE = 0.1  # of the light of the empty glass; a frame below is dark, while a contact leaves half of it
+SATURATED_SHARE = 0.5  # of the blocks at the highest grey level; a frame above is saturated
 FRAME_CHECK = (
     Variable(
         "frame_status",
@@ -128,7 +128,7 @@ CONTACT = (
     ),
 )  # fmt: skip
 
-#: `fingerflow.ops.tracking.track_points.TrackStatus`, which says more of each.
+#: Names of `fingerflow.ops.tracking.track_points.TrackStatus`, which defines each.
 TRACK_STATUS = (
     "tracked",
     "not_finite",
@@ -161,7 +161,7 @@ TRACKING = (
 )
 
 ENTRY = ("never", "covered", "moved_in", "chosen_inside")
-#: From when displacement counts. The attribute ``reference`` of a variable says what it is in this result.
+#: Reference instant of displacement. The attribute ``reference`` of a variable states it for this result.
 SINCE = "of skin in contact since fields.reference, by default since each point's own onset"
 DISPLACEMENT = (
     Variable(
@@ -314,7 +314,7 @@ SLIP = (
     ),
 )
 
-#: Of a soft sensor, where markers on a gel are followed.
+#: Variables of a soft sensor, where markers on a gel are tracked.
 SENSOR_SLIP = (
     Variable("slip_ratio", FRAME, "1", "share of the markers in contact that depart from its best rigid motion"),
     Variable("contact_displacement", ("frame", "xy"), "mm", "mean displacement of the markers in contact since rest"),
@@ -328,7 +328,7 @@ SENSOR_SLIP = (
     ),
 )
 
-#: What only a stream has: what it knows of its own course, and fields where its graphs form them otherwise.
+#: Variables of streams alone: the state of the stream, and fields that its graphs compute differently.
 STREAM = (
     Variable("latency", FRAME, "s", "from the arrival of the frame to its result", "f4"),
     Variable("key_frame", FRAME, "1", "number of the frame with which this one was compared", "i8"),
@@ -353,5 +353,5 @@ STREAM = (
 
 
 def by_name(*groups: Iterable[Variable]) -> dict[str, Variable]:
-    """Variables by their names."""
+    """Return variables by their names."""
     return {variable.name: variable for group in groups for variable in group}

@@ -1,4 +1,4 @@
-"""Where a view lies in a frame: one camera frame may hold several views of the finger side by side."""
+"""Views: rectangles of a camera frame, which may hold several views of the finger next to each other."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from fingerflow.schema.calibration_file import pixel_range
 
 @dataclass(frozen=True)
 class DrawnEllipse:
-    """Px of the view; `angle` of the first axis, rad from x towards y."""
+    """Ellipse in px of the view; `angle` is that of the first axis, rad from x towards y."""
 
     center: tuple[float, float]
     semi_axes: tuple[float, float]
@@ -19,7 +19,7 @@ class DrawnEllipse:
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a view, px of the view with whole numbers at pixel centres: one of these, the others are None."""
+    """Region of a view in px of the view with integers at pixel centres; one attribute is set, the others are None."""
 
     polygon: tuple[tuple[float, float], ...] | None
     ellipse: DrawnEllipse | None
@@ -28,7 +28,7 @@ class Region:
 
 @dataclass(frozen=True)
 class View:
-    """A rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1). `region` is a part of it.
+    """Rectangle of pixels: `rows` and `columns` are half-open ranges (first, last + 1). `region` is a part of it.
 
     Raises FingerflowError where a range is not two whole numbers 0 <= first < end.
     """
@@ -46,11 +46,11 @@ class View:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(height, width) px."""
+        """Return (height, width) px."""
         return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
 
     def crop(self, frame: Any) -> Any:
-        """The view's part of a frame (..., H, W), an array or a tensor, without a copy.
+        """Return the view's part of a frame (..., H, W), an array or a tensor, without a copy.
 
         Raises FingerflowError where the view does not fit into the frame.
         """

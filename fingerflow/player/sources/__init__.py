@@ -1,4 +1,4 @@
-"""Sources of frames. A module of this folder that has what `Reader` has is a source, and nothing else lists it."""
+"""Sources of frames. Each module of this folder with the attributes of `Reader` is found automatically."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from fingerflow.player.sources.source import Asked, Source
 
 
 class Reader(Protocol):
-    """What a module states that reads a kind of file or folder."""
+    """Interface of a module that reads one kind of file or folder."""
 
     READS: str  # the kind, in a word or two
 
     def reads(self, asked: Asked) -> bool:
-        """Whether this is of its kind, by its name and without reading it."""
+        """Return whether the file is of its kind, by name or settings, without reading it."""
 
     def open_frames(self, asked: Asked) -> Source:
-        """Raises PlayerError, or OSError, TypeError or ValueError with what is wrong about the file."""
+        """Return the frames; raise PlayerError, or OSError, TypeError or ValueError with what is wrong in the file."""
 
 
 def readers() -> list[Reader]:
-    """In the order of their names. OpenCV, in `video`, tries what none of them reads."""
+    """Return the readers in the order of their names; `video` (OpenCV) reads the files that none of them accepts."""
     modules = (import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__))
     return [cast(Reader, module) for module in modules if hasattr(module, "reads")]
 
 
 def kinds() -> str:
-    """What can be played, in words."""
+    """Return the kinds of sources in words."""
     return f"{', '.join(one.READS for one in readers())} or a video file"
 
 
 def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first: int = 0) -> Source:
-    """The frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are those of a raw file.
+    """Return the frames of a file or folder from number ``first`` on; ``shape`` and ``dtype`` are for raw files.
 
-    Raises PlayerError where there is none, or none that can be read.
+    Raises PlayerError where there are no frames, or none that can be read.
     """
     asked, known = Asked(path, first, shape, dtype), readers()
     reader = next((one for one in known if one.reads(asked)), None)
@@ -48,7 +48,7 @@ def open_recording(path: Path, shape: tuple[int, int] | None, dtype: str, first:
         return video.Video(path, first) if reader is None else reader.open_frames(asked)
     except PlayerError:
         raise
-    except Exception as error:  # what a library raises at a damaged file is no promise of its own
+    except Exception as error:  # libraries do not specify what they raise for a damaged file
         raise PlayerError(
             f"{path}: cannot be read as frames ({first_line(error)}); copy it again, or save it anew"
         ) from error

@@ -1,4 +1,4 @@
-"""A camera: any callable that gives frames."""
+"""Camera source: any callable that returns frames."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fingerflow.player.sources.source import Source
 
 
 class CameraSource:
-    """Any callable that gives the next frame, or (ok, frame) as OpenCV does; `close` is called where it has one.
+    """Camera: a callable that returns the next frame, or (ok, frame) as in OpenCV; its `close` is called if it has one.
 
     Args:
         grab: the callable.
-        name: what it is called in messages.
+        name: of the camera in messages.
     """
 
     live = True
@@ -29,9 +29,9 @@ class CameraSource:
         self._grab, self._name = grab, name
 
     def read(self) -> Array | None:
-        """The next frame (H, W); None at the end.
+        """Return the next frame (H, W); None at the end.
 
-        Raises OSError where the camera says that it has none now, and PlayerError where it gives something else.
+        Raises OSError where the camera reports that it has no frame now, and PlayerError where it returns another type.
         """
         frame = self._grab()
         if isinstance(frame, tuple) and len(frame) == 2 and isinstance(frame[0], (bool, np.bool_)):
@@ -45,7 +45,7 @@ class CameraSource:
         raise self._refused(f"a {type(frame).__name__}")
 
     def close(self) -> None:
-        """Lets go of the camera."""
+        """Close the camera."""
         getattr(self._grab, "close", lambda: None)()
 
     def _refused(self, given: str) -> PlayerError:
@@ -56,7 +56,10 @@ class CameraSource:
 
 
 def open_camera(name: str) -> Source:
-    """``module:factory`` called: it gives a callable that returns the next frame, or None at the end."""
+    """Return the camera that ``module:factory`` makes: the factory returns a callable, see `CameraSource`.
+
+    Raises PlayerError where the factory cannot be imported or does not return a callable.
+    """
     module, _, factory = name.partition(":")
     sys.path.insert(0, os.getcwd())
     try:

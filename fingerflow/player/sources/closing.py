@@ -1,4 +1,4 @@
-"""Lets go of a source, whatever it does then."""
+"""Closing of a source with a time limit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ log = logging.getLogger("fingerflow.player")
 
 
 def close_within(seconds: float, source: Source) -> None:
-    """Closes a source; one that fails, or hangs for longer, is left behind with a warning."""
+    """Close a source; log a warning if that fails, and abandon it if it takes longer than `seconds`."""
 
     def close() -> None:
         try:

@@ -1,4 +1,4 @@
-"""Recordings in the formats that the package's own readers know and that need NumPy alone, or tifffile."""
+"""Source for recordings in the formats of `fingerflow.recordings` that need only NumPy or tifffile."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ log = logging.getLogger("fingerflow.player")
 
 
 def reads(asked: Asked) -> bool:
-    """By the name's end."""
+    """Return whether the name ends in one of the suffixes of these formats."""
     return asked.path.is_file() and asked.path.suffix.lower() in _SUFFIXES
 
 
 def open_frames(asked: Asked) -> Source:
-    """Raises PlayerError with what the reader says, or with the library that it lacks."""
+    """Return the frames; raise PlayerError with the reader's message, or with the name of a missing library."""
     try:
         recording = open_recording(asked.path)
     except FingerflowError as error:
@@ -37,7 +37,7 @@ def open_frames(asked: Asked) -> Source:
 
 
 class Recorded:
-    """Frames of such a recording from a number on."""
+    """Frames of such a recording from number `first` on."""
 
     live = False
 
@@ -45,15 +45,15 @@ class Recorded:
         self._recording, self._next = recording, first
 
     def read(self) -> Array | None:
-        """The next frame; None at the end. A damaged one is dark, so that it counts in no result, and is named.
+        """Return the next frame; None at the end. A damaged frame is black, so that it is not usable, and is logged.
 
-        Raises PlayerError for one that is of another size than the first.
+        Raises PlayerError for a frame of another size than the first.
         """
         if self._next >= len(self._recording):
             return None
         try:
             frame: Array = self._recording[self._next]
-        except FingerflowError as error:  # nothing that a second try would mend
+        except FingerflowError as error:  # a second attempt would fail too
             raise PlayerError(str(error)) from None
         damage = self._recording.unreadable.get(self._next)
         if damage:
@@ -62,5 +62,5 @@ class Recorded:
         return frame
 
     def close(self) -> None:
-        """Lets go of the file."""
+        """Close the file."""
         self._recording.close()

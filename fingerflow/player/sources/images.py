@@ -1,4 +1,4 @@
-"""Folders of pictures, one a frame, as cameras' own programs save them; by OpenCV where it is installed."""
+"""Source for folders of images, one a frame, as camera software saves them; needs OpenCV."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 
 def reads(asked: Asked) -> bool:
-    """Any folder."""
+    """Return whether the path is a folder."""
     return asked.path.is_dir()
 
 
 def open_frames(asked: Asked) -> Source:
-    """The pictures in the order of the numbers in their names; raises PlayerError where there is none."""
+    """Return the images in the order of the numbers in their names; raise PlayerError if there are none."""
     try:
         importlib.import_module("cv2")
     except ImportError:
@@ -37,7 +37,7 @@ def open_frames(asked: Asked) -> Source:
 
 
 class ImageFiles:
-    """Pictures one after another, of 8 or 16 bits; colours are made grey."""
+    """Sequence of image files of 8 or 16 bits; colours are converted to grey."""
 
     live = False
 
@@ -46,7 +46,7 @@ class ImageFiles:
         self._paths, self._next = paths, first
 
     def read(self) -> Array | None:
-        """The next picture (H, W); None at the end."""
+        """Return the next image (H, W); None at the end."""
         if self._next >= len(self._paths):
             return None
         path = self._paths[self._next]
@@ -57,7 +57,7 @@ class ImageFiles:
         wrong = impossible_picture(data)
         if wrong:
             raise PlayerError(f"{path}: {wrong}; copy it again, or take it out of the folder")
-        # An empty one is no picture, and no array to OpenCV.
+        # OpenCV rejects an empty array.
         picture: Array | None = None
         if data:
             picture = self._cv2.imdecode(np.frombuffer(data, np.uint8), self._cv2.IMREAD_UNCHANGED)
@@ -68,9 +68,9 @@ class ImageFiles:
         return grey
 
     def close(self) -> None:
-        """Each file is closed when it has been read."""
+        """Do nothing: each file is closed after it was read."""
 
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
-    """frame2 comes before frame10."""
+    """Return a sort key by which frame2 comes before frame10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -1,4 +1,4 @@
-"""Files of pixels alone, frame after frame; the user says how large a frame is."""
+"""Source for raw files: pixels without a header, frame after frame; the user states the size of a frame."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ READS = "a raw file"
 
 
 def reads(asked: Asked) -> bool:
-    """Whatever is given a shape; files that have one are taken by `formats` before."""
+    """Return whether the file ends in .raw or .bin, or the user has stated a shape.
+
+    Files of known formats are read by `formats`, which is asked before.
+    """
     named = asked.path.suffix in (".raw", ".bin")
     return asked.path.is_file() and (named or asked.shape is not None)
 
 
 def open_frames(asked: Asked) -> Source:
-    """Whole frames, mapped; raises PlayerError where their shape is not said or there is none."""
+    """Return the complete frames, memory-mapped; raise PlayerError without a stated shape or a complete frame."""
     if asked.shape is None:
         raise PlayerError(f"{asked.path}: a raw file needs --shape HEIGHT WIDTH and --dtype of its frames")
     pixels = np.memmap(asked.path, np.dtype(asked.dtype), "r")

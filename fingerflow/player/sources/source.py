@@ -1,4 +1,4 @@
-"""What a stream reads its frames from, and what is said of them where a file does not say it itself."""
+"""Interface of sources of frames, and the request by which one is opened."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from fingerflow.engines.engine import Array
 
 
 class Source(Protocol):
-    """Gives frames (H, W) one after another, None at the end. Anything it raises but PlayerError is tried again."""
+    """Source of frames (H, W), None at the end. After any error other than PlayerError it is opened again."""
 
-    live: bool  # frames come whether or not there is room for them
+    live: bool  # True if frames arrive whether or not a buffer is free
 
     def read(self) -> Array | None:
-        """The next frame; None at the end."""
+        """Return the next frame; None at the end."""
 
     def close(self) -> None:
-        """Lets go of file or camera."""
+        """Close the file or camera."""
 
 
 OpenSource = Callable[[int], Source]  # from the number of the next frame
 
 
 class Asked(NamedTuple):
-    """A file or folder of frames, as the user names it.
+    """Request for a file or folder of frames.
 
     Attributes:
-        first: number of the frame to begin with.
-        shape, dtype: of a frame of a raw file, (H, W) and as NumPy has it.
+        first: number of the first frame to read.
+        shape, dtype: (H, W) and NumPy dtype of a frame of a raw file.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class Asked(NamedTuple):
 
 
 class RecordedFrames:
-    """Frames (N, H, W) that can be read by number."""
+    """Frames (N, H, W) of an array, read from number `first` on."""
 
     live = False
 
@@ -48,7 +48,7 @@ class RecordedFrames:
         self._next = first
 
     def read(self) -> Array | None:
-        """The next frame; None at the end."""
+        """Return the next frame; None at the end."""
         if self._next >= len(self._frames):
             return None
         frame: Array = self._frames[self._next]
@@ -56,4 +56,4 @@ class RecordedFrames:
         return frame
 
     def close(self) -> None:
-        """A map of a file goes with its last reader."""
+        """Do nothing: a memory map is closed with its last reference."""

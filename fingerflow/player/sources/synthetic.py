@@ -1,4 +1,4 @@
-"""A pressed fingertip drawn from formulas."""
+"""Synthetic source: a pressed fingertip drawn from formulas."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fingerflow.player.sources.synthetic_truth import Pose, expected, median_div
 
 
 def side_by_side(height: int, width: int) -> StreamScene:
-    """The scene of the synthetic source: topography on the left, contact on the right, one scale."""
+    """Return the scene of the synthetic source: topography on the left, contact on the right, one scale."""
     return StreamScene(
         contact=ViewRange((0, height), (width, 2 * width)),
         topography=ViewRange((0, height), (0, width)),
@@ -24,11 +24,11 @@ def side_by_side(height: int, width: int) -> StreamScene:
 
 
 class Synthetic:
-    """Frames of a pressed fingertip drawn from formulas: no end, and no cost once a ring of them is drawn.
+    """Endless frames of a pressed fingertip, drawn from formulas once for half a period and then reused.
 
     Ridges and pores move, turn and spread by up to 4 % in each direction and back, while the contact grows and shrinks.
-    The divergence of a stream is another one, even negative: each point's counts from when the contact reaches it.
-    Of one period only half is kept, played forwards and backwards.
+    The divergence in a stream differs from that and may be negative, because each point's displacement counts from its
+    own onset. Only half a period is stored; it is played forwards and backwards.
 
     Attributes:
         background: (H, W), the glass without a finger.
@@ -38,7 +38,7 @@ class Synthetic:
     half_period = 60  # frames
 
     def __init__(self, scene: StreamScene, dtype: np.dtype[Any], bit_depth: int, gauge_mm: float | None = None) -> None:
-        """`gauge_mm` is the gauge length of the divergence that is expected; without one, none is."""
+        """Render the frames; `gauge_mm` is the gauge length of the expected divergence, None for no expected value."""
         self._next = 0
         views = (scene.topography, scene.contact)
         shape = tuple(max(ends) for ends in zip(*((view.rows[1], view.columns[1]) for view in views), strict=True))
@@ -62,18 +62,18 @@ class Synthetic:
         self.background = np.full(shape, 200 * gain, dtype)
 
     def from_frame(self, number: int) -> Synthetic:
-        """The same, to go on from a frame."""
+        """Return this source, set to continue from a frame."""
         self._next = number
         return self
 
     def read(self) -> Array:
-        """The next frame (H, W)."""
+        """Return the next frame (H, W)."""
         frame: Array = self._ring[self._place(self._next)]
         self._next += 1
         return frame
 
     def expected_in(self, number: int, restart: int) -> dict[str, float]:
-        """What is to be measured in a frame; divergence only after the first choice of points, in frame 0."""
+        """Return the true values of a frame; divergence only for points seeded at the first restart, in frame 0."""
         place = self._place(number)
         known = self._growing if number < self.half_period else self._grown
         if restart != 1 or not known or math.isnan(known[place]):
@@ -81,16 +81,16 @@ class Synthetic:
         return self._expected[place] | {"median_divergence": known[place]}
 
     def _place(self, number: int) -> int:
-        """In the ring."""
+        """Return the index of a frame in the ring."""
         place = number % (2 * self.half_period - 2)
         return min(place, 2 * self.half_period - 2 - place)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
 
 def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]:
-    """Brightness of the skin, about -1 to 1, and share 0 to 1 of intensity lost to contact, both (H, W) float32."""
+    """Return the brightness of the skin, about -1 to 1, and the share of light lost to contact, both (H, W) float32."""
     height, width = shape
     pose = Pose.at(progress, shape)
     (shift_x, shift_y), turn, spread = pose.shift, float(pose.turn), pose.spread
@@ -101,7 +101,7 @@ def _draw_finger(shape: tuple[int, int], progress: float) -> tuple[Array, Array]
         sparse=True,
     )
     moved_x, moved_y = x - shift_x, y - shift_y
-    # Where the skin that is seen at a pixel was at the start.
+    # Initial position of the skin that is seen at a pixel.
     u = (math.cos(turn) * moved_x + math.sin(turn) * moved_y) / spread
     v = (-math.sin(turn) * moved_x + math.cos(turn) * moved_y) / spread
     ridges = np.cos(2 * np.pi / 16 * (np.hypot(u, v + 60) + 6 * np.cos(u / 45)))

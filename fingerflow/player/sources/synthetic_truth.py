@@ -1,4 +1,4 @@
-"""What is to be measured in the synthetic finger: areas, axes and divergence, by its formulas."""
+"""True values for the synthetic finger from its formulas: areas, axes and divergence."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from fingerflow.engines.engine import Array
 
-_SKIN, _QUERIES = 500, 200  # places, at least; twice as many of both move the median by less than 2e-3
-_IN_A_FIT, _MOST_SKIN = 20, 2000  # places
+_SKIN, _QUERIES = 500, 200  # smallest numbers of positions; twice as many change the median by less than 2e-3
+_IN_A_FIT, _MOST_SKIN = 20, 2000  # positions
 _HALVINGS = 30
 
 
 class Pose(NamedTuple):
-    """The skin and the contact at a progress 0 to 1 of the press, in px; arrays where progress is one.
+    """Pose of skin and contact at a progress 0 to 1 of the press, in px; arrays if the progress is an array.
 
-    Skin that lies at u from the middle of the view when progress is 0 lies at ``shift + spread R(turn) u``, and the
-    contact is an ellipse about ``shift`` with the axes ``semi`` along x and y.
+    Skin that lies at u from the middle of the view at progress 0 lies at ``shift + spread R(turn) u``. The contact is
+    an ellipse about ``shift`` with the semi-axes ``semi`` along x and y.
     """
 
     shift: tuple[Array | float, Array | float]
@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def at(cls, progress: Array | float, shape: tuple[int, int]) -> Pose:
-        """Of views of (height, width) px."""
+        """Return the pose at a progress for views of (height, width) px."""
         height, width = shape
         return cls(
             shift=(4 * progress, -2 * progress),
@@ -38,35 +38,38 @@ class Pose(NamedTuple):
         )
 
     def deformation(self) -> Array:
-        """(..., 2, 2), of the skin since progress 0."""
+        """Return the deformation gradient (..., 2, 2) of the skin since progress 0."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         turned: Array = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
         turned *= np.asarray(self.spread)[..., None, None]
         return turned
 
     def place(self, skin: Array) -> Array:
-        """Where skin (..., 2) lies, from the middle of the view."""
+        """Return the position of skin (..., 2) relative to the middle of the view."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         moved += np.stack(np.broadcast_arrays(*self.shift), -1)
         return np.asarray(moved)
 
     def seen_axes(self) -> tuple[Array | float, Array | float]:
-        """Half a pixel shorter on the shorter axis: there the border of the contact has lost half of its light."""
+        """Return the semi-axes of the visible contact: `semi` scaled so that the shorter one loses half a pixel.
+
+        At that border the contact has lost half of its light.
+        """
         share = 1 - 0.5 / np.minimum(*self.semi)
         return self.semi[0] * share, self.semi[1] * share
 
     def reach(self, skin: Array) -> Array:
-        """Of skin (..., 2): below 1 in contact, above 1 not."""
+        """Return the elliptic radius of skin (..., 2): below 1 in contact, above 1 outside."""
         moved = np.einsum("...ij,...j->...i", self.deformation(), skin)
         a, b = self.seen_axes()
         return np.asarray(np.hypot(moved[..., 0] / a, moved[..., 1] / b))
 
 
 def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching_px: int) -> dict[str, float]:
-    """Areas and the two semi-axes of the ellipse in a frame, by name, mm² and mm.
+    """Return the true areas in mm² and the two semi-axes of the ellipse in mm of a frame, by name.
 
     Args:
-        touching_px: pixels that are drawn darker than half of what contact takes from the light.
+        touching_px: number of pixels that have lost more than half of the light that contact can take.
     """
     axes = sorted((float(one) * mm_per_px for one in Pose.at(progress, shape).seen_axes()), reverse=True)
     return {
@@ -78,18 +81,18 @@ def expected(progress: float, shape: tuple[int, int], mm_per_px: float, touching
 
 
 def median_divergence(progress: float, reached: float, shape: tuple[int, int], gauge_px: float) -> float:
-    """Median over the contact of the divergence since the onset of each point, of points chosen at progress 0.
+    """Return the median over the contact of the divergence since each point's onset, for points seeded at progress 0.
 
     Skin u is touched at the progress p0(u) at which the growing contact reaches it: its displacement is x(u, p) -
-    x(u, p0(u)). That is known without error here, and of skin everywhere; from it the gradient G is fitted as a stream
-    does (`ops.fields.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 by
-    reference coordinates. What is left between this and a measurement is due to points: their errors, and how few they
-    are.
+    x(u, p0(u)). Here it is known without error and for all skin. The gradient G is fitted to it as in a stream
+    (`ops.fields.area_medians`): planes over the gauge length with weights (1 - (r/R)²)², and G (1 - G)^-1 in reference
+    coordinates. A measurement differs from this value only by the errors of the points and their limited number.
 
     Args:
         progress: of the frame.
-        reached: the largest progress until then: the skin that was in contact is known.
-        gauge_px: gauge length. NaN for one that is so short beside the contact that the places for it would take long.
+        reached: largest progress until then; the skin that was in contact then is known.
+        gauge_px: gauge length. The result is NaN if it is so short relative to the contact that too many positions
+            would be needed.
     """
     now, widest = Pose.at(progress, shape), Pose.at(reached, shape)
     a, b = widest.seen_axes()
@@ -117,7 +120,7 @@ def median_divergence(progress: float, reached: float, shape: tuple[int, int], g
 
 
 def _lattice(count: int) -> Array:
-    """Points (count, 2) spread evenly over the unit disc (Vogel 1979)."""
+    """Return points (count, 2) spread evenly over the unit disc (Vogel 1979)."""
     number = np.arange(count) + 0.5
     radius, turn = np.sqrt(number / count), number * (math.pi * (3 - 5**0.5))
     return np.stack([radius * np.cos(turn), radius * np.sin(turn)], -1)

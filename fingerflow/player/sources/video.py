@@ -1,4 +1,4 @@
-"""Videos, by OpenCV where it is installed."""
+"""Source for video files; needs OpenCV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fingerflow.errors import PlayerError
 
 
 class Video:
-    """Frames of a video, made grey; only where OpenCV is installed."""
+    """Frames of a video file, converted to grey; needs OpenCV."""
 
     live = False
 
@@ -28,7 +28,7 @@ class Video:
             self._capture.grab()
 
     def read(self) -> Array | None:
-        """The next frame (H, W); None at the end."""
+        """Return the next frame (H, W); None at the end."""
         there, frame = self._capture.read()
         if not there:
             return None
@@ -36,5 +36,5 @@ class Video:
         return grey
 
     def close(self) -> None:
-        """Lets go of the video."""
+        """Close the video."""
         self._capture.release()

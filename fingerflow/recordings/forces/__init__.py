@@ -1,1 +1,1 @@
-"""Files of forces, a reader each."""
+"""Readers of forces, one module a file format."""

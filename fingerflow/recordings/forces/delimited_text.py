@@ -1,4 +1,4 @@
-"""Forces in delimited text: comma, semicolon, tab or blanks; decimal point or comma; comments; units in the heading."""
+"""Reader of forces in delimited text: comma, semicolon, tab or blanks; decimal point or comma; units in the heading."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ COMMENTS = ("#", "%", "//")
 
 
 def read_table(path: Path) -> ForceTable:
-    """Read all columns. The heading is the first line that is no comment and no preamble; a line of units may follow.
+    """Return all columns of a file.
 
-    A semicolon in the heading separates columns before a tab, a tab before a comma, a comma before blanks; a comma that
-    does not separate is a decimal comma. Without a heading the columns are column_1, column_2, ...
+    The heading is the first line that is neither a comment nor part of the preamble; a line of units may follow. Its
+    separator is a semicolon, else a tab, else a comma, else blanks; a comma that does not separate is a decimal comma.
+    Without a heading the columns are column_1, column_2, ...
     """
     data = path.read_bytes()
     try:
@@ -36,7 +37,7 @@ def read_table(path: Path) -> ForceTable:
     heading = first.group()
     separator = separator_of(heading)
     if separator is None:
-        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit separates no columns
+        heading = re.sub(r"\s+([(\[])", r"\1", heading)  # the blank before a unit is not a separator
     split = [cell.strip().strip('"').strip() for cell in heading.split(separator)]
     sample: re.Match[str] | None = first
     if _is_numeric(split, separator):
@@ -49,7 +50,7 @@ def read_table(path: Path) -> ForceTable:
         raise FingerflowError(f"{path}: has a heading {split} but no sample")
     body = text[sample.start() :]
     if not body.endswith(("\n", "\r")) and len(body.splitlines()) > 1:
-        # Programs end their last line too: of one that does not, the last number may be cut as well.
+        # Programs end their last line: if the end is missing, the last number may be truncated.
         body = "\n".join(body.splitlines()[:-1])
         table.warnings.append(f"{path}: ends within a line, which is left out; copy the file again if it was longer")
     if separator != ",":
@@ -57,7 +58,7 @@ def read_table(path: Path) -> ForceTable:
     try:
         numbers = _numbers(body, separator, len(names))
     except ValueError:
-        # Among the samples there may be comments: looking at each line takes as long as reading the numbers.
+        # There may be comments among the samples; filtering lines takes as long as reading, so it is done only then.
         try:
             numbers = _numbers("\n".join(filter(_is_read, body.splitlines())), separator, len(names))
         except ValueError as error:
@@ -82,7 +83,7 @@ def _is_read(line: str) -> bool:
 
 
 def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float64]:
-    """Raises ValueError where a line has another number of cells; empty ones behind the last do not count."""
+    """Return the numbers of a text, ignoring empty cells at line ends; raise ValueError for another number of cells."""
     if separator is not None and re.search(rf"{separator}\s*$", body.partition("\n")[0]):
         body = re.sub(rf"{separator}+[ \r]*$", "", body, flags=re.MULTILINE)
     numbers = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
@@ -92,7 +93,7 @@ def _numbers(body: str, separator: str | None, columns: int) -> NDArray[np.float
 
 
 def _heading(path: Path, cells: list[str], below: str, separator: str | None) -> tuple[list[str], dict[str, str], bool]:
-    """Names and units of the columns, and whether the line below the heading holds units."""
+    """Return names and units of the columns, and whether the line below the heading holds units."""
     while cells and not cells[-1]:
         cells.pop()  # a separator at the end of each line
     names, units = [], {}

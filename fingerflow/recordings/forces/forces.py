@@ -1,4 +1,4 @@
-"""Force channels on their own clock: alignment to the trigger and resampling to the frames."""
+"""Force channels with their own sample times: alignment to the trigger and resampling to the frames."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Samples = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Channels sampled at common times.
+    """Force channels sampled at common times.
 
     `times`: (n,) s, strictly increasing, not necessarily even. `channels`: name -> (n,) in the unit of `units` ("N",
-    "V", or "" for a trigger without one). `trigger`: name of the trigger's channel or None. `trigger_time`: s on the
-    clock of `times`, None until `align` has found it. `scales`: by which numbers of the file were multiplied to be in
-    `units`, 1 where it is left out. `warnings`: what a user should read; `resample` adds to it.
+    "V", "m", or "" for a trigger without unit). `trigger`: name of the trigger's channel or None. `trigger_time`: s on
+    the clock of `times`, None until `align` has found it. `scales`: factors from the numbers in the file to `units`, 1
+    if left out. `warnings`: sentences for the user; `resample` adds to them.
 
     Raises FingerflowError for times that are not finite or do not increase, and for channels of another length.
     """
@@ -60,7 +60,7 @@ class Forces:
                 )
 
     def align(self, trigger_level: float) -> Forces:
-        """The same forces with time 0 where the trigger channel first rises through `trigger_level` (in its unit).
+        """Return the same forces with time 0 where the trigger channel first rises through `trigger_level` (its unit).
 
         The instant is interpolated linearly between the last sample below the level and the first one not below it.
         Raises FingerflowError if there is no trigger channel or it never rises through the level.
@@ -81,14 +81,14 @@ class Forces:
         return replace(self, times=self.times - instant, trigger_time=0.0, warnings=list(self.warnings))
 
     def resample(self, frame_times: ArrayLike) -> dict[str, Samples]:
-        """Every channel at the times of the frames, free of what the frame rate cannot show.
+        """Return every channel at the times of the frames, low-passed to half the frame rate.
 
         frame_times: (m,) s on the same clock, in any order. Each value is a weighted mean of the samples around the
         frame; the weights are a zero-phase low-pass filter that ends at half the frame rate (see `low_pass`). Forces
         that are sampled no faster than the frames are interpolated linearly instead, with a warning.
 
         Frames outside the time span of the forces, or in a gap between samples that is longer than a frame, get NaN;
-        their number goes to `warnings`. A sample that is NaN or infinite is taken for missing. Raises FingerflowError
+        their number is added to `warnings`. Samples that are NaN or infinite count as missing. Raises FingerflowError
         if all frames lie outside.
         """
         wanted = np.asarray(frame_times, np.float64)
@@ -97,7 +97,7 @@ class Forces:
                 f"{self.path}: frame times are one finite number a frame, in s; an array {wanted.shape} was given"
             )
         self._check_overlap(wanted)
-        # A sample that is not a number is one that is missing; channels that lack the same ones go together.
+        # Samples that are not finite are missing; channels that lack the same samples are filtered together.
         lacking: dict[bytes, list[str]] = {}
         for name, values in self.channels.items():
             lacking.setdefault(np.isfinite(values).tobytes(), []).append(name)
@@ -113,9 +113,9 @@ class Forces:
         return {name: result[name] for name in self.channels}
 
     def _at_frames(self, times: Samples, values: Samples, wanted: Samples) -> Samples:
-        """Values (k, n) at `times` (n,) to (k, m) at the frames; NaN where nothing tells."""
+        """Return values (k, n) at `times` (n,) resampled to (k, m) at the frames; NaN where unknown."""
         frame_rate, sample_rate = _rate(wanted), _rate(times)
-        # A sample stands for the time around it: half a step before the first one is not beyond them.
+        # A sample represents the half step on both sides, so the covered span exceeds the samples by half a step.
         margin = 0.0 if sample_rate is None else 0.5 / sample_rate
         covered = (wanted >= times[0] - margin) & (wanted <= times[-1] + margin)
         if not covered.all():
@@ -155,7 +155,7 @@ class Forces:
 
 
 def _rate(times: Samples) -> float | None:
-    """Median rate, Hz: a gap or a late sample does not change it."""
+    """Return the median rate in Hz, which a gap or a late sample does not change; None for fewer than two times."""
     steps = np.abs(np.diff(np.sort(times)))
     steps = steps[steps > 0]
     return 1.0 / float(np.median(steps)) if steps.size else None

@@ -1,4 +1,4 @@
-"""Forces in an HDF5 file: every vector is a column; attributes `units` (or `unit`) and `sample_rate`."""
+"""Reader of forces in HDF5 files: every vector is a column; attributes `units` (or `unit`) and `sample_rate`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
 
 
 def read_table(path: Path) -> ForceTable:
-    """Columns are named by their path in the file without the leading slash. `sample_rate` (Hz) is an attribute of the
-    file or of a data set; two different ones are an error.
+    """Return the columns of a file, named by their path in it without the leading slash.
+
+    `sample_rate` (Hz) is an attribute of the file, a group or a data set; two different ones are an error.
     """
     table = ForceTable(path, {})
     rates: set[float] = set()

@@ -1,4 +1,4 @@
-"""Forces in a MATLAB file, v5 to v7.3: every numeric vector is a column, fields of a struct as struct.field."""
+"""Reader of forces in MATLAB files, v5 to v7.3: each numeric vector is a column; struct fields are struct.field."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ UNITS = "units"
 
 
 def read_table(path: Path) -> ForceTable:
-    """A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` has the unit of each column by its name."""
+    """Return the columns of a file.
+
+    A scalar `sample_rate` or `fs` is the rate in Hz; a struct `units` holds the unit of each column by its name.
+    """
     try:
-        import pymatreader  # noqa: F401  which another process imports
+        import pymatreader  # noqa: F401  imported by another process
     except ImportError:
         raise FingerflowError(
             f'{path}: MATLAB files need the package pymatreader; install it with pip install "fingerflow-engine[mat]"'

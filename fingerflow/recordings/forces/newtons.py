@@ -1,4 +1,4 @@
-"""Readings of force sensors to newtons: unit, zero, sensitivity and sign, in one place for all that read forces."""
+"""Conversion of readings of force sensors to newtons: unit, zero, sensitivity and sign."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from fingerflow.errors import FingerflowError
 from fingerflow.recordings.forces.forces import Forces
 
-_CHANGES = 0.1  # N by which a force may change in the time in which nothing touches
+_CHANGES = 0.1  # N, tolerated change of a force within the tare
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """How readings of a channel become a force: sign x gain x (reading - zero), in N.
+    """Calibration of a channel: force in N = sign x gain x (reading - zero).
 
     Attributes:
-        gain: N for a unit of the reading, which is V where the channel is in V, N else.
-        sign: -1 where the channel falls as the force grows.
-        offset: reading without a load, in the channel's unit as it stands in the file; None where `tare` tells.
-        tare: s from the trigger, in which nothing touches: the mean reading there is the zero.
+        gain: N per unit of the reading, which is V for a channel in V, else N.
+        sign: -1 if the reading falls as the force grows.
+        offset: reading without a load, in the channel's unit in the file; None for 0, or if `tare` is given.
+        tare: interval in s from the trigger without contact, whose mean reading is the zero.
     """
 
     gain: float | None = None
@@ -31,14 +31,14 @@ class Sensor:
 
 
 def to_newtons(forces: Forces, sensors: Mapping[str, Sensor], columns: Mapping[str, str | int]) -> Forces:
-    """The same recording, aligned, with the channels of `sensors` in N.
+    """Return the same recording with the channels of `sensors` in N.
 
     Args:
-        forces: from `open_forces`; times count from the trigger.
+        forces: from `open_forces`, aligned: times are from the trigger.
         sensors: by channel.
         columns: names of these channels in the file, for messages.
 
-    Raises FingerflowError for a channel in V without a gain, and a tare that holds no sample.
+    Raises FingerflowError for a channel in V without a gain, and a tare without a sample.
     """
     values, units = dict(forces.channels), dict(forces.units)
     warnings = list(forces.warnings)

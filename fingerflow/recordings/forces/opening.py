@@ -1,4 +1,4 @@
-"""`open_forces`: finds the reader that a path asks for, then the time, the channels and their units."""
+"""Opening of forces: selection of the reader for a path, then of time, channels and units."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ TO_NEWTON |= {"gf": 9.80665e-3, "kgf": 9.80665}  # standard gravity (CGPM 1901),
 TO_VOLT = {"V": 1.0, "mV": 1e-3}
 TO_METRE = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 TO_SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0}
-SAME_RATE = 0.01  # relative difference up to which two clocks say the same
+SAME_RATE = 0.01  # relative difference up to which two rates count as equal
 TIME_NAMES = ("time", "t", "times", "timestamp", "elapsed time")
 
 
-#: The name of a column, or its number, from 1 as it stands in the file: of files without a heading.
+#: Name of a column, or its number from 1 in the order of the file, for files without a heading.
 Column = str | int
 
 
@@ -50,18 +50,17 @@ def open_forces(
     trigger: Column | None = None,
     lengths: Collection[str] = (),
 ) -> Forces:
-    """Read forces and bring them to s, N and V, and positions beside them to m.
+    """Read forces and convert them to s, N and V, and positions to m.
 
-    Columns are named, or numbered from 1 as they stand in the file.
+    Columns are named, or numbered from 1 in the order of the file.
 
-    path: CSV or other delimited text, LabVIEW's `.lvm` among them, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
-    channels: names of the columns to keep, or a mapping from the name that they get to the name in the file; by
-        default all.
-    units: unit of a column by its name in the file; goes before what the file says. Forces in N, mN, kN, uN, gf or
-        kgf become N; V and mV become V; a time column may be in s, ms, us or min (s if nobody says).
-    time: name of the time column. By default one called time, t or timestamp, in any case of letters.
-    sample_rate: Hz, for a file without times, or with times of too few digits; goes before the rate that the file
-        states. Times that increase and tell another rate are not overruled.
+    path: CSV or other delimited text including LabVIEW's `.lvm`, HDF5, MATLAB `.mat` (v5 to v7.3) or LabVIEW `.tdms`.
+    channels: names of the columns to keep, or a mapping from channel names to columns; by default all.
+    units: unit of a column by its name in the file; overrides the file. Forces in N, mN, kN, uN, gf or
+        kgf become N; V and mV become V; a time column may be in s, ms, us or min (s if nothing is stated).
+    time: name of the time column. By default the one called as in `TIME_NAMES`, in upper or lower case.
+    sample_rate: Hz, for a file without times, or with times of too few digits; overrides the rate that the file
+        states. If a time column increases throughout and has another rate, that is an error.
     trigger: name of the column that carries the trigger; kept besides `channels`. Its unit may be missing.
     lengths: columns by their names in the file that hold lengths, not forces; m, mm, um and nm become m.
 
@@ -96,7 +95,7 @@ def open_forces(
 
 
 def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tuple[NDArray[np.float64], str | None]:
-    """Times in s and the column that they are from; empty if a sample rate gives them."""
+    """Return the times in s and their column; empty and None if a sample rate determines them."""
     if sample_rate is not None:
         if time is not None:
             raise FingerflowError(f"{table.path}: pass time={time!r} or sample_rate={sample_rate}, not both")
@@ -131,7 +130,7 @@ def _times(table: ForceTable, time: str | None, sample_rate: float | None) -> tu
 
 
 def _contradicted(table: ForceTable, sample_rate: float) -> None:
-    """Raises FingerflowError where a column of times, of one clear rate, has another one."""
+    """Check the columns of times against `sample_rate`; raise FingerflowError if one has a different rate."""
     for name in filter(_is_time, table.columns):
         unit = table.units.get(name, "s")
         measured = _rate(table.columns[name] * TO_SECONDS.get(unit, 1.0))
@@ -144,7 +143,7 @@ def _contradicted(table: ForceTable, sample_rate: float) -> None:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
-    """Median rate, Hz; None for what is no clock: numbers that do not increase throughout."""
+    """Return the median rate in Hz; None if the numbers do not increase throughout and are no times."""
     steps = np.diff(times)
     return 1.0 / float(np.median(steps)) if steps.size and np.all(steps > 0) else None
 
@@ -156,8 +155,9 @@ def _wanted(
     time_column: str | None,
     count: int | None,
 ) -> dict[str, str]:
-    """Column in the file by the name that its channel gets. Without a choice: all columns as long as the times, or as
-    the longest column.
+    """Return columns of the file by the names of their channels.
+
+    Without a choice these are all columns as long as the times, or as the longest column.
     """
     if isinstance(channels, str):
         channels = [channels]
@@ -184,7 +184,7 @@ def _is_time(name: str) -> bool:
 
 
 def force_columns(path: str | PathLike[str]) -> list[str]:
-    """Names of the columns of a file of forces, in its order. Raises FingerflowError where it cannot be read."""
+    """Return the column names of a file of forces in its order; raise FingerflowError where it cannot be read."""
     return list(_read_table(Path(path)).columns)
 
 
@@ -204,7 +204,7 @@ def _read_table(location: Path) -> ForceTable:
 
 
 def _name(table: ForceTable, column: Column) -> str:
-    """The name of a column that is named or numbered. Raises FingerflowError where there is none."""
+    """Return the name of a column given by name or number; raise FingerflowError if it does not exist."""
     names = list(table.columns)
     if isinstance(column, int):
         if not 1 <= column <= len(names):
@@ -226,7 +226,7 @@ def _unit(table: ForceTable, column: str, may_be_missing: bool, is_length: bool)
     unit = table.units.get(column)
     if unit is None and may_be_missing:
         return 1.0, ""
-    # A length is accepted where one is expected alone: a position taken for a force must not pass.
+    # A length is accepted only where one is expected, so that a position is not taken for a force.
     allowed = ((TO_METRE, "m"),) if is_length else ((TO_NEWTON, "N"), (TO_VOLT, "V"))
     for factors, canonical in allowed:
         if unit in factors:

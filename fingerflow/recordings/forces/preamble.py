@@ -1,4 +1,4 @@
-"""What stands in a text file before its table: headers of LabVIEW measurement files, notes of other programs."""
+"""Preambles of text files before the table: headers of LabVIEW measurement files, notes of other programs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from fingerflow.errors import FingerflowError
 
 _END_OF_HEADER = "***End_of_Header***"
 _LOOKED_AT = 400  # lines in which the table must begin
-_RUN = 3  # lines of numbers in a row that are a table
+_RUN = 3  # consecutive lines of numbers that identify a table
 
 
 class Content(NamedTuple):
-    """The table of a file: its text from the heading on; its clock where the preamble states one, Hz and s."""
+    """Table of a file: its text from the heading on; sample rate in Hz and start in s if the preamble states them."""
 
     text: str
     sample_rate: float | None = None
@@ -24,12 +24,12 @@ class Content(NamedTuple):
 
 
 def without_preamble(path: Path, text: str) -> Content:
-    """The table of a text, which begins where lines of numbers do, at the heading above them.
+    """Return the table of a text: its consecutive lines of numbers, with the heading above them.
 
-    A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment:
-    its column X_Value is the time, or its Delta_X the step where no such column was written. Elsewhere what stands
-    before the heading is passed over: the heading is the line above the numbers that has as many cells, or the one
-    above that, where a line of units stands between.
+    A LabVIEW measurement file (`.lvm`) has two headers that end in ***End_of_Header***, of the file and of its segment.
+    Its column X_Value is the time, or its Delta_X the step if that column was not written. In other files the text
+    before the heading is skipped. The heading is the line above the numbers with as many cells, or the line above that
+    if a line of units stands between.
 
     Raises FingerflowError for a LabVIEW file of several segments.
     """
@@ -55,7 +55,7 @@ def without_preamble(path: Path, text: str) -> Content:
     above, higher = cells[first - 1], cells[first - 2]
     names = [one for one in (above, higher) if len(_trimmed(one)) == width]
     names_and_units = first == 2 and len(names) == 2
-    if names_and_units or not names or names[0] is not above:  # or it cannot be told
+    if names_and_units or not names or names[0] is not above:  # or ambiguous
         return Content(text)
     is_units = len(names) == 2 and all(len(cell) <= 4 or cell[:1] in "([" for cell in _trimmed(above))
     return Content(text[read[first - 1 - is_units].start() :])
@@ -98,14 +98,14 @@ def _cells(line: str) -> list[str]:
 
 
 def separator_of(line: str) -> str | None:
-    """What separates the cells of a line; None for blanks, among which commas are decimal ones."""
+    """Return the separator of the cells of a line; None for blanks, between which commas are decimal commas."""
     if re.fullmatch(r"\s*[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?(?:\s+[-+\d.eE]+(?:,\d+(?:[eE][-+]?\d+)?)?)+\s*", line):
         return "\t" if "\t" in line else None
     return next((mark for mark in (";", "\t", ",") if mark in line), None)
 
 
 def _trimmed(cells: Sequence[str]) -> list[str]:
-    """Without empty ones at the end."""
+    """Return cells without empty ones at the end."""
     count = len(cells)
     while count and not cells[count - 1]:
         count -= 1
@@ -113,7 +113,7 @@ def _trimmed(cells: Sequence[str]) -> list[str]:
 
 
 def _numbers(cells: Sequence[str]) -> int:
-    """How many cells a line of numbers has, 0 for any other line."""
+    """Return the number of cells of a line of numbers, 0 for any other line."""
     try:
         for cell in _trimmed(cells):
             float(cell.replace(",", "."))

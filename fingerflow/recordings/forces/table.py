@@ -1,4 +1,4 @@
-"""What a reader of force files hands over: columns as they stand in the file, before any of them is chosen."""
+"""Table of force columns as they stand in a file, the common result of all readers of forces."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 @dataclass
 class ForceTable:
-    """`units` by column, where the file states them; `sample_rate` (Hz) and `start` (s) where it states a rate;
-    `warnings`: what a user should read.
+    """Columns of a file of forces, before channels are chosen.
+
+    `units` by column, if the file states them; `sample_rate` (Hz) and `start` (s) if it states a rate; `warnings`:
+    sentences for the user.
     """
 
     path: Path
@@ -24,7 +26,7 @@ class ForceTable:
     warnings: list[str] = field(default_factory=list)
 
     def add(self, name: str, values: NDArray[np.float64]) -> None:
-        """Take one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]."""
+        """Add one column, or a matrix (n, k) as the columns name[0] .. name[k - 1]."""
         values = np.squeeze(np.asarray(values, np.float64))
         if values.ndim == 1:
             self.columns[name] = values
@@ -34,6 +36,6 @@ class ForceTable:
 
 
 def split_unit(heading: str) -> tuple[str, str | None]:
-    """'normal_force (mN)' and 'normal_force [mN]' are the column normal_force in mN."""
+    """Return name and unit of a heading: 'normal_force (mN)' or 'normal_force [mN]' is normal_force in mN."""
     match = re.fullmatch(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", heading)
     return (match.group(1).strip(), match.group(2)) if match and match.group(1) else (heading.strip(), None)

@@ -1,4 +1,4 @@
-"""Forces in a LabVIEW TDMS file: names, units and rate as the channels' properties state them."""
+"""Reader of forces in LabVIEW TDMS files: names, units and rate from the channels' properties."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from fingerflow.recordings.guard.walker import check_by_walking
 
 
 def read_table(path: Path) -> ForceTable:
-    """Columns have the name of their channel, group/channel where two groups share one. The rate is 1 / `wf_increment`,
-    the first sample is at `wf_start_offset`; channels with different ones have to be told apart by the user.
+    """Return the columns of a file, named by channel, or by group/channel if two groups share a name.
+
+    The rate is 1 / `wf_increment`, the first sample is at `wf_start_offset`. Raises FingerflowError for channels with
+    different clocks.
     """
     try:
         from nptdms import TdmsFile
@@ -25,7 +27,7 @@ def read_table(path: Path) -> ForceTable:
             f'{path}: TDMS files need the package nptdms; install it with pip install "fingerflow-engine[tdms]"'
         ) from None
     check_by_walking(path, "TDMS")
-    # Opened, not read: what the file claims to hold is compared with its size first.
+    # Opened, not read: the stated content is compared with the file's size first.
     with reading(path, "TDMS"), TdmsFile.open(path) as file:
         table, clocks = _columns(path, file)
         if file.file_status.incomplete_final_segment:
@@ -42,7 +44,7 @@ def read_table(path: Path) -> ForceTable:
 
 
 def _columns(path: Path, file: Any) -> tuple[ForceTable, set[tuple[float, float]]]:
-    """The channels of numbers, and the (step, start) of their clocks in s."""
+    """Return the numeric channels, and the (step, start) of their clocks in s."""
     channels = [channel for group in file.groups() for channel in group.channels()]
     shared = Counter(channel.name for channel in channels)
     table = ForceTable(path, {})

@@ -1,1 +1,1 @@
-"""Files of frames, a reader each."""
+"""Readers of frames, one module a file format."""

@@ -1,7 +1,7 @@
-"""Phantom `.cine` recordings (Vision Research): 8 and 16 bits a pixel, 10-bit companded and 12-bit linear packed.
+"""Reader of Phantom `.cine` recordings (Vision Research): 8 and 16 bits a pixel, 10-bit companded and 12-bit packed.
 
-Source of the layout: "Cine File Format", Vision Research (fields quoted by the names they have there). Where other
-readers disagree, the file's own fields decide; the comments say which.
+Source of the layout: "Cine File Format", Vision Research; fields have the names used there. Where other readers
+disagree, the file's own fields decide; comments state which.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TAG_HEADER = struct.Struct("<IHH")
 TIME_ONLY, EXPOSURE_ONLY = 1002, 1003  # tagged blocks between SETUP and the image offsets
 UNCOMPRESSED, PACKED_10, PACKED_12 = 0, 256, 1024  # biCompression
 
-# SETUP grew with each software version: a field is there only if it ends within SETUP.Length.
+# SETUP grew with each software version: a field exists only if it ends within SETUP.Length.
 SETUP_FIELDS = {
     "FrameRate16": (0, "<H"),
     "Length": (142, "<H"),
@@ -46,7 +46,7 @@ SETUP_FIELDS = {
 
 
 def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
-    """Read the headers and the table of image offsets; no frame. Raises FingerflowError for colour and for damage."""
+    """Open a recording by its headers and image offsets alone; raise FingerflowError for colour and for damage."""
     size = path.stat().st_size
     data = np.memmap(path, np.uint8, "r") if size else np.empty(0, np.uint8)
     if size < CINE_FILE_HEADER.size or data[:2].tobytes() != b"CI":
@@ -98,7 +98,7 @@ def open_frames(path: Path, frame_rate: float | None) -> CineRecording:
 
 
 class CineRecording(FileRecording):
-    """Frames are found by their offset in the file, so its size does not matter."""
+    """Recording whose frames are found by their offset, so that the size of the file does not matter."""
 
     def __init__(
         self, description: Description, frame_rate: float | None, offsets: NDArray[np.int64], layout: _CineLayout
@@ -125,7 +125,7 @@ class CineRecording(FileRecording):
 
 @dataclass(frozen=True)
 class _CineLayout:
-    """How the bytes of one image become grey values."""
+    """Layout of one image: how its bytes become grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -137,12 +137,12 @@ class _CineLayout:
     def pixels(self, data: NDArray[np.uint8]) -> Frames:
         height, width = self.shape
         if self.compression == PACKED_10:
-            # The 10 bits are companded, not linear: light is proportional to the 12-bit value behind the table.
+            # The 10 bits are companded, not linear: light is proportional to the 12-bit value in the table.
             image = LINEAR_OF_COMPANDED[unpack_10bit(data, height * width)].reshape(height, width)
         elif self.compression == PACKED_12:
             image = unpack_12bit(data, height * width).reshape(height, width)
         else:
-            rows = data.reshape(height, -1)[:, : width * self.dtype.itemsize]  # rows may be filled up to 4 bytes
+            rows = data.reshape(height, -1)[:, : width * self.dtype.itemsize]  # rows may be padded to 4 bytes
             image = np.ascontiguousarray(rows).view(self.dtype.newbyteorder("<")).astype(self.dtype)
         return np.ascontiguousarray(image[::-1]) if self.bottom_up else image
 
@@ -152,7 +152,7 @@ def _unsigned(data: NDArray[np.uint8]) -> int:
 
 
 class _Setup:
-    """SETUP fields by name; None where this version of the software did not write the field."""
+    """SETUP fields by name; None if this version of the software did not write the field."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -170,7 +170,7 @@ class _Setup:
 def _layout(path: Path, compression: int, bitmap: tuple[int, ...], setup: _Setup) -> _CineLayout:
     _, width, signed_height, _, bits, packing, image_bytes, *_ = bitmap
     height = abs(signed_height)
-    # Compression says what the pixels are, whatever filter the sensor carries: 2 is uninterpolated colour, 1 is JPEG;
+    # Compression states the kind of pixels, whatever the sensor's colour filter: 2 is uninterpolated colour, 1 is JPEG;
     # 0 with 24 or 48 bits is interpolated colour, 0 with 8 or 16 bits is grey.
     if compression == 2 or bits in (24, 48):
         kind = "raw pixels behind a colour filter" if compression == 2 else f"colour pixels of {bits} bits"
@@ -221,7 +221,7 @@ def _tagged_blocks(header: memoryview, start: int) -> dict[int, memoryview]:
 
 
 def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np.uint8]) -> int:
-    """How many frames from the first on are in the file with all their bytes."""
+    """Return the number of frames, counted from the first, whose bytes are all in the file."""
     ends_too_late = (offsets <= 0) | (offsets + 8 + image_bytes > data.size)
     count = int(np.argmax(ends_too_late)) if ends_too_late.any() else len(offsets)
     while count:
@@ -233,8 +233,10 @@ def _whole_frames(offsets: NDArray[np.int64], image_bytes: int, data: NDArray[np
 
 
 def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.float64]:
-    """TIME64 is a number of 2**-32 s since 1970; its two lowest bits carry flags. Subtracted as integers: a double
-    would round the difference to 0.2 us.
+    """Return the TIME64 stamps as s from the trigger.
+
+    TIME64 counts 2**-32 s since 1970; its two lowest bits are flags. Stamps are subtracted as integers, because a
+    double would round the difference to 0.2 us.
     """
     if not block:
         return np.empty(0)
@@ -245,10 +247,10 @@ def _seconds_from_trigger(block: memoryview | None, trigger: int) -> NDArray[np.
 def _times(
     stamps: NDArray[np.float64], first_number: int, rate: float | None
 ) -> tuple[NDArray[np.float64] | None, float | None, list[str]]:
-    """Times and rate as the camera's clock tells them, and what is odd about them.
+    """Return times and rate by the camera's clock, and warnings.
 
-    FrameRate is what the camera was set to; if frames were left out on saving, only the time stamps know. And frame
-    numbers count from the trigger, but there are cameras whose numbers and clock disagree by minutes.
+    FrameRate is the setting of the camera; if frames were left out on saving, only the time stamps show it. Frame
+    numbers count from the trigger, but in some cameras numbers and clock disagree by minutes.
     """
     if len(stamps) < 2 or np.any(np.diff(stamps) <= 0):
         unusable = (

@@ -1,8 +1,8 @@
-"""The table that turns the companded 10-bit values of a packed Phantom recording into 12 linear bits.
+"""Table that converts the companded 10-bit values of a packed Phantom recording to 12 linear bits.
 
-Source: "Cine File Format", Vision Research, appendix 1. The camera squeezes 12 bits into 10 with the curve of ITU-R
-BT.709 between black (64 in both) and white (4064 of 4095, code 1014 of 1023); the tests hold the table against that
-formula. The table and not the formula decides: they differ by up to 2.4 counts, and other readers use the table.
+Source: "Cine File Format", Vision Research, appendix 1. The camera compresses 12 bits to 10 with the curve of ITU-R
+BT.709 between black (64 in both) and white (4064 of 4095, code 1014 of 1023); the tests compare the table with that
+formula. The table is used because other readers use it; the formula differs from it by up to 2.4 counts.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Checksums of FFV1 video: FFmpeg sees that one is wrong, fills the place with old pixels, and tells its log only.
+"""Checksums of FFV1 video. FFmpeg detects a wrong one, but fills the slice with old pixels and only logs it.
 
 Source: RFC 9043, sections 4.4 (slices and their footers) and 4.9.3 (slice_crc_parity): a packet is a row of slices,
-each with a footer of its size in 3 bytes, a byte of status and a CRC that makes that of the whole slice 0. The
-polynomial is that of CRC-32 with the highest bit first: zlib's, of bytes and result with their bits reversed.
+each with a footer of its size in 3 bytes, a byte of status and a CRC that makes the CRC of the whole slice 0. The
+polynomial is that of CRC-32 with the highest bit first: zlib's, with the bits of its input and result reversed.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ _ONES = 0xFFFFFFFF
 
 
 def slices_are_whole(packet: bytes) -> bool:
-    """Whether all checksums of a packet fit; False too where it has none (version 1, or `slicecrc=0`)."""
+    """Return whether all checksums of a packet are valid; False too if it has none (version 1, or `slicecrc=0`)."""
     end = len(packet)
     while end > _FOOTER:
         size = int.from_bytes(packet[end - _FOOTER : end - _FOOTER + 3], "big") + _FOOTER
         begin = end - size
-        # zlib inverts before and after; 0 before and 0 after is the checksum that is meant.
+        # The CRC of FFV1 starts at 0 and is 0 for a valid slice; zlib inverts both.
         if begin < 0 or zlib.crc32(packet[begin:end].translate(_REVERSED), _ONES) != _ONES:
             return False
         end = begin

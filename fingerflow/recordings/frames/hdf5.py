@@ -1,4 +1,4 @@
-"""Frames in an HDF5 file: one data set (N, H, W); attributes `frame_rate` (Hz) and `bit_depth` where they are there."""
+"""Reader of frames in an HDF5 file: one data set (N, H, W); attributes `frame_rate` (Hz), `bit_depth` if present."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from fingerflow.recordings.frames.recording import (
 from fingerflow.recordings.guard.files import reading
 from fingerflow.recordings.guard.hdf5 import open_hdf5, stored_whole
 
-CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames; it should be unpacked once, not once a frame
+CHUNK_CACHE_BYTES = 64 * 2**20  # a chunk often spans several frames and should be unpacked only once
 NEVER_WRITTEN = "was never written"
 
 
 def open_frames(path: Path, frame_rate: float | None, dataset: str = "") -> Hdf5Recording:
     """Open the only data set of three dimensions, or the one that `dataset` names.
 
-    The attributes are looked for at the data set, then at the groups around it. Frames of which a chunk was never
-    written, where HDF5 gives its fill value, are unreadable, and missing where none follows that was.
+    Attributes are read from the data set, else from the groups that contain it. HDF5 returns its fill value for chunks
+    that were never written: frames with such a chunk are unreadable, and missing after the last complete frame.
 
-    Raises FingerflowError, naming the data sets there are, if the choice is not clear; and where the frames are in
-    other files that are not there, or cannot be in this one by its size.
+    Raises FingerflowError, naming the data sets, if the choice is ambiguous; and where the frames are in other files
+    that are missing, or cannot be in this one by its size.
     """
     file = open_hdf5(path, rdcc_nbytes=CHUNK_CACHE_BYTES)
     try:
@@ -53,7 +53,7 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
     if depth is not None and not 1 <= depth <= 8 * dtype.itemsize:
         raise FingerflowError(f"{path}: attribute bit_depth is {depth} for pixels of type {dtype}")
     lacking = _lacking(path, frames)
-    count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last frame that was written
+    count = len(lacking) - int(np.argmin(lacking[::-1]))  # up to the last complete frame
     description = Description(
         path=path,
         count=count,
@@ -69,7 +69,7 @@ def _describe(path: Path, file: h5py.File, dataset: str) -> tuple[Description, h
 
 
 class Hdf5Recording(FileRecording):
-    """Frames read from the data set one at a time."""
+    """Recording of frames that are read from the data set one at a time."""
 
     def __init__(self, description: Description, frame_rate: float | None, frames: h5py.Dataset) -> None:
         super().__init__(description, frame_rate)
@@ -82,7 +82,7 @@ class Hdf5Recording(FileRecording):
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         try:
             return np.asarray(self._frames[index], self.dtype)
-        except Exception as error:  # whatever the filters of a damaged chunk raise
+        except Exception as error:  # filters raise any exception for a damaged chunk
             return self._no_picture(index, f"cannot be unpacked ({first_line(error)})")
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     file.visititems(lambda key, item: found.update({f"/{key}": item}) if isinstance(item, h5py.Dataset) else None)
     listing = ", ".join(f"{key} {item.shape} {item.dtype}" for key, item in found.items()) or "none"
     if name:
-        # A link has a name that going through the file does not show.
+        # `visititems` does not list the names of links.
         item = file.get("/" + name.strip("/"))
         if not isinstance(item, h5py.Dataset):
             raise FingerflowError(f"{path}: has no data set {name!r}; its data sets are {listing}")
@@ -115,7 +115,7 @@ def _chosen(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _lacking(path: Path, frames: h5py.Dataset) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Which frames lack a chunk; `stored_whole` has seen to it that the claimed number of frames can be there."""
+    """Return which frames lack a chunk; `stored_whole` has checked that the stated number of frames fits the file."""
     lacking = np.zeros(frames.shape[0], bool)
     if frames.chunks is None or frames.is_virtual:
         return lacking

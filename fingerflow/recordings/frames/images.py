@@ -1,4 +1,4 @@
-"""A folder of images in the order in which a person would number them, or one image as a recording of one frame."""
+"""Reader of a folder of images in the order of their numbers, or of one image as a recording of one frame."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ LOSSY = (".jpg", ".jpeg")
 
 
 class DamagedPicture(FingerflowError):
-    """One image of many that cannot be decoded."""
+    """Error for one image that cannot be decoded."""
 
 
 def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
     """Open all images of a folder, or the image `path`.
 
-    The first image is read for its size; the others are read when they are asked for, and an image of another size or
-    with real colour is refused then. Where a number is missing in otherwise even numbers of names, its frame is among
-    `unreadable`, so that the frames behind it keep their times; where most are missing, a warning says so.
+    Only the first image is read, for its size; others of another size or in colour are refused when they are read. If a
+    number is missing in otherwise evenly numbered names, its frame is listed in `unreadable`, so that later frames keep
+    their times. If most numbers are missing, or steps are uneven, the images are read as consecutive frames, with a
+    warning.
 
     Raises FingerflowError for a folder without images, for one with several kinds, and for equal numbers.
     """
@@ -53,7 +54,7 @@ def open_frames(path: Path, frame_rate: float | None) -> ImageRecording:
 
 
 class ImageRecording(FileRecording):
-    """One file a frame; None where a number is missing."""
+    """Recording of one file a frame; None in place of a file whose number is missing."""
 
     def __init__(self, description: Description, frame_rate: float | None, files: list[Path | None]) -> None:
         super().__init__(description, frame_rate)
@@ -76,7 +77,7 @@ class ImageRecording(FileRecording):
 
 
 def read_image(path: Path) -> Frames:
-    """One grey image (H, W). Grey that is stored as three equal channels is kept exactly; colour is refused by name.
+    """Return one grey image (H, W). Grey stored as three equal channels is accepted without loss.
 
     Raises DamagedPicture where it cannot be decoded, FingerflowError for colour.
     """
@@ -89,7 +90,7 @@ def read_image(path: Path) -> Frames:
                     raise DamagedPicture(f"{path}: {stack.unreadable[0]}")
                 pages = len(stack)
         else:
-            # Read through NumPy: cv2.imread fails without a word for names outside the system's code page.
+            # Read through NumPy: cv2.imread fails silently for names outside the system's code page.
             image, pages = _decoded(path, np.fromfile(path, np.uint8)), 1
     except (FingerflowError, OSError) as error:
         raise DamagedPicture(
@@ -120,7 +121,7 @@ def _decoded(path: Path, data: np.ndarray) -> Frames:
 
 
 def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
-    """Files by their numbers, None for one that is missing among them; and what is odd about the numbers."""
+    """Return the files in order of their numbers, None for each missing number, and warnings about the numbers."""
     files = _images_in(folder)
     numbers = _numbers([file.name for file in files])
     if len(numbers) < 2:
@@ -147,7 +148,7 @@ def _in_order(folder: Path) -> tuple[list[Path | None], tuple[str, ...]]:
 
 
 def _numbers(names: list[str]) -> list[int]:
-    """The one number in which all names differ; none where they differ in more than that."""
+    """Return the one number in which the names differ; an empty list if they differ otherwise."""
     parts = [re.split(r"(\d+)", name) for name in names]
     if len({(len(one), tuple(one[::2])) for one in parts}) > 1:
         return []
@@ -176,6 +177,6 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def _natural(file: Path) -> list[tuple[int, str]]:
-    """frame_2 before frame_10: runs of digits compare as numbers."""
+    """Return a sort key by which frame_2 comes before frame_10: runs of digits compare as numbers."""
     parts = re.split(r"(\d+)", file.name)
     return [(int(part), part) if part.isdecimal() else (-1, part) for part in parts]

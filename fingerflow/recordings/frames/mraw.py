@@ -1,6 +1,6 @@
-"""Photron recordings: pixels in `.mraw`, everything else in the `.cih` (text) or `.cihx` (XML) beside it.
+"""Reader of Photron recordings: pixels in `.mraw`, the header in the `.cih` (text) or `.cihx` (XML) beside it.
 
-Source: the headers that Photron FASTCAM Viewer writes, keys quoted as they stand there.
+Source: the headers that Photron FASTCAM Viewer writes; keys are quoted as they stand there.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from fingerflow.recordings.frames.recording import Description, FileRecording, F
 from fingerflow.recordings.guard.files import check_file
 
 HEADERS = (".cihx", ".cih")
-MOST_HEADER_BYTES = 1 << 24  # those of cameras have 10 kB, with a small picture 1 MB
+MOST_HEADER_BYTES = 1 << 24  # headers of cameras have 10 kB, or 1 MB with a preview image
 
-# The same entries under their names in the text header and at their place in the XML header.
+# Entries by their names in the text header, and their paths in the XML header.
 XML_PLACES = {
     "Camera Type": "deviceInfo/deviceName",
     "Record Rate(fps)": "recordInfo/recordRate",
@@ -41,7 +41,7 @@ XML_PLACES = {
 
 
 def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
-    """Open either file of the pair. Raises FingerflowError if the other is missing, for colour and for odd headers."""
+    """Open either file of the pair; raise FingerflowError if the other is missing, for colour or an invalid header."""
     if path.suffix.lower() == ".mraw":
         pixels, header_path = path, _beside(path, HEADERS, "its header, a .cih or .cihx file")
     else:
@@ -60,7 +60,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
             f"{pixels}: holds {pixels.stat().st_size} bytes, not one frame; by {header_path.name} a frame has "
             f"{layout.frame_bytes} bytes and there are {count}"
         )
-    # One recorded frame in "Save Step" was kept, so that is how much slower the stored frames are than "Record Rate".
+    # One in "Save Step" recorded frames was kept, so the rate of the stored frames is "Record Rate" / "Save Step".
     step = header.integer("Save Step", 1) or 1
     if step < 1 or count < 1:
         raise FingerflowError(f"{header_path}: 'Save Step' is {step} and 'Total Frame' {count}; correct the header")
@@ -75,7 +75,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
         dtype=layout.dtype,
         bit_depth=layout.bit_depth,
         frame_rate=rate,
-        first_number=header.integer("Start Frame", 0) / step,  # in recorded frames; the trigger is number 0
+        first_number=header.integer("Start Frame", 0) / step,  # "Start Frame" counts recorded frames from the trigger
         has_trigger=bool(header.text("Start Frame", " ").strip()),
         warnings=header.warnings + ((missing_frames(count - whole, count),) if whole < count else ()),
         metadata={
@@ -91,7 +91,7 @@ def open_frames(path: Path, frame_rate: float | None) -> MrawRecording:
 
 @dataclass(frozen=True)
 class _MrawLayout:
-    """How the bytes of one frame become grey values."""
+    """Layout of one frame: how its bytes become grey values."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -103,7 +103,7 @@ class _MrawLayout:
 
 
 class MrawRecording(FileRecording):
-    """Frames lie one behind the other without any gap."""
+    """Recording whose frames follow each other without gaps."""
 
     def __init__(self, description: Description, frame_rate: float | None, pixels: Path, layout: _MrawLayout) -> None:
         self._layout = layout
@@ -121,7 +121,7 @@ class MrawRecording(FileRecording):
         return result
 
     def _as_frames(self, count: int) -> Frames | None:
-        """The bytes as frames (N, H, W), where they are not packed or shifted."""
+        """Return the bytes as frames (N, H, W); None if pixels are packed or shifted."""
         layout = self._layout
         if layout.stored_bits == 12 or layout.shift:
             return None
@@ -134,7 +134,7 @@ class MrawRecording(FileRecording):
 
 
 class _Header:
-    """Entries of a `.cih` or `.cihx` file by the name that they have in the text form."""
+    """Entries of a `.cih` or `.cihx` file by their names in the text form."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -177,17 +177,17 @@ class _Header:
 
 
 def _text_entries(data: bytes) -> tuple[dict[str, str], bool]:
-    """Entries, and whether the line that ends them is there."""
+    """Return the entries, and whether the line END exists."""
     entries: dict[str, str] = {}
     # Cameras write comments in their local encoding; latin-1 reads any byte and leaves the rest alone.
     lines = data.decode("latin-1").splitlines(keepends=True)
     whole = any(line.strip() == "END" for line in lines)
     if not whole and lines and not lines[-1].endswith(("\r", "\n")):
-        lines.pop()  # "Depth : 1" may have been 12
+        lines.pop()  # an incomplete line: "Depth : 1" may have been 12
     for line in lines:
         name, colon, value = line.partition(":")
         if colon:
-            entries.setdefault(name.strip(), value.strip())  # later sections tell of other programs
+            entries.setdefault(name.strip(), value.strip())  # later sections belong to other programs
     return entries, whole
 
 
@@ -218,7 +218,7 @@ def _layout(header: _Header) -> _MrawLayout:
         )
     width, height = header.integer("Image Width"), header.integer("Image Height")
     if bits == 16:
-        # A guess would make light 16 times too bright or too dark.
+        # A wrong guess would scale the grey values by 16.
         for name in ("EffectiveBit Depth", "EffectiveBit Side") if header.warnings else ("EffectiveBit Depth",):
             if not header.text(name, "").strip():
                 raise FingerflowError(
@@ -230,7 +230,7 @@ def _layout(header: _Header) -> _MrawLayout:
     if depth < 1 or width < 1 or height < 1:
         raise FingerflowError(f"{path}: frames of {width} x {height} pixels with {depth} bits cannot be")
     side = header.text("EffectiveBit Side", "Lower").lower()
-    # With side "Higher", 12 bits in 16 are stored times 16. Shifted down they are the sensor's grey values again.
+    # With side "Higher", 12 bits in 16 are stored times 16; shifted down they are the sensor's grey values.
     # An 8-bit file of a 12-bit sensor has lost the other four bits already.
     shift = bits - depth if side == "higher" and bits == 16 else 0
     return _MrawLayout(

@@ -1,4 +1,4 @@
-"""Frames in a NumPy `.npy` file: (N, H, W), or (H, W) for one frame; mapped into memory, never loaded whole."""
+"""Reader of frames in a NumPy `.npy` file: (N, H, W), or (H, W) for one frame; memory-mapped, never loaded whole."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fingerflow.schema.claimed_sizes import MOST_NPY_HEADER, npy_header_bytes
 
 
 def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
-    """Read the header only. Raises FingerflowError for other shapes and for pixels that are not grey values."""
+    """Open a file by its header alone; raise FingerflowError for other shapes and pixels that are not grey values."""
     with open(path, "rb") as file:
         length = npy_header_bytes(file.read(12))
         if length > MOST_NPY_HEADER:
@@ -30,7 +30,7 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, by_columns, dtype = read(file)
-        except Exception as error:  # the header is Python, and what its tokens raise is no part of NumPy's promise
+        except Exception as error:  # NumPy does not specify what an invalid header raises
             raise FingerflowError(
                 f"{path}: not a NumPy file of plain numbers ({first_line(error)}); copy it again, or save it anew"
             ) from None
@@ -44,7 +44,7 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
     if available == 0 or (by_columns and available < count):
         raise FingerflowError(f"{path}: {path.stat().st_size} bytes are too few for its {count} frames; copy it again")
     whole = min(count, available)
-    order: Literal["F", "C"] = "F" if by_columns else "C"  # the same bytes for (H, W) and (1, H, W) in either order
+    order: Literal["F", "C"] = "F" if by_columns else "C"  # (H, W) and (1, H, W) have the same bytes in either order
     frames = np.memmap(path, dtype, "r", start, (whole, height, width), order)
     description = Description(
         path=path,
@@ -58,7 +58,7 @@ def open_frames(path: Path, frame_rate: float | None) -> NpyRecording:
 
 
 class NpyRecording(FileRecording):
-    """Frames in a memory map."""
+    """Recording of frames in a memory map."""
 
     def __init__(self, description: Description, frame_rate: float | None, frames: np.ndarray[Any, Any]) -> None:
         super().__init__(description, frame_rate, frames)

@@ -1,4 +1,4 @@
-"""`open_recording`: finds the reader that a path asks for."""
+"""Opening of recordings: selection of the reader for a path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.frames.recording import Recording
 from fingerflow.recordings.guard.files import check_file, reading
 
-# Readers are imported when they are needed: video and HDF5 libraries take a second to load.
+# Readers are imported on first use: video and HDF5 libraries take a second to load.
 READERS = {
     "cine": (".cine",),
     "mraw": (".mraw", ".cih", ".cihx"),
@@ -32,9 +32,9 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         (`file.h5` or `file.h5::/group/data set`), a `.npy`, a folder of images, or one image: a recording of one frame.
     frame_rate: Hz; replaces the rate and the time stamps of the file. Without it, a file that states no rate has none.
 
-    Raises FingerflowError for a file that is missing, of an unknown kind, damaged beyond its header, or in colour. A
-    file that merely ends too early opens with the frames that are whole and a sentence in `warnings`; a frame that is
-    damaged by itself is among `unreadable`.
+    Raises FingerflowError for a file that is missing, of an unknown kind, in colour, with a damaged header or without a
+    complete frame. A file that only ends too early opens with its complete frames and a sentence in `warnings`; a frame
+    that is damaged by itself is listed in `unreadable`.
     """
     if frame_rate is not None and not (math.isfinite(frame_rate) and frame_rate > 0):
         raise FingerflowError(
@@ -42,7 +42,7 @@ def open_recording(path: str | PathLike[str], frame_rate: float | None = None) -
         )
     file, _, inside = str(path).partition("::")
     location = Path(file)
-    if os.path.isdir(location):  # False, not an error, where nobody may look
+    if os.path.isdir(location):  # False, not an error, without permission
         reader = "images"
     elif location.suffix.lower() in _READER_OF:
         reader = _READER_OF[location.suffix.lower()]

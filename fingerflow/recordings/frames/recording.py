@@ -1,4 +1,4 @@
-"""What every recording can do, whatever file it comes from: lazy access to frames and the time of each."""
+"""Interface of all recordings, whatever their file format: lazy access to frames and the time of each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fingerflow.errors import FingerflowError
 
-# Lossy codecs, by the names of FFmpeg and tifffile, that make a frame from no other.
+# Lossy codecs, by the names of FFmpeg and tifffile, that compress each frame by itself (intra-frame).
 EACH_FRAME_BY_ITSELF = frozenset(
     ("mjpeg", "jpeg", "ojpeg", "jpeg_lossy", "alt_jpeg", "webp", "jpeg2000", "dvvideo", "prores", "dnxhd", "cfhd")
 )
@@ -26,13 +26,13 @@ Frames = NDArray[Any]
 
 @dataclass(frozen=True)
 class Description:
-    """What a reader finds in a file's header, before it reads any frame.
+    """Content of a file's header, as a reader finds it before it reads any frame.
 
     `bit_depth`: grey values lie in 0 .. 2**bit_depth - 1; None for floating point. `frame_rate` in Hz or None.
-    `first_number`: the number of the first frame where the trigger is number 0, or 0 if the file knows no trigger.
-    `time_stamps`: s for each frame, 0 at the trigger; None where frames are evenly spaced. `has_trigger`: whether
-    time 0 is the camera's trigger. `lossy`: the codec, where it has changed the pixels. `unreadable`: frames by
-    number that are known to be damaged, and why.
+    `first_number`: number of the first frame, counted from the trigger, or 0 if the file states no trigger.
+    `time_stamps`: s for each frame, 0 at the trigger; None for evenly spaced frames. `has_trigger`: whether time 0 is
+    the camera's trigger. `lossy`: the codec, if it is lossy. `unreadable`: frames known to be damaged, by number, and
+    the reason.
     """
 
     path: Path
@@ -51,17 +51,17 @@ class Description:
 
 
 class Recording(ABC):
-    """Grey frames that are read when they are asked for, never before.
+    """Grey frames that are read on demand.
 
-    `recording[3]` is an array (H, W); `recording[10:0:-2]` and `recording[[3, 1, 2]]` are recordings again, as lazy as
-    this one; `read()` gives all frames as (N, H, W) and `batches(n)` a few at a time.
+    `recording[3]` is an array (H, W); `recording[10:0:-2]` and `recording[[3, 1, 2]]` are recordings that are read on
+    demand too; `read()` returns all frames as (N, H, W) and `batches(n)` yields n at a time.
 
     Attributes: `path`; `frame_shape` (H, W); `dtype` (unsigned integer or float); `bit_depth` (integer grey values lie
-    in 0 .. 2**bit_depth - 1: the true depth where the file states it, else that of the container; never guessed from
-    the values; None for float); `frame_rate` in Hz, None where nobody states it; `times`, float64, s, one a frame, 0 at
-    the trigger where the file has one, else at the first frame, None without a rate; `warnings`, sentences that a
-    user should read; `metadata`, what else the file says (camera, exposure, levels); `has_trigger`, whether
-    the file says which frame that is; `lossy`, the codec where it has changed the pixels ("h264", "jpeg"), else None.
+    in 0 .. 2**bit_depth - 1: the true depth if the file states it, else that of the data type, never guessed from the
+    values; None for float); `frame_rate` in Hz, None if unknown; `times`, float64, s, one a frame, 0 at the trigger if
+    the file has one, else at the first frame, None without a rate; `warnings`, sentences for the user; `metadata`,
+    other entries of the file (camera, exposure, levels); `has_trigger`, whether the file states the trigger frame;
+    `lossy`, the codec if it is lossy ("h264", "jpeg"), else None.
     """
 
     path: Path
@@ -77,30 +77,30 @@ class Recording(ABC):
 
     @property
     def takes_from_other_frames(self) -> str | None:
-        """The lossy codec that makes a frame from others, None for none: stated deviations do not hold of it."""
+        """Return the lossy codec that predicts frames from others, else None; it invalidates stated deviations."""
         return None if self.lossy is None or self.lossy in EACH_FRAME_BY_ITSELF else self.lossy
 
     @property
     @abstractmethod
     def unreadable(self) -> Mapping[int, str]:
-        """Frames of this recording that are damaged, by index, and why, in words that follow "frame 12".
+        """Return the damaged frames by index, with the reason in words that follow "frame 12".
 
-        Such a frame is read as NaN, or as 0 where pixels are whole numbers: it is no picture, and nothing may be
-        computed from it. What a header does not tell is known only when the frame has been read (videos, compressed
-        pages), so look again after reading.
+        Such a frame is read as NaN, or as 0 for integer pixels; no result may be computed from it. Damage that no
+        header states (videos, compressed pages) is known only after the frame was read, so check this again after
+        reading.
         """
 
     @abstractmethod
     def __len__(self) -> int:
-        """Number of frames that are there whole."""
+        """Return the number of complete frames."""
 
     @abstractmethod
     def _read_frame(self, index: int) -> Frames:
-        """Frame number `index` (0 <= index < len) as (H, W): the one place where a reader touches pixels."""
+        """Return frame `index` (0 <= index < len) as (H, W); the only method in which a reader reads pixels."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the file. Reading afterwards is an error."""
+        """Close the file. Reading afterwards is an error."""
 
     @overload
     def __getitem__(self, key: int) -> Frames: ...
@@ -134,28 +134,29 @@ class Recording(ABC):
         return f"<Recording {self.path.name}: {len(self)} frames of {height} x {width}, {self.dtype}{depth}, {rate}>"
 
     def read(self) -> Frames:
-        """All frames as one array (N, H, W). Take a slice first if they do not fit into memory."""
+        """Return all frames as one array (N, H, W). Take a slice first if they do not fit into memory."""
         frames = np.empty((len(self), *self.frame_shape), self.dtype)
         for index in range(len(self)):
             frames[index] = self._read_frame(index)
         return frames
 
     def mapped(self) -> Frames:
-        """All frames as one array (N, H, W), not to be written to: where the file's pixels are what frames are made of,
-        they are its memory map, and no copy is made; else they are read.
+        """Return all frames as one read-only array (N, H, W).
+
+        It is the file's memory map, without a copy, if the stored pixels need no decoding; else the frames are read.
         """
         frames = self._memory_map()
         return self.read() if frames is None else frames
 
     def batches(self, size: int) -> Iterator[Frames]:
-        """Arrays (n, H, W) with n = `size`, the last one shorter if need be; one is in memory at a time."""
+        """Yield arrays (n, H, W) with n = `size`, the last one shorter if need be; one is in memory at a time."""
         if size < 1:
             raise ValueError(f"a batch holds at least one frame; size={size} was asked for")
         for start in range(0, len(self), size):
             yield self[start : start + size].read()
 
     def _memory_map(self) -> Frames | None:
-        """The frames (N, H, W) as they lie in memory, where they do; None where they have to be read."""
+        """Return the memory map (N, H, W) of the frames; None if they have to be decoded."""
         return None
 
     def _view(self, indices: Sequence[int]) -> Recording:
@@ -169,11 +170,11 @@ class Recording(ABC):
 
 
 class FileRecording(Recording):
-    """A recording as it stands in a file. Readers add `_read_frame`, and say `stack` where frames need no decoding: the
-    pixels (N, H, W) in a memory map.
+    """Recording of all frames of a file, the base class of readers.
 
-    A `frame_rate` given by the user replaces whatever the file says, time stamps included: frame i then lies at
-    (first number + i) / frame_rate, so that the trigger keeps its place.
+    Readers add `_read_frame`, and pass `stack`, a memory map (N, H, W), if frames need no decoding. A `frame_rate`
+    given by the user replaces the rate and the time stamps of the file: frame i then lies at (first number + i) /
+    frame_rate, so that time 0 stays at the trigger.
     """
 
     def __init__(self, description: Description, frame_rate: float | None = None, stack: Frames | None = None) -> None:
@@ -188,7 +189,7 @@ class FileRecording(Recording):
         self._unreadable = dict(description.unreadable)
         self.frame_rate = description.frame_rate if frame_rate is None else frame_rate
         self._count = description.count
-        # Rows of a frame in one piece and numbers as this processor has them, or a copy would be needed after all.
+        # Usable without a copy only if contiguous and in native byte order.
         usable = stack is not None and stack.dtype == self.dtype and stack.flags.c_contiguous
         self._map = np.asarray(stack) if usable else None
         if frame_rate is None and description.time_stamps is not None:
@@ -206,7 +207,7 @@ class FileRecording(Recording):
         return MappingProxyType(self._unreadable)
 
     def _no_picture(self, index: int, reason: str) -> Frames:
-        """What a reader gives in place of a frame that it cannot read; from now on the frame is among `unreadable`."""
+        """Return the substitute for a frame that cannot be read, NaN or 0, and add the frame to `unreadable`."""
         self._unreadable.setdefault(index, reason)
         return np.full(self.frame_shape, np.nan if self.dtype.kind == "f" else 0, self.dtype)
 
@@ -214,12 +215,12 @@ class FileRecording(Recording):
         return self._map
 
     def close(self) -> None:
-        """Lets go of the memory map; readers that keep the file open close it."""
+        """Close the memory map; readers that keep the file open close it too."""
         self._map = None
 
 
 class _View(Recording):
-    """Some frames of a file, in any order."""
+    """Selection of frames of a file, in any order."""
 
     def __init__(self, file: Recording, indices: Sequence[int]) -> None:
         self._file = file
@@ -251,11 +252,11 @@ class _View(Recording):
         if stack is None or not len(indices):
             return None
         step, *others = _steps(indices) or {1}
-        # Tensors have no strides below zero.
+        # Tensors have no negative strides.
         return stack[indices[0] : indices[-1] + 1 : step] if step > 0 and not others else None
 
     def _view(self, indices: Sequence[int]) -> Recording:
-        # A view of a view points to the file at once, so that a chain of slices stays as fast as one.
+        # A view of a view refers to the file directly, so that a chain of slices is as fast as one.
         return _View(self._file, [self._indices[index] for index in indices])
 
     def close(self) -> None:
@@ -263,7 +264,7 @@ class _View(Recording):
 
 
 def _rate_of_view(rate: float | None, indices: Sequence[int]) -> float | None:
-    """Every second frame of 300 Hz is 150 Hz; frames picked unevenly have no rate."""
+    """Return the rate of a selection: every second frame of 300 Hz is 150 Hz, unevenly spaced frames have none."""
     if rate is None or len(indices) < 2:
         return rate
     step, *others = {abs(one) for one in _steps(indices)}
@@ -278,10 +279,9 @@ def _steps(indices: Sequence[int]) -> set[int]:
 
 
 def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
-    """The dtype itself if frames may have it.
+    """Return the dtype if frames may have it.
 
-    Raises FingerflowError for signed integers, logical and complex values: what their zero means is not for a reader
-    to decide.
+    Raises FingerflowError for signed integers, logical and complex values, for which the meaning of zero is ambiguous.
     """
     if dtype.kind == "f" or (dtype.kind == "u" and dtype.itemsize <= 4):
         return dtype
@@ -292,18 +292,21 @@ def grey_dtype(dtype: np.dtype[Any], path: Path) -> np.dtype[Any]:
 
 
 def container_bits(dtype: np.dtype[Any]) -> int | None:
-    """Bit depth where the file states none: that of the container. A guess from the values would change with them."""
+    """Return the bits of a data type, the bit depth if the file states none; None for float.
+
+    A guess from the values would change with them.
+    """
     return None if dtype.kind == "f" else 8 * dtype.itemsize
 
 
 def lossy_codec(name: str) -> str:
-    """The sentence that goes into `warnings` of pixels that a codec has changed.
+    """Return the warning for pixels that a lossy codec has changed.
 
-    A codec that compresses each frame by itself leaves an error that differs from frame to frame: residuals show it,
-    and deviations that are taken from them hold (on the shipped press as Motion JPEG two of three errors lie within
-    the stated one). One that takes a frame from others leaves skin where it was until it has moved enough: that error
-    lasts, neighbours share it, and neither the residual of a window nor the scatter of points or of frames has more
-    than a part of it (`tests/recordings/test_lossy_deviations.py`).
+    A codec that compresses each frame by itself leaves an error that differs from frame to frame. Residuals include it,
+    and deviations from them are valid: on the shipped press as Motion JPEG two of three errors lie within the stated
+    deviation. A codec that predicts frames from others keeps skin in place until it has moved enough. That error
+    persists and neighbours share it; neither the residual of a window nor the scatter of points or of frames contains
+    more than a part of it (`tests/recordings/test_lossy_deviations.py`).
     """
     remedy = "record without compression, or with a lossless codec such as FFV1"
     if name in EACH_FRAME_BY_ITSELF:
@@ -319,5 +322,5 @@ def lossy_codec(name: str) -> str:
 
 
 def missing_frames(missing: int, expected: int) -> str:
-    """The sentence that goes into `warnings` of a file that ends too early."""
+    """Return the warning for a file that ends too early."""
     return f"truncated: {missing} of {expected} frames are missing at the end of the file"

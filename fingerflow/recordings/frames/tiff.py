@@ -1,4 +1,4 @@
-"""TIFF stacks: one page a frame, ImageJ stacks, BigTIFF; mapped into memory where the pixels lie in one piece."""
+"""Reader of TIFF stacks: one page a frame, ImageJ stacks, BigTIFF; memory-mapped if the pixels are contiguous."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from fingerflow.errors import FingerflowError, first_line
 from fingerflow.recordings.frames.recording import Description, FileRecording, Frames, grey_dtype, missing_frames
 from fingerflow.recordings.guard.files import plausible_size, reading
 
-LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # of tifffile's names of compressions
+LOSSY = ("JPEG", "OJPEG", "JPEG_LOSSY", "ALT_JPEG", "WEBP")  # tifffile's names of compressions
 GREY = (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
-    """Read the pages' tags only. Raises FingerflowError for colour, two axes of frames and pages of different sizes.
+    """Open a stack by the tags of its pages; raise FingerflowError for colour, two axes of frames or differing pages.
 
-    The rate is ImageJ's `finterval`, the seconds between two frames, where there is one; its `fps` is the speed of
-    playback and does not count. The bit depth is the tag BitsPerSample.
+    The rate is from ImageJ's `finterval`, the seconds between two frames, if present; its `fps` is the speed of
+    playback and is ignored. The bit depth is the tag BitsPerSample.
     """
     complaints = _Complaints()
     logger = logging.getLogger("tifffile")
@@ -45,7 +45,7 @@ def open_frames(path: Path, frame_rate: float | None) -> TiffRecording:
 
 
 class TiffRecording(FileRecording):
-    """Frames from a memory map, or page by page where they are compressed or scattered."""
+    """Recording of frames from a memory map, or page by page if they are compressed or scattered."""
 
     def __init__(
         self, description: Description, frame_rate: float | None, file: tifffile.TiffFile, stack: _Stack
@@ -63,7 +63,7 @@ class TiffRecording(FileRecording):
             raise FingerflowError(f"{self.path}: the file is closed; open it again")
         try:
             image = np.asarray(self._stack[index].asarray())
-        except Exception as error:  # whatever the codec of a damaged page raises
+        except Exception as error:  # codecs raise any exception for a damaged page
             return self._no_picture(index, f"cannot be decoded ({first_line(error)})")
         if image.size != self.frame_shape[0] * self.frame_shape[1]:
             return self._no_picture(index, f"is {image.shape} and not {self.frame_shape}")
@@ -80,7 +80,7 @@ _Stack = Sequence[Any] | np.ndarray[Any, Any] | None
 
 
 class _Complaints(logging.Filter):
-    """Catches what tifffile says about a damaged file, which it opens all the same."""
+    """Log filter that collects tifffile's messages about a damaged file, which it opens nevertheless."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -92,8 +92,9 @@ class _Complaints(logging.Filter):
 
 
 def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
-    """Each page says where the next one stands. Raises FingerflowError where that leads back: tifffile looks for it at
-    the hundredth page only, and not at all where it takes pages one by one.
+    """Check the chain of pages, each of which states the position of the next; raise FingerflowError for a loop.
+
+    tifffile checks for loops only at the hundredth page, and not at all where it takes pages one by one.
     """
     layout, handle, size = file.tiff, file.filehandle, path.stat().st_size
     seen: set[int] = set()
@@ -109,7 +110,7 @@ def _check_chain(path: Path, file: tifffile.TiffFile) -> None:
         tags = struct.unpack(layout.tagnoformat, handle.read(layout.tagnosize))[0]
         handle.seek(offset + layout.tagnosize + tags * layout.tagsize)
         following = handle.read(layout.offsetsize)
-        if len(following) < layout.offsetsize:  # the file ends, which the library says
+        if len(following) < layout.offsetsize:  # the file ends, which tifffile reports
             return
         offset = struct.unpack(layout.offsetformat, following)[0]
 
@@ -126,7 +127,7 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
         kind = f"{getattr(page.photometric, 'name', page.photometric)}, {page.samplesperpixel} samples a pixel"
         raise FingerflowError(f"{path}: a colour file ({kind}); convert it to grey first")
     *leading, height, width = stack.shape if len(stack.shape) > 1 else (0, 0)
-    # A program that writes page by page may close a series with each: then the pages of all are the frames.
+    # A program that writes page by page may make each page a series: the pages of all are the frames.
     alone = len(series) == 1
     if sum(length > 1 for length in (*leading, *([] if alone else [len(series)]))) > 1 or (
         stack.axes[-2:] != "YX" or page.imagedepth > 1
@@ -139,7 +140,7 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
     count = math.prod(leading) * len(series)
     one_piece = alone and stack.dataoffset is not None
     if count == 1 and one_piece:
-        # ImageJ keeps the pixels in one piece and the list of pages behind them; cut off there, the count survives.
+        # ImageJ stores contiguous pixels, then the list of pages; if only that is cut off, the count is still known.
         count = max(count, int(imagej.get("images", 1)))
     size = path.stat().st_size
     frames: _Stack = None
@@ -184,14 +185,14 @@ def _describe(path: Path, file: tifffile.TiffFile, series: Any, complaints: list
 
 
 def _damage(page: Any, size: int, frame_bytes: int) -> str:
-    """Why a page of so many bytes of pixels cannot be read whole, as far as its header tells; "" for nothing."""
+    """Return why a page of `frame_bytes` bytes of pixels cannot be read whole, by its header; "" for no reason."""
     if page is None:
         return "has no readable header"
     pieces = list(zip(page.dataoffsets, page.databytecounts, strict=False))
-    if len(pieces) != math.prod(page.chunked):  # of which the library goes through as many as the header says
+    if len(pieces) != math.prod(page.chunked):  # tifffile reads as many as the header states
         return f"has {len(pieces)} of {math.prod(page.chunked)} pieces"
     if not all(offset > 0 and length > 0 for offset, length in pieces):
-        return "was never written"  # where the library gives zeros
+        return "was never written"  # tifffile returns zeros there
     if not all(offset + length <= size for offset, length in pieces):
         return "ends beyond the file"
     if not plausible_size(frame_bytes, sum(length for _, length in pieces)):

@@ -1,8 +1,8 @@
-"""AVI, MP4, MKV and MOV files, decoded by FFmpeg (PyAV); any frame in any order, exactly, in bounded memory.
+"""Reader of AVI, MP4, MKV and MOV files, decoded by FFmpeg (PyAV): exact random access in bounded memory.
 
-Grey is kept as it is, more than 8 bits included. Of a YUV video the luma plane is taken as stored, no range is
-stretched. RGB is accepted where the three channels are equal, which is how many programs save grey without loss; a
-frame with real colour is refused when it is read.
+Grey is kept as stored, with more than 8 bits too. Of a YUV video the luma plane is taken as stored, without stretching
+its range. RGB is accepted if the three channels are equal, as many programs save grey without loss; a frame in colour
+is refused when it is read.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ from fingerflow.recordings.guard.walker import check_by_walking
 CACHE_BYTES = 128 * 2**20
 PACKED_LUMA = {"yuyv422": slice(0, None, 2), "yvyu422": slice(0, None, 2), "uyvy422": slice(1, None, 2)}
 LUMA_RANGE = {1: "limited", 2: "full"}
-MOST_PIXELS = 1 << 28  # of a frame
-CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # a decoder would else fill damaged parts with old pixels
+MOST_PIXELS = 1 << 28  # in a frame
+CHECKS = {"err_detect": "crccheck+bitstream+buffer+explode"}  # else a decoder fills damaged parts with old pixels
 
 
 def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
-    """Find where each frame is, without decoding one. Raises FingerflowError for what FFmpeg cannot read.
+    """Find the position of each frame without decoding; raise FingerflowError for files that FFmpeg cannot read.
 
-    Formats with a full index (AVI, MP4, MOV without reordered frames) give it at once; the packets of the others are
-    listed by going through the file.
+    Formats with a full index (AVI, MP4, MOV without reordered frames) state it; of the others all packets are read.
     """
     check_by_walking(path, "video")
     with _open(path) as container, reading(path, "video"):
@@ -54,7 +53,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
     if not index.count:
         raise FingerflowError(f"{path}: not one frame can be read; the file ends too early or is damaged")
     warnings = [missing_frames(promised - index.count, promised)] if promised > index.count else []
-    # MKV states no number of frames but how long they last, in ticks; and how many bytes it has.
+    # MKV states no number of frames, only their duration in ticks and the number of bytes.
     lasting = container_seconds * float(rate or 0)
     if not promised and lasting - index.count > 0.5 + float(tick) * float(rate or 0):
         warnings.append(missing_frames(round(lasting) - index.count, round(lasting)))
@@ -68,7 +67,7 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
     hertz = float(rate) if rate else None
     stamps = None if index.stamps is None else (index.stamps - index.stamps[0]) * float(tick)
     if hertz is not None and stamps is not None:
-        # Containers round time stamps to a tick (MKV: 1 ms); what is even up to that rounding is even.
+        # Containers round time stamps to a tick (MKV: 1 ms); stamps that are even within a tick count as even.
         if np.max(np.abs(stamps - np.arange(index.count) / hertz)) <= float(tick) * 1.001:
             stamps = None
         else:
@@ -90,8 +89,9 @@ def open_frames(path: Path, frame_rate: float | None) -> VideoRecording:
 
 
 class VideoRecording(FileRecording):
-    """Decodes from the key frame before the wanted one and keeps the last frames, so that reading backwards decodes
-    each group of pictures once if it fits into `CACHE_BYTES`.
+    """Recording that decodes from the key frame before the requested frame and caches the last frames.
+
+    Reading backwards decodes each group of pictures once if it fits into `CACHE_BYTES`.
     """
 
     def __init__(self, description: Description, frame_rate: float | None, pixels: _Pixels, index: _Index) -> None:
@@ -101,7 +101,7 @@ class VideoRecording(FileRecording):
         self._container: Any = None
         self._decoded: Iterator[tuple[int, Any]] = iter(())
         self._has_checksums = description.metadata["codec"] == "ffv1" and _has_checksums(description.path)
-        self._next = -1  # the frame that the decoder is about to give; -1 for none
+        self._next = -1  # the next frame of the decoder; -1 for none
         self._cache: OrderedDict[int, Frames] = OrderedDict()
         self._cached_at_most = max(2, CACHE_BYTES // (self.frame_shape[0] * self.frame_shape[1] * self.dtype.itemsize))
 
@@ -119,7 +119,7 @@ class VideoRecording(FileRecording):
             self._start_at(keys[nearest])
         if self._run_to(wanted):
             return
-        self._start_at(0)  # a container whose seeking misses its key frames still decodes from the start
+        self._start_at(0)  # if seeking misses the key frame, decode from the start
         if not self._run_to(wanted):
             self._damaged(wanted, "gives no picture")
 
@@ -141,7 +141,7 @@ class VideoRecording(FileRecording):
         return False
 
     def _damaged(self, number: int, reason: str) -> None:
-        """The frame, and those behind it that are made from it: up to the next key frame."""
+        """Mark a frame as unreadable, and the later frames that depend on it, up to the next key frame."""
         self._unreadable.setdefault(number, reason)
         keys = self._index.keys
         place = bisect_right(keys, number)
@@ -162,7 +162,7 @@ class VideoRecording(FileRecording):
         self._decoded = self._numbered(stream, key)
 
     def _numbered(self, stream: Any, key: int) -> Iterator[tuple[int, Any]]:
-        """Frames with their number, from key frame `key` on: those shown before it lack what they refer to."""
+        """Yield frames with their numbers from key frame `key` on; frames shown before it lack their references."""
         count = 0
         packets = self._container.demux(stream)
         while True:
@@ -181,7 +181,7 @@ class VideoRecording(FileRecording):
                         f"{self.path}: frame {count} cannot be decoded ({first_line(error)}), and without time stamps "
                         "those behind it have no number; copy the file again"
                     ) from error
-                if number is None:  # not of one packet: the file cannot be read on
+                if number is None:  # not an error of one packet: the rest of the file cannot be read
                     return
                 if number >= key:
                     self._damaged(number, f"cannot be decoded ({first_line(error)})")
@@ -201,9 +201,11 @@ class VideoRecording(FileRecording):
 
 @dataclass(frozen=True)
 class _Index:
-    """`stamps`: ticks in the order in which frames are shown, None if the file has no useful ones (then decoding always
-    starts at the beginning). `keys`: numbers of the frames at which decoding can start, in order. `damaged`: frames
-    that the container marks, and why.
+    """Index of the frames of a video.
+
+    `stamps`: ticks in display order, None if the file has no usable ones (then decoding always starts at the
+    beginning). `keys`: numbers of the frames at which decoding can start, in order. `numbers`: frame numbers by stamp.
+    `damaged`: frames that the container marks as damaged, and why.
     """
 
     count: int
@@ -215,7 +217,7 @@ class _Index:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """How a decoded picture becomes grey values."""
+    """Pixel format: how a decoded image becomes grey values."""
 
     name: str
     shape: tuple[int, int]
@@ -249,13 +251,13 @@ def _open(path: Path) -> Any:
 
 
 def _has_checksums(path: Path) -> bool:
-    """Whether those of one of the first frames are there and right; the stream's header has it where nobody can see."""
+    """Return whether one of the first five packets has valid checksums; the stream's header cannot be read for this."""
     with _open(path) as container, reading(path, "video"):
         return any(slices_are_whole(bytes(packet)) for packet in islice(container.demux(video=0), 5))
 
 
 def _lossy(codec: Any) -> str | None:
-    """The name of a codec that has changed pixels. H.264 without loss has a profile of its own."""
+    """Return the name of a lossy codec, else None. Lossless H.264 is recognised by its profile."""
     if codec.codec.lossless and not codec.codec.lossy:
         return None
     lossless = codec.name == "h264" and codec.profile == "High 4:4:4 Predictive" and "444" not in str(codec.pix_fmt)
@@ -263,8 +265,10 @@ def _lossy(codec: Any) -> str | None:
 
 
 def unfinished(path: Path) -> str:
-    """Whether a Matroska file (MKV, WebM) ends before its segment, whose length its program writes when it is done: in
-    words, "" where not. Source: RFC 9559 (Matroska) and RFC 8794 (EBML), variable-size integers.
+    """Return in words whether a Matroska file (MKV, WebM) ends before its segment; "" if it is complete.
+
+    The program that writes the file states the segment's length only when it has finished. Source: RFC 9559 (Matroska)
+    and RFC 8794 (EBML), variable-size integers.
     """
     with path.open("rb") as file:
         start, size = file.read(256), path.stat().st_size
@@ -281,7 +285,7 @@ def unfinished(path: Path) -> str:
 
 
 def _variable_integer(data: bytes, at: int) -> tuple[int | None, int]:
-    """The number and where it ends; None where all its bits are set, which means that nobody knows."""
+    """Return a variable-size integer and where it ends; None if all its bits are set, which means unknown."""
     first = data[at] if at < len(data) else 0
     width = 9 - first.bit_length()
     if width > 8:
@@ -312,7 +316,7 @@ def _pixels(path: Path, name: str | None, height: int, width: int) -> _Pixels:
         shape=(height, width),
         dtype=np.dtype(np.uint8 if bits[0] <= 8 else np.uint16),
         bits=8 if is_rgb else bits[0],
-        shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and its kin fill 16 bits from the top
+        shift=16 - bits[0] if name.startswith(("p0", "p2", "p4")) else 0,  # P010 and similar ones use the upper bits
         stored=stored,
         is_rgb=is_rgb,
         is_luma=not is_rgb and len(bits) > 1,
@@ -327,9 +331,9 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
     else:
         packets = _packets(container, stream)
         while packets and packets[-1][2]:
-            packets.pop()  # cut off within it
+            packets.pop()  # incomplete at the end of the file
     stamps = [stamp for stamp, *_ in packets]
-    # AVI has no order of display: what FFmpeg makes up for reordered frames is not what the decoder gives later.
+    # AVI has no display order: FFmpeg's stamps of reordered frames differ from those of the decoder.
     unordered = container.format.name == "avi" and stream.codec_context.has_b_frames
     if unordered or None in stamps or len(set(stamps)) < len(stamps):
         return _Index(len(packets), None, [0], {}, {})
@@ -341,9 +345,7 @@ def _index(path: Path, container: Any, stream: Any) -> _Index:
 
 
 def _packets(container: Any, stream: Any) -> list[tuple[Any, bool, bool]]:
-    """Time stamp, whether decoding can start there, and whether it is damaged, of each packet, up to where the file
-    cannot be read on.
-    """
+    """Return (time stamp, whether decoding can start there, whether it is damaged) of each readable packet."""
     found: list[tuple[Any, bool, bool]] = []
     try:
         for packet in container.demux(stream):

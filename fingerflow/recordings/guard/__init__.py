@@ -1,1 +1,1 @@
-"""Files that may be damaged, cut short or hostile: what every reader does before and while it lets a library read."""
+"""Protection against files that are damaged, truncated or hostile, applied by every reader around library calls."""

@@ -1,4 +1,4 @@
-"""Whether a path can be read at all, what it may hold by its size, and the words for what a library raises."""
+"""Checks that a path can be read and that its stated size is plausible, and messages for exceptions of libraries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOST_COMPRESSED = 1032
 """Bytes that one compressed byte can stand for at most: deflate's limit (zlib's technical notes); codecs of pictures
 stay below it.
 """
-_ALWAYS = 1 << 20  # bytes that may be made of any file, however small
+_ALWAYS = 1 << 20  # bytes that any file may unpack to, however small
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -24,9 +24,9 @@ _KINDS = (
 
 
 def check_file(path: Path) -> int:
-    """The bytes of a file that can be opened.
+    """Return the size in bytes of a file that can be opened.
 
-    Raises FingerflowError for what is no file (opening a pipe waits for ever), is not there, or may not be read.
+    Raises FingerflowError if it is not a file (opening a pipe would block), does not exist, or may not be read.
     """
     try:
         found = path.stat()
@@ -46,10 +46,11 @@ def check_file(path: Path) -> int:
 
 @contextmanager
 def reading(path: Path, kind: str) -> Iterator[None]:
-    """Turns what a library raises at a damaged file into FingerflowError, with the file and the way out.
+    """Convert any exception of a library in this context into FingerflowError with the file and the remedy.
 
-    No library of file formats says what it raises then: struct.error, KeyError, AssertionError, ZeroDivisionError and
-    codecs' own exceptions were all seen. So whatever it is counts, around the library's calls and nothing else.
+    Libraries of file formats do not specify what they raise for a damaged file: struct.error, KeyError, AssertionError,
+    ZeroDivisionError and codecs' own exceptions were observed. Therefore every exception is converted; the context
+    encloses only the library's calls.
     """
     try:
         yield
@@ -63,5 +64,5 @@ def reading(path: Path, kind: str) -> Iterator[None]:
 
 
 def plausible_size(claimed: int, stored: int) -> bool:
-    """Whether so many bytes can come out of so many stored ones, compressed or not: asked before memory is taken."""
+    """Return whether `claimed` bytes can be unpacked from `stored` bytes; checked before memory is allocated."""
     return claimed <= MOST_COMPRESSED * stored + _ALWAYS

@@ -1,4 +1,4 @@
-"""HDF5 files, opened only when another process has gone through them and lived."""
+"""Opening of HDF5 files only after another process has traversed them without a crash."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ KIND = "HDF5"
 
 
 def open_hdf5(path: Path, **options: Any) -> h5py.File:
-    """`h5py.File(path, "r")` of a file that a process of its own could go through.
+    """Return `h5py.File(path, "r")` after a separate process has traversed the file.
 
-    Raises FingerflowError where it cannot be opened, or where going through it ended that process (see
+    Raises FingerflowError where the file cannot be opened, or where traversing it ended that process (see
     :func:`check_by_walking`).
     """
     check_file(path)
@@ -28,10 +28,10 @@ def open_hdf5(path: Path, **options: Any) -> h5py.File:
 
 
 def stored_whole(values: h5py.Dataset, path: Path) -> None:
-    """Checks that what a data set claims to hold can be in the file, before memory is taken for it.
+    """Check that the stated content of a data set can be in the file, before memory is allocated for it.
 
-    Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are not
-    there: HDF5 itself gives zeros for these without a word.
+    Raises FingerflowError where its values were never written, end beyond the file, or lie in other files that are
+    missing: HDF5 itself silently returns zeros for these.
     """
     again = "copy the file again, or export it anew"
     with reading(path, KIND):
@@ -59,7 +59,7 @@ def _sources_there(values: h5py.Dataset, path: Path) -> None:
         name = source.file_name
         if name == ".":
             continue
-        # HDF5 looks for the path as it is written, then beside the file; "%b" counts through several.
+        # HDF5 searches the path as written, then beside the file; "%b" stands for the number of a block.
         pattern = name.replace("%b", "*")
         found = [place for place in (Path(pattern), path.parent / pattern, path.parent / Path(pattern).name)
                  if (place.exists() if "*" not in pattern else any(place.parent.glob(place.name)))]  # fmt: skip

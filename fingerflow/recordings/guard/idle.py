@@ -1,4 +1,4 @@
-"""When a process that should answer has come to a stand, told from one that a busy machine keeps waiting."""
+"""Time limit on a process that has come to a standstill, as opposed to one that waits for a busy machine."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Self
 import psutil
 
 _LOOK_SECONDS = 1.0
-_AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # on a processor, or waiting for one
+_AT_WORK = (psutil.STATUS_RUNNING, psutil.STATUS_WAKING)  # running, or waiting for a CPU
 
 
 class IdleLimit:
-    """While the context lasts, ends a process that does nothing for too long.
+    """Context that kills a process which is idle for too long.
 
-    It counts looks, a second apart, at which neither the process nor one that it has started was on a processor, waited
-    for one, or had used one since the look before: time in which other programs have the machine, or in which it
-    sleeps, is not held against it. What computes without end has a limit of the processor's time (`walk`).
+    It checks once a second. A check counts as idle if neither the process nor any of its children is running, waits for
+    a CPU, or has used CPU time since the check before. Time in which other programs occupy the machine, or in which it
+    sleeps, does not count. Endless computation is ended by a limit of CPU time (`walk`).
     """
 
     def __init__(self, process: int, seconds: float) -> None:

@@ -1,8 +1,8 @@
-"""Goes through files in a process of its own: libraries crash, turn in circles, or take all memory in damaged ones.
+"""Traversal of files in a separate process, because libraries crash, loop or exhaust memory on damaged ones.
 
-Run as a script, with a path and its kind as JSON a line of its input; it answers a line a file. It does with a file
-what readers will do, and looks at everything that they may look at. What merely raises an exception is no matter: the
-reader gets the same exception. What ends this process, by a signal or by its limits, ends no other.
+Run as a script, it reads a line of JSON a file, with path and kind, and answers in a line each. It performs the same
+operations as the readers on everything that they may access. Exceptions are ignored, because the reader gets the same
+ones. A signal or a limit ends only this process.
 """
 
 import base64
@@ -14,27 +14,27 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-CPU_SECONDS = 10.0  # for one file; a thousand objects take 0.1 s
-MEMORY_BYTES = 1 << 27  # besides the libraries, and what can be unpacked from the file
-VIDEO_BYTES = 3 << 28  # in place of these: decoders keep frames
+CPU_SECONDS = 10.0  # CPU time for one file; a thousand objects take 0.1 s
+MEMORY_BYTES = 1 << 27  # in addition to the libraries and to the unpacked content of the file
+VIDEO_BYTES = 3 << 28  # replaces MEMORY_BYTES for videos: decoders keep frames
 MOST_COMPRESSED = 1032  # as in `files`, which this script does not import
 MOST_OBJECTS = 100_000
 MOST_ATTRIBUTE_BYTES = 1 << 26
 
 
 def main() -> None:
-    """Answers until the input ends."""
+    """Answer requests until the input ends."""
     print(json.dumps("ready"), flush=True)
     for line in sys.stdin:
         path, kind = json.loads(line)
         through, libraries = WALKS[kind]
         for library in libraries:
-            importlib.import_module(library)  # before there is a limit: libraries take room by the number of processors
+            importlib.import_module(library)  # before the limit is set: their memory depends on the number of CPUs
         print(json.dumps(_walk(path, through)), flush=True)
 
 
 def _walk(path: str, through: Callable[[str], Any]) -> Any:
-    """What is wrong with a file, "" for nothing; or what is in it."""
+    """Return what is wrong with a file, "" for nothing; or its content."""
     _limit_time(CPU_SECONDS)
     try:
         _limit_memory(path, VIDEO_BYTES if through is through_video else MEMORY_BYTES)
@@ -48,7 +48,7 @@ def _walk(path: str, through: Callable[[str], Any]) -> Any:
 
 
 def through_hdf5(path: str) -> str:
-    """Objects, attributes and the index of chunks, but no values."""
+    """Read objects, attributes and the index of chunks of an HDF5 file, without values; return what is wrong, or ""."""
     import h5py
 
     count = 0
@@ -65,8 +65,10 @@ def through_hdf5(path: str) -> str:
 
 
 def through_matlab(path: str) -> str | dict[str, Any]:
-    """The numbers and texts themselves, as :func:`as_json` has them: SciPy reads some damaged files from memory that is
-    not its own, so that what went well here would crash elsewhere.
+    """Return the content of a MATLAB file as :func:`as_json`, or what is wrong with it.
+
+    SciPy reads some damaged files out of bounds, so that a file that was read here without a crash could crash
+    elsewhere. Therefore the values themselves are passed on.
     """
     try:
         with open(path, "rb") as file:
@@ -80,14 +82,14 @@ def through_matlab(path: str) -> str | dict[str, Any]:
 
 
 def read_matlab(path: str) -> Any:
-    """What is in a MATLAB file, by name; structs are mappings."""
+    """Return the content of a MATLAB file by name; structs are mappings."""
     from pymatreader import read_mat
 
     return read_mat(path)
 
 
 def as_json(value: Any) -> Any:
-    """Mappings as they are, arrays of numbers as {".npy": base64}, texts; None for all else."""
+    """Return content for JSON: mappings, texts, arrays of numbers as {".npy": base64}, None for all else."""
     import numpy as np
 
     if isinstance(value, dict):
@@ -96,7 +98,7 @@ def as_json(value: Any) -> Any:
         return value
     try:
         numbers = np.asarray(value)
-    except ValueError:  # cells with vectors of several lengths
+    except ValueError:  # cells with vectors of different lengths
         return None
     if numbers.dtype.kind not in "iuf":
         return None
@@ -106,7 +108,7 @@ def as_json(value: Any) -> Any:
 
 
 def through_tdms(path: str) -> str:
-    """The segments and what they say, but no values."""
+    """Read the segments and their metadata of a TDMS file, without values; return ""."""
     from nptdms import TdmsFile
 
     with TdmsFile.open(path):
@@ -114,7 +116,7 @@ def through_tdms(path: str) -> str:
 
 
 def through_video(path: str) -> str:
-    """Header, index where there is one, and the first frames, from which FFmpeg takes what they do not state."""
+    """Read the header, the index if present, and the first frames, by which FFmpeg completes the header; return ""."""
     import av
 
     with av.open(path, metadata_errors="replace"):
@@ -154,7 +156,7 @@ def _storage(item: Any) -> str | None:
 def _limit_memory(path: str, allowed: int) -> None:
     try:
         import resource
-    except ImportError:  # on Windows, which has no such limits
+    except ImportError:  # Windows has no such limits
         return
     if not os.path.exists("/proc/self/statm"):
         return
@@ -166,7 +168,7 @@ def _limit_memory(path: str, allowed: int) -> None:
 
 
 def _limit_time(seconds: float) -> None:
-    """Of the processor's time: by a signal that ends the process, wherever it is."""
+    """Limit CPU time by a signal that ends the process; 0 removes the limit."""
     import signal
 
     if hasattr(signal, "setitimer"):

@@ -1,4 +1,4 @@
-"""The process that reads a file first, so that what a damaged one does to a library is done to it alone."""
+"""Separate process that reads a file first, so that a damaged file crashes only that process."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from fingerflow.errors import FingerflowError
 from fingerflow.recordings.guard import walk
 from fingerflow.recordings.guard.idle import IdleLimit
 
-_MOST_IDLE_SECONDS = 120.0  # for disks that hang
+_MOST_IDLE_SECONDS = 120.0  # for disks that do not respond
 
 
 def check_by_walking(path: Path, kind: str) -> None:
-    """Lets another process go through a file of a kind of `walk.WALKS`, and returns if it lives.
+    """Check that a separate process can traverse a file of a kind of `walk.WALKS`.
 
-    The first file costs 0.2 s for that process, an HDF5 file then 1 to 4 ms, the others as much as reading them.
+    The first file costs 0.2 s to start that process; then an HDF5 file costs 1 to 4 ms, others as much as reading them.
 
-    Raises FingerflowError where that crashed the library, took more than 10 s of a processor, or more memory than a
-    file of its size can need.
+    Raises FingerflowError where the traversal crashed the library, took more than 10 s of CPU time, or needed more
+    memory than a file of its size can need.
     """
     _sound(path, kind, _walker.ask(path, kind))
 
 
 def read_matlab_apart(path: Path) -> dict[str, Any]:
-    """What is in a MATLAB file, read by that process: structs as mappings, arrays of numbers, texts, None for all else.
+    """Return the content of a MATLAB file, read by that process.
 
-    Raises FingerflowError as :func:`check_by_walking`, and where it cannot be read.
+    Structs are mappings; arrays of numbers and texts are kept, all else is None. Raises FingerflowError as
+    :func:`check_by_walking`, and where the file cannot be read.
     """
     found = _walker.ask(path, "MATLAB")
     _sound(path, "MATLAB", found)
@@ -60,7 +61,7 @@ def _from_json(value: Any) -> Any:
 
 
 class _Walker:
-    """The process that goes through files, started when it is first needed and again after each file that ends it."""
+    """Process that traverses files, started on first use and again after each file that ended it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -69,14 +70,14 @@ class _Walker:
         self._cannot_start = False
 
     def ask(self, path: Path, kind: str) -> Any:
-        """What is wrong with the file, "" for nothing or where there is no such process; or what is in it."""
+        """Return what is wrong with the file, "" for nothing or without such a process; or its content."""
         with self._lock:
             process = self._running()
             if process is None:
                 return ""
             try:
                 answer = self._answer(process, json.dumps([str(path.resolve()), kind]))
-            except BaseException:  # interrupted: its answer must not become that of the next file
+            except BaseException:  # interrupted: its answer must not be taken for that of the next file
                 process.kill()
                 self._process = None
                 raise
@@ -87,7 +88,7 @@ class _Walker:
         return f"the library {_end(status)} while its structure was gone through"
 
     def _running(self) -> subprocess.Popen[str] | None:
-        # A forked process has the pipes of its parent, whose answers are not its own.
+        # A forked process shares the pipes of its parent and must not read its answers.
         if self._process is not None and self._owner == os.getpid() and self._process.poll() is None:
             return self._process
         if self._cannot_start:
@@ -102,7 +103,7 @@ class _Walker:
             ready = self._answer(process, None) == "ready"
         except OSError:
             ready = False
-        if not ready:  # inside programs that have no Python to start
+        if not ready:  # programs that embed Python may have no interpreter to start
             self._cannot_start = True
             warnings.warn(
                 f"damaged files are not kept apart: {command[0]} does not start", RuntimeWarning, stacklevel=5
@@ -112,7 +113,7 @@ class _Walker:
         return process
 
     def _answer(self, process: subprocess.Popen[str], line: str | None) -> Any:
-        """One line of answer; None where the process ended instead."""
+        """Return one answer; None if the process has ended."""
         assert process.stdin is not None
         assert process.stdout is not None
         try:
@@ -127,7 +128,7 @@ class _Walker:
 
     def close(self) -> None:
         if self._process is not None and self._owner == os.getpid():
-            self._process.communicate()  # its input ends, and so does it
+            self._process.communicate()  # closes its input, at which it ends
 
 
 def _end(status: int) -> str:
